@@ -1,0 +1,34 @@
+# make demo   the daemon's main job on the simulated rig, judged       make lint   ruff and mypy strict
+# make test   every test, guest kernel included                        make bench  timing against cyclictest
+VENV := .venv
+PYTHON := $(VENV)/bin/python
+STAMP := $(VENV)/.installed
+
+.PHONY: demo test lint bench setup system
+.DELETE_ON_ERROR:
+
+demo: $(STAMP)
+	mkdir -p results
+	$(VENV)/bin/rigctl demo config/paper_rig.yaml --json results/demo.json
+
+test: $(STAMP) system
+	$(PYTHON) -m pytest
+
+lint: $(STAMP)
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy
+
+bench: $(STAMP) system
+	mkdir -p results
+	$(PYTHON) -m tests.bench --json results/bench.json
+
+setup: $(STAMP)
+
+system:
+	tests/guest/setup
+
+$(STAMP): pyproject.toml constraints.txt
+	test -x $(PYTHON) || python3 -m venv $(VENV) || { tests/guest/apt python3-venv && python3 -m venv $(VENV); }
+	$(PYTHON) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
