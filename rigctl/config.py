@@ -1,0 +1,416 @@
+"""A rig file (YAML) as frozen, validated settings.
+
+Units are in the names (``_n _mm _mm_s _rad _deg _s _ms _ns _hz``). Every refusal is one line:
+``FILE:LINE: key: found X, allowed Y``.
+"""
+
+from __future__ import annotations
+
+import difflib
+import pathlib
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticCustomError
+
+from rigctl import strict_yaml
+from rigctl.devices.objects import SIMULATOR_NODE
+
+NodeId = Annotated[int, Field(ge=1, le=127, description="CANopen node id")]
+
+
+class ConfigError(ValueError):
+    """A rig file that is refused; ``str()`` is one line per finding, each with file, line and key."""
+
+    def __init__(self, findings: list[str]) -> None:
+        super().__init__("\n".join(findings))
+        self.findings = findings
+
+
+def _require(agree: bool, key: str, found: object, allowed: str) -> None:
+    """Refuse values that are fine alone but not together; ``key`` is dotted, relative to the section."""
+    if not agree:
+        raise PydanticCustomError("disagree", "{allowed}", {"key": key, "found": found, "allowed": allowed})
+
+
+class Settings(BaseModel):
+    """Base of every section: unknown keys, wrong types and non-finite numbers are refused; values never change."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class LoopSettings(Settings):
+    """The fixed-rate loop and what it asks of the operating system (each of these optional: 0, null or false)."""
+
+    rate_hz: int = Field(ge=50, le=4000, description="loop rate")
+    spin_us: int = Field(default=0, ge=0, le=200, description="busy-wait before each grid point")
+    priority: int = Field(default=80, ge=0, le=98, description="SCHED_FIFO priority, 0 = normal scheduling")
+    cpu: int | None = Field(default=None, ge=0, le=1023, description="processor the loop is pinned to, null = any")
+    lock_memory: bool = Field(default=True, description="mlockall, so that no tick waits for a page")
+
+    @model_validator(mode="after")
+    def _whole_period(self) -> LoopSettings:
+        whole = 1_000_000_000 % self.rate_hz == 0
+        _require(whole, "rate_hz", self.rate_hz, "a rate whose period is a whole number of nanoseconds")
+        return self
+
+    @property
+    def period_ns(self) -> int:
+        """Tick period in nanoseconds."""
+        return 1_000_000_000 // self.rate_hz
+
+
+class CanSettings(Settings):
+    """The one CAN bus the loop owns."""
+
+    interface: str = Field(min_length=1, description="python-can interface: socketcan, rigsim, ...")
+    channel: str = Field(min_length=1, max_length=100, description="device or socket, e.g. can0")
+    bitrate_bit_s: int | None = Field(
+        ge=10_000, le=1_000_000, description="bit rate; null only on rigsim, which has no bit timing"
+    )
+    controller_node: NodeId = 1
+    heartbeat_ms: int = Field(default=20, ge=5, le=1000, description="our heartbeat period (0x1017)")
+
+    @model_validator(mode="after")
+    def _bit_rate_is_known(self) -> CanSettings:
+        known = self.bitrate_bit_s is not None or self.interface == "rigsim"
+        _require(known, "bitrate_bit_s", None, "a bit rate (null is for interface rigsim only)")
+        return self
+
+
+class TensionCellSettings(Settings):
+    """Tension amplifier, CiA 404."""
+
+    node: NodeId = 2
+    eds: str = Field(default="eds/tension_amplifier.eds", description="EDS file, relative to the rig file")
+    range_n: float = Field(gt=0, le=100_000, description="rated range of the cell")
+    noise_n: float = Field(gt=0, le=100, description="noise, rms, per sample")
+
+
+class InclinometerSettings(Settings):
+    """Two-axis inclinometer, CiA 410. Slope long is the tangential angle, slope lateral the normal one."""
+
+    node: NodeId = 3
+    eds: str = Field(default="eds/inclinometer.eds", description="EDS file, relative to the rig file")
+    rate_hz: int = Field(ge=1, le=1000, description="sample rate; a divisor of the loop's")
+    range_deg: float = Field(default=30.0, gt=0, le=90, description="measuring range")
+
+
+class CylinderSettings(Settings):
+    """Electric cylinder's drive, CiA 402, cyclic synchronous velocity."""
+
+    node: NodeId = 4
+    eds: str = Field(default="eds/cylinder_drive.eds", description="EDS file, relative to the rig file")
+    heartbeat_timeout_ms: int = Field(ge=10, le=1000, description="drive's consumer heartbeat time (0x1016)")
+    command_deadline_ms: int = Field(ge=5, le=1000, description="drive's RPDO deadline (0x1400:05)")
+    stop_deceleration_mm_s2: float = Field(gt=0, le=10_000, description="quick stop deceleration (0x6085)")
+    stroke_min_mm: float = Field(ge=-2000, le=2000, description="lowest stroke commanded (positive = shorter rope)")
+    stroke_max_mm: float = Field(ge=-2000, le=2000, description="highest stroke commanded")
+
+    @model_validator(mode="after")
+    def _stroke_has_length(self) -> CylinderSettings:
+        low, high = self.stroke_min_mm, self.stroke_max_mm
+        _require(low < high, "stroke_min_mm", low, f"below stroke_max_mm ({high:g})")
+        return self
+
+
+class PlantSettings(Settings):
+    """The plant the estimator and the design believe in."""
+
+    spring_n_mm: float = Field(gt=0, le=10_000, description="series spring")
+    rope_n_mm: float = Field(gt=0, le=100_000, description="rope, axial")
+    cylinder_lag_s: float = Field(gt=0, le=1, description="first-order lag of the cylinder's speed")
+    command_delay_s: float = Field(ge=0, le=0.1, description="transport delay of the drive")
+    rope_length_mm: float = Field(gt=0, le=20_000, description="between the two lifting points")
+    radius_mm: float = Field(gt=0, le=20_000, description="mechanism's radius")
+    payload_kg: float = Field(gt=0, le=1000, description="suspended mass")
+    mechanism_n_mm: float | None = Field(default=None, gt=0, le=1e6, description="vertical stiffness, null = rigid")
+
+    @property
+    def stiffness_n_mm(self) -> float:
+        """Spring and rope in series, equation (17)."""
+        return 1.0 / (1.0 / self.spring_n_mm + 1.0 / self.rope_n_mm)
+
+
+class TensionSettings(Settings):
+    """What is held, and the bounds within which the law may move the stroke."""
+
+    target_n: float = Field(ge=1, le=10_000, description="vertical tension to hold")
+    target_min_n: float = Field(ge=1, le=10_000, description="lowest target an operator may set")
+    target_max_n: float = Field(ge=1, le=10_000, description="highest target an operator may set")
+    slack_n: float = Field(default=5.0, gt=0, le=100, description="below this the rope counts as slack")
+    ramp_n_s: float = Field(gt=0, le=1000, description="slope of tensioning, releasing and of a new target")
+    speed_max_mm_s: float = Field(gt=0, le=500, description="speed limit of every command")
+    acceleration_max_mm_s2: float = Field(gt=0, le=50_000, description="acceleration limit of every command")
+
+    @model_validator(mode="after")
+    def _target_within_bounds(self) -> TensionSettings:
+        low, high = self.target_min_n, self.target_max_n
+        _require(low <= high, "target_min_n", low, f"at most target_max_n ({high:g})")
+        _require(
+            low <= self.target_n <= high, "target_n", self.target_n, f"{low:g} to {high:g} (target_min_n to _max_n)"
+        )
+        return self
+
+
+class EstimatorSettings(Settings):
+    """Noise the Kalman filter assumes beside the cell's (spectral densities: per square root of a second)."""
+
+    speed_noise_mm_s: float = Field(gt=0, le=100, description="drive speed measurement, rms")
+    cell_noise_scale: float = Field(default=1.0, gt=0, le=1000, description="cell noise assumed / tension_cell.noise_n")
+    tension_walk_n: float = Field(gt=0, le=1000, description="process noise of tension, N/sqrt(s)")
+    speed_walk_mm_s: float = Field(gt=0, le=1000, description="process noise of drive speed, mm/s/sqrt(s)")
+    disturbance_walk_mm_s: float = Field(
+        gt=0, le=10_000, description="process noise of disturbance speed, mm/s/sqrt(s)"
+    )
+
+
+class DesignSettings(Settings):
+    """Weights of the linear-quadratic design and the robustness it must show."""
+
+    stretch_weight: float = Field(gt=0, le=1e9, description="cost of tension error as stretch, 1/mm^2")
+    integral_weight: float = Field(gt=0, le=1e9, description="cost of that stretch's integral, 1/(mm s)^2")
+    command_weight: float = Field(gt=0, le=1e9, description="cost of commanded speed about the feed-forward, s^2/mm^2")
+    ms_max: float = Field(default=1.6, gt=1, le=10, description="highest sensitivity peak over the family")
+    waiver: str | None = Field(default=None, min_length=10, description="why a design above ms_max may run, in words")
+
+
+class SafetySettings(Settings):
+    """First safety table: every reaction is hold, latched."""
+
+    tension_high_n: float = Field(gt=0, le=100_000, description="trip above, any mode")
+    tension_low_n: float = Field(ge=0, le=100_000, description="trip below, while COMPENSATING")
+    persistence_ms: int = Field(ge=0, le=1000, description="how long a tension limit must be passed")
+    stale_ms: int = Field(ge=1, le=1000, description="oldest tension or drive sample the loop acts on")
+    inclination_stale_ms: int = Field(ge=10, le=5000, description="oldest inclination the loop acts on")
+    bus_silent_ms: int = Field(ge=1, le=1000, description="no frame at all for this long")
+    overrun_ticks: int = Field(ge=1, le=1000, description="periods skipped ...")
+    overrun_window_ms: int = Field(ge=10, le=60_000, description="... within this time")
+
+
+class TelemetrySettings(Settings):
+    """Zenoh, in the gateway process."""
+
+    listen: str = Field(default="tcp/127.0.0.1:7447", pattern=r"^(tcp|unixsock-stream)/\S+$", description="endpoint")
+    rate_hz: int = Field(default=50, ge=1, le=100, description="state messages and fast blocks per second")
+    history_s: int = Field(default=16, ge=10, le=120, description="records the ring holds")
+
+
+class DemoSettings(Settings):
+    """The paper's move, and the limits the demo judges itself by."""
+
+    angle_deg: float = Field(gt=0, le=180, description="out and back")
+    speed_deg_s: float = Field(gt=0, le=10, description="mechanism speed")
+    acceleration_deg_s2: float = Field(gt=0, le=100, description="mechanism acceleration ramp")
+    eta_max_pct: float = Field(gt=0, le=100, description="true vertical error while COMPENSATING, after settle_s, max")
+    eta_rms_pct: float = Field(gt=0, le=100, description="the same, rms")
+    settle_s: float = Field(default=2.0, ge=0, le=60, description="left out after COMPENSATING is entered")
+    frames_lost_max: int = Field(default=0, ge=0, le=1_000_000, description="CAN frames lost")
+    samples_lost_max: int = Field(default=0, ge=0, le=1_000_000, description="fast samples lost to the subscriber")
+
+
+class SimulationSettings(Settings):
+    """The simulated rig where it is not what `plant` says. Read by `python -m hil` only."""
+
+    seed: int = Field(ge=0, le=2**31, description="of every noise source")
+    step_us: int = Field(default=500, ge=50, le=1000, description="integration step")
+    friction_static: float = Field(ge=0, le=1, description="of the rotating pair, Table 1")
+    friction_dynamic: float = Field(ge=0, le=1, description="of the rotating pair, Table 1")
+    stribeck_mm_s: float = Field(gt=0, le=1000, description="speed of the transition from static to dynamic")
+    viscous_n_s_m: float = Field(ge=0, le=10_000, description="damping at the lifting point")
+    rail_mass_kg: float = Field(gt=0, le=1000, description="rail and pulley, effective at the lifting point")
+    damping_n_s_mm: float = Field(ge=0, le=100, description="spring and rope, axial")
+    slack_mm: float = Field(ge=0, le=500, description="rope left slack at stroke 0")
+    brake_ms: int = Field(ge=0, le=2000, description="time the brake takes to open or close")
+    drive_acceleration_mm_s2: float = Field(gt=0, le=50_000, description="acceleration limit of the drive")
+    cell_quantum_n: float = Field(gt=0, le=10, description="resolution of the tension amplifier")
+    inclinometer_filter_hz: float = Field(gt=0, le=1000, description="low-pass of the inclinometer")
+    inclinometer_quantum_deg: float = Field(gt=0, le=1, description="resolution of the inclinometer")
+    inclinometer_noise_deg: float = Field(ge=0, le=1, description="noise, rms, after the filter")
+
+
+class RigSettings(Settings):
+    """A whole rig file."""
+
+    rig: str = Field(pattern=r"^[a-z][a-z0-9_]{0,31}$", description="name in every key and lock")
+    loop: LoopSettings
+    can: CanSettings
+    tension_cell: TensionCellSettings
+    inclinometer: InclinometerSettings
+    cylinder: CylinderSettings
+    plant: PlantSettings
+    tension: TensionSettings
+    estimator: EstimatorSettings
+    design: DesignSettings
+    safety: SafetySettings
+    telemetry: TelemetrySettings = Field(default_factory=TelemetrySettings)
+    demo: DemoSettings | None = None
+    simulation: SimulationSettings | None = None
+    directory: str = ""
+
+    @model_validator(mode="after")
+    def _parts_agree(self) -> RigSettings:
+        seen = {self.can.controller_node: "can.controller_node", SIMULATOR_NODE: "the simulator"}
+        for name in ("tension_cell", "inclinometer", "cylinder"):
+            node = getattr(self, name).node
+            _require(node not in seen, f"{name}.node", node, f"a node id of its own ({seen.get(node)} has it)")
+            seen[node] = name
+        rate, slope_rate = self.loop.rate_hz, self.inclinometer.rate_hz
+        fits = rate % slope_rate == 0 and rate // slope_rate <= 240
+        _require(fits, "inclinometer.rate_hz", slope_rate, f"loop.rate_hz ({rate}) divided by 1 to 240")
+        limit = 2 * self.can.heartbeat_ms
+        wait = self.cylinder.heartbeat_timeout_ms
+        _require(wait >= limit, "cylinder.heartbeat_timeout_ms", wait, f"at least twice can.heartbeat_ms ({limit})")
+        target, trip = self.tension.target_max_n, self.safety.tension_high_n
+        _require(target < trip, "tension.target_max_n", target, f"below safety.tension_high_n ({trip:g})")
+        scale = self.tension_cell.range_n
+        _require(trip <= scale, "safety.tension_high_n", trip, f"within tension_cell.range_n ({scale:g})")
+        target, trip = self.tension.target_min_n, self.safety.tension_low_n
+        _require(target > trip, "tension.target_min_n", target, f"above safety.tension_low_n ({trip:g})")
+        period_ms = 1000 / rate
+        stale = min(self.safety.stale_ms, self.safety.bus_silent_ms)
+        _require(stale >= 2 * period_ms, "safety.stale_ms", stale, f"two loop periods ({2 * period_ms:g} ms) or more")
+        return self
+
+    @property
+    def inclinometer_divisor(self) -> int:
+        """The inclinometer answers every this many SYNCs (transmission type of its TPDO)."""
+        return self.loop.rate_hz // self.inclinometer.rate_hz
+
+    def file(self, name: str) -> pathlib.Path:
+        """A file the rig file names, relative to where the rig file stands."""
+        return pathlib.Path(self.directory) / name
+
+
+def load(path: str | pathlib.Path) -> RigSettings:
+    """Read and validate a rig file.
+
+    Raises:
+        ConfigError: one line per finding, ``FILE:LINE: key: found X, allowed Y``.
+    """
+    file = pathlib.Path(path)
+    try:
+        text = file.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError([f"{file}: cannot be read: {error.strerror}"]) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError([f"{file}: not UTF-8 text (byte {error.start})"]) from None
+    try:
+        document = strict_yaml.load(text)
+    except strict_yaml.StrictYamlError as error:
+        raise ConfigError([f"{file}:{error.line}: {error.message}"]) from None
+    if not isinstance(document.data, dict):
+        raise ConfigError([f"{file}:1: found {type(document.data).__name__}, allowed a mapping of sections"])
+    if "directory" in document.data:
+        raise ConfigError([f"{file}:{document.line_of(('directory',))}: directory: found an unknown key"])
+    try:
+        settings = RigSettings.model_validate({**document.data, "directory": str(file.resolve().parent)})
+    except ValidationError as error:
+        raise ConfigError(_findings(file, document, [dict(e) for e in error.errors()])) from None
+    for section in (settings.tension_cell, settings.inclinometer, settings.cylinder):
+        if not settings.file(section.eds).is_file():
+            name = {"TensionCellSettings": "tension_cell", "InclinometerSettings": "inclinometer"}.get(
+                type(section).__name__, "cylinder"
+            )
+            line = document.line_of((name, "eds"))
+            raise ConfigError([f"{file}:{line}: {name}.eds: found no file {section.eds}, allowed an EDS file"])
+    return settings
+
+
+def field_at(path: strict_yaml.Path) -> FieldInfo | None:
+    """The field a path of keys names, or None."""
+    info: FieldInfo | None = None
+    model: Any = RigSettings
+    for part in path:
+        fields = getattr(model, "model_fields", {})
+        if part not in fields:
+            return None
+        info = fields[part]
+        model = _section_type(info)
+    return info
+
+
+def _section_type(info: FieldInfo) -> Any:
+    for candidate in (info.annotation, *getattr(info.annotation, "__args__", ())):
+        if isinstance(candidate, type) and issubclass(candidate, Settings):
+            return candidate
+    return None
+
+
+_UNITS = {
+    "_n_s_mm": "N s/mm", "_n_s_m": "N s/m", "_n_mm": "N/mm", "_mm_s2": "mm/s2", "_deg_s2": "deg/s2", "_mm_s": "mm/s",
+    "_deg_s": "deg/s", "_n_s": "N/s", "_bit_s": "bit/s", "_hz": "Hz", "_us": "us", "_ms": "ms", "_mm": "mm",
+    "_kg": "kg", "_deg": "deg", "_pct": "%", "_n": "N", "_s": "s",
+}  # fmt: skip
+
+
+def unit_of(name: str) -> str:
+    """Unit a key's name ends in, or an empty string."""
+    return next((unit for suffix, unit in _UNITS.items() if name.endswith(suffix)), "")
+
+
+def allowed(path: strict_yaml.Path) -> str:
+    """What the field at ``path`` accepts, in words."""
+    info = field_at(path)
+    if info is None:
+        return "no such key"
+    if _section_type(info):
+        return "a section (a mapping of keys)"
+    kinds = {"int": "a whole number", "float": "a number", "str": "text", "bool": "true or false"}
+    options = {getattr(a, "__name__", "") for a in (info.annotation, *getattr(info.annotation, "__args__", ()))}
+    words = [text for name, text in kinds.items() if name in options]
+    bounds: dict[str, Any] = {}
+    for item in info.metadata:
+        for name in ("ge", "gt", "le", "lt", "pattern", "min_length", "max_length"):
+            if getattr(item, name, None) is not None:
+                bounds[name] = getattr(item, name)
+    unit = unit_of(str(path[-1]))
+    text = " or ".join(words[:1]) + (f" in {unit}" if unit else "")
+    low = f"{bounds['ge']}" if "ge" in bounds else f"above {bounds['gt']}" if "gt" in bounds else ""
+    if low:
+        text += f", {low} to {bounds['le']}" if "le" in bounds else f", at least {low}"
+    if "pattern" in bounds:
+        text += f" matching {bounds['pattern']}"
+    if "min_length" in bounds:
+        text += f" of at least {bounds['min_length']} characters"
+    return text + (", or null" if "NoneType" in options else "")
+
+
+def _findings(file: pathlib.Path, document: strict_yaml.Document, errors: list[dict[str, Any]]) -> list[str]:
+    """One line per error; a key that is missing because it is misspelt is reported once, as misspelt."""
+    misspelt = {
+        (*e["loc"][:-1], close) for e in errors if e["type"] == "extra_forbidden" and (close := _close_key(e["loc"]))
+    }
+    return [_finding(file, document, e) for e in errors if e["type"] != "missing" or tuple(e["loc"]) not in misspelt]
+
+
+def _known_keys(path: strict_yaml.Path) -> list[str]:
+    section = field_at(path)
+    model: Any = _section_type(section) if section else RigSettings
+    return sorted(set(getattr(model, "model_fields", {})) - {"directory"})
+
+
+def _close_key(path: strict_yaml.Path) -> str | None:
+    close = difflib.get_close_matches(str(path[-1]), _known_keys(path[:-1]), n=1, cutoff=0.5)
+    return close[0] if close else None
+
+
+def _finding(file: pathlib.Path, document: strict_yaml.Document, error: dict[str, Any]) -> str:
+    path: strict_yaml.Path = tuple(error["loc"])
+    where = f"{file}:{document.line_of(path)}: {strict_yaml.dotted(path) or 'file'}"
+    found = repr(error["input"]) if not isinstance(error["input"], dict) else "a section"
+    match error["type"]:
+        case "extra_forbidden":
+            close = _close_key(path)
+            hint = f"allowed {close}?" if close else f"allowed {', '.join(_known_keys(path[:-1]))}"
+            return f"{where}: found an unknown key, {hint}"
+        case "missing":
+            return f"{where}: found nothing, allowed {allowed(path)}"
+        case "disagree":
+            context = error["ctx"]
+            path = (*path, *context["key"].split("."))
+            where = f"{file}:{document.line_of(path)}: {strict_yaml.dotted(path)}"
+            return f"{where}: found {context['found']}, allowed {context['allowed']}"
+        case _:
+            return f"{where}: found {found}, allowed {allowed(path)}"

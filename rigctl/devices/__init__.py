@@ -1,0 +1,1 @@
+"""Frames of the rig's devices: object definitions, codecs and start-up."""

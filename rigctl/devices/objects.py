@@ -1,0 +1,190 @@
+"""CANopen objects the rig speaks, in one place: COB-IDs, object indices, units and PDO layouts.
+
+Both ends read this table: the control process compiles its codecs from it, the simulated nodes map their PDOs by
+it, and the tests hold both against the EDS files.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+# -- CiA 301: pre-defined connection set ------------------------------------------------------------------------
+NMT_COB = 0x000
+SYNC_COB = 0x080
+EMCY_BASE = 0x080
+TPDO1_BASE = 0x180
+RPDO1_BASE = 0x200
+SDO_TX_BASE = 0x580
+SDO_RX_BASE = 0x600
+HEARTBEAT_BASE = 0x700
+
+# -- CiA 301: objects -------------------------------------------------------------------------------------------
+DEVICE_TYPE = 0x1000
+ERROR_REGISTER = 0x1001
+CONSUMER_HEARTBEAT = 0x1016  # :01 = node id << 16 | time in ms
+PRODUCER_HEARTBEAT = 0x1017
+IDENTITY = 0x1018
+RPDO1_COMMUNICATION = 0x1400  # :05 event timer = deadline in ms
+RPDO1_MAPPING = 0x1600
+TPDO1_COMMUNICATION = 0x1800  # :02 transmission type = every n-th SYNC
+TPDO1_MAPPING = 0x1A00
+
+
+class NmtState(IntEnum):
+    """State byte of a heartbeat, CiA 301."""
+
+    BOOT_UP = 0x00
+    STOPPED = 0x04
+    OPERATIONAL = 0x05
+    PRE_OPERATIONAL = 0x7F
+
+
+# -- CiA 404: tension amplifier ---------------------------------------------------------------------------------
+DEVICE_TYPE_404 = 0x00020194  # analogue input device of profile 404
+AI_PROCESS_VALUE = 0x9130  # :01, INTEGER32, in 10^-digits of the unit
+AI_PHYSICAL_UNIT = 0x6131
+AI_DECIMAL_DIGITS = 0x6132
+AI_STATUS = 0x6150
+SI_UNIT_NEWTON = 0x00210000  # CiA 303-2: newton, no prefix
+CELL_DECIMAL_DIGITS = 3
+
+
+class AiStatus(IntFlag):
+    """CiA 404 0x6150: analogue input status."""
+
+    NOT_VALID = 1
+    POSITIVE_OVERLOAD = 2
+    NEGATIVE_OVERLOAD = 4
+
+
+# -- CiA 410: inclinometer --------------------------------------------------------------------------------------
+DEVICE_TYPE_410 = 0x0003019A  # two axes, 16 bit, profile 410
+SLOPE_RESOLUTION = 0x6000  # in 0.001 deg
+SLOPE_LONG = 0x6010  # INTEGER16, tangential angle of the rope
+SLOPE_LATERAL = 0x6020  # INTEGER16, normal angle of the rope
+SLOPE_RESOLUTION_MDEG = 10
+SLOPE_INVALID = -0x8000  # both slopes while the sensor cannot measure
+
+# -- CiA 402: cylinder drive ------------------------------------------------------------------------------------
+DEVICE_TYPE_402 = 0x00020192  # servo drive of profile 402
+ABORT_CONNECTION_OPTION = 0x6007
+CONTROLWORD = 0x6040
+STATUSWORD = 0x6041
+QUICK_STOP_OPTION = 0x605A
+FAULT_REACTION_OPTION = 0x605E
+MODE_OF_OPERATION = 0x6060
+MODE_DISPLAY = 0x6061
+POSITION_ACTUAL = 0x6064  # INTEGER32, um
+VELOCITY_ACTUAL = 0x606C  # INTEGER32, um/s
+VELOCITY_ACTUAL_16 = 0x2044  # manufacturer: INTEGER16, 10 um/s, so that status, position and speed share a frame
+QUICK_STOP_DECELERATION = 0x6085  # um/s2
+SI_UNIT_POSITION = 0x60A8
+SI_UNIT_VELOCITY = 0x60A9
+INTERPOLATION_PERIOD = 0x60C2  # :01 value, :02 power of ten of a second
+TARGET_VELOCITY = 0x60FF  # INTEGER32, um/s
+ERROR_CODE = 0x603F
+SI_MICROMETRE = 0xFA010000  # prefix 10^-6, metre
+SI_MICROMETRE_PER_SECOND = 0xFA010300
+CYCLIC_SYNCHRONOUS_VELOCITY = 9
+ABORT_CONNECTION_QUICK_STOP = 3  # 0x6007
+FAULT_REACTION_QUICK_STOP = 2  # 0x605E: slow down on the quick stop ramp, then power off with the brake closed
+
+MM_PER_POSITION_UNIT = 1e-3
+MM_S_PER_VELOCITY_UNIT = 1e-3
+MM_S_PER_VELOCITY_16_UNIT = 1e-2
+N_PER_CELL_UNIT = 10.0**-CELL_DECIMAL_DIGITS
+
+
+class Controlword(IntEnum):
+    """CiA 402 0x6040: the device control commands."""
+
+    DISABLE_VOLTAGE = 0x00
+    QUICK_STOP = 0x02
+    SHUTDOWN = 0x06
+    SWITCH_ON = 0x07
+    ENABLE_OPERATION = 0x0F
+    FAULT_RESET = 0x80
+
+
+class DriveState(IntEnum):
+    """CiA 402 power drive states; each value is the statusword under ``DRIVE_STATE_MASK``."""
+
+    NOT_READY = 0x00
+    SWITCH_ON_DISABLED = 0x40
+    READY_TO_SWITCH_ON = 0x21
+    SWITCHED_ON = 0x23
+    OPERATION_ENABLED = 0x27
+    QUICK_STOP_ACTIVE = 0x07
+    FAULT_REACTION_ACTIVE = 0x0F
+    FAULT = 0x08
+
+
+DRIVE_STATE_MASK = 0x6F
+_WIDE_STATES = frozenset({DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED,
+                          DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT})  # fmt: skip
+STATUS_INTERNAL_LIMIT = 0x0800
+
+
+def drive_state(statusword: int) -> DriveState:
+    """State in a statusword (CiA 402 table: bit 5 does not count in four of the states)."""
+    wide = statusword & 0x4F
+    if wide in _WIDE_STATES:
+        return DriveState(wide)
+    narrow = statusword & DRIVE_STATE_MASK
+    return DriveState(narrow) if narrow in DriveState._value2member_map_ else DriveState.NOT_READY
+
+
+class EmcyCode(IntEnum):
+    """CiA 301 emergency error codes the rig's devices send."""
+
+    NO_ERROR = 0x0000
+    GENERIC = 0x1000
+    COMMUNICATION = 0x8100
+    HEARTBEAT_LOST = 0x8130
+    RPDO_TIMEOUT = 0x8250
+    SENSOR_INVALID = 0x5010
+    FOLLOWING_ERROR = 0x8611
+
+
+# -- simulator node: not a device of the rig --------------------------------------------------------------------
+SIMULATOR_NODE = 112
+SIM_MOTION_START = 0x2000  # UNSIGNED8: 1 starts the move of the rig file's demo section
+SIM_MOTION_STATE = 0x2001  # UNSIGNED8: 1 while the mechanism moves
+SIM_TRUE_VERTICAL_MN = 0x2100  # INTEGER32, mN: the plant's true vertical tension
+SIM_TRUE_STROKE_UM = 0x2101  # INTEGER32, um
+
+
+@dataclass(frozen=True)
+class PdoLayout:
+    """One PDO: its COB-ID base and the objects mapped, in order, as (index, subindex, struct code)."""
+
+    cob_base: int
+    fields: tuple[tuple[int, int, str], ...]
+
+    @property
+    def codec(self) -> struct.Struct:
+        """Little-endian struct of the payload."""
+        return struct.Struct("<" + "".join(code for _, _, code in self.fields))
+
+    @property
+    def size(self) -> int:
+        """Payload in bytes."""
+        return self.codec.size
+
+    @property
+    def mapping(self) -> tuple[int, ...]:
+        """Values of the mapping object: index << 16 | subindex << 8 | bits."""
+        return tuple(i << 16 | s << 8 | struct.calcsize("<" + c) * 8 for i, s, c in self.fields)
+
+
+CELL_TPDO = PdoLayout(TPDO1_BASE, ((AI_PROCESS_VALUE, 1, "i"), (AI_STATUS, 1, "B")))
+SLOPE_TPDO = PdoLayout(TPDO1_BASE, ((SLOPE_LONG, 0, "h"), (SLOPE_LATERAL, 0, "h")))
+DRIVE_TPDO = PdoLayout(TPDO1_BASE, ((STATUSWORD, 0, "H"), (POSITION_ACTUAL, 0, "i"), (VELOCITY_ACTUAL_16, 0, "h")))
+DRIVE_RPDO = PdoLayout(RPDO1_BASE, ((CONTROLWORD, 0, "H"), (TARGET_VELOCITY, 0, "i")))
+
+
+def frame_bits(size: int) -> int:
+    """Longest classic frame of ``size`` data bytes on the wire, stuffing and inter-frame space included (bits)."""
+    return 8 * size + 47 + (34 + 8 * size - 1) // 4

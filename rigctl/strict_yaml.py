@@ -1,0 +1,123 @@
+"""YAML read without YAML 1.1's surprises: every value knows its line, nothing is guessed.
+
+PyYAML reads ``1e-3`` as a string, ``010`` as 8, ``12:30`` as 750, ``on`` as true and takes a duplicate key
+silently. Here each of these is refused with the line it stands on, so that a rig file means what it says.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+Path = tuple[str | int, ...]
+
+_INT = re.compile(r"[-+]?(0|[1-9][0-9]*)\Z")
+_FLOAT = re.compile(r"[-+]?(0|[1-9][0-9]*)\.[0-9]+([eE][-+][0-9]+)?\Z")
+_NUMBER_LIKE = re.compile(r"[-+]?(\.?[0-9]|\.(inf|nan)\b)|(nan|inf)\Z", re.IGNORECASE)
+_BARE_NUMBER = re.compile(r"[-+.0-9eExXoObB_:a-fA-F]*\Z")
+_YAML_1_1_BOOL = frozenset({"yes", "no", "on", "off", "y", "n"})
+
+
+class StrictYamlError(ValueError):
+    """The text is not a document this loader accepts; ``line`` is 1-based."""
+
+    def __init__(self, line: int, message: str) -> None:
+        super().__init__(message)
+        self.line = line
+        self.message = message
+
+
+@dataclass(frozen=True)
+class Document:
+    """A loaded document: plain data, and the 1-based line on which each path stands."""
+
+    data: Any
+    lines: dict[Path, int]
+
+    def line_of(self, path: Path) -> int:
+        """Line of ``path``, or of the nearest parent that is in the file."""
+        while path and path not in self.lines:
+            path = path[:-1]
+        return self.lines.get(path, 1)
+
+
+def load(text: str) -> Document:
+    """Read one YAML document made of mappings, lists and plain scalars.
+
+    Raises:
+        StrictYamlError: with the line and what is allowed instead.
+    """
+    try:
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        raise StrictYamlError(mark.line + 1 if mark else 1, f"not YAML: {error.problem}") from None
+    except yaml.YAMLError as error:
+        raise StrictYamlError(1, f"not YAML: {' '.join(str(error).split())}") from None
+    except RecursionError:
+        raise StrictYamlError(1, "nested too deeply") from None
+    if root is None:
+        raise StrictYamlError(1, "the file is empty")
+    lines: dict[Path, int] = {}
+    try:
+        return Document(_value(root, (), lines), lines)
+    except RecursionError:
+        raise StrictYamlError(1, "nested too deeply, or an alias refers to itself") from None
+
+
+def _value(node: yaml.Node, path: Path, lines: dict[Path, int]) -> Any:
+    lines.setdefault(path, node.start_mark.line + 1)
+    if isinstance(node, yaml.MappingNode):
+        return _mapping(node, path, lines)
+    if isinstance(node, yaml.SequenceNode):
+        return [_value(item, (*path, i), lines) for i, item in enumerate(node.value)]
+    return _scalar(node, path)
+
+
+def _mapping(node: yaml.MappingNode, path: Path, lines: dict[Path, int]) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    for key_node, value_node in node.value:
+        line = key_node.start_mark.line + 1
+        key = key_node.value
+        if not isinstance(key, str) or key_node.tag == "tag:yaml.org,2002:merge":
+            raise StrictYamlError(line, f"{dotted(path) or 'file'}: a key must be a plain word")
+        if key in result:
+            first = lines[(*path, key)]
+            raise StrictYamlError(
+                line, f"{dotted((*path, key))}: found the key twice (first on line {first}), allowed once"
+            )
+        lines[(*path, key)] = line
+        result[key] = _value(value_node, (*path, key), lines)
+    return result
+
+
+def _scalar(node: yaml.Node, path: Path) -> Any:
+    text: str = node.value
+    line = node.start_mark.line + 1
+    if isinstance(node, yaml.ScalarNode) and node.style is not None:
+        return text
+    if not node.tag.startswith("tag:yaml.org,2002:"):
+        raise StrictYamlError(line, f"{dotted(path)}: found the tag {node.tag}, allowed no tags")
+    if text in ("", "null", "~"):
+        return None
+    if text in ("true", "false"):
+        return text == "true"
+    if text.lower() in _YAML_1_1_BOOL:
+        raise StrictYamlError(line, f"{dotted(path)}: found {text}, allowed true or false (or quotes for text)")
+    if _INT.match(text):
+        return int(text)
+    if _FLOAT.match(text):
+        return float(text)
+    if _NUMBER_LIKE.match(text) and (_BARE_NUMBER.match(text) or text.lower().lstrip("+-.") in ("inf", "nan")):
+        raise StrictYamlError(
+            line, f"{dotted(path)}: found {text}, allowed a finite number written like 10, 0.001 or 1.0e-3"
+        )
+    return text
+
+
+def dotted(path: Path) -> str:
+    """``("loop", "rate_hz")`` as ``loop.rate_hz``."""
+    return ".".join(str(part) for part in path)
