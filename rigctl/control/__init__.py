@@ -1,0 +1,1 @@
+"""The real-time process: one thread owns the bus and the law."""

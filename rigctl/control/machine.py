@@ -1,0 +1,145 @@
+"""The rig's mode, with the little that surrounds it: arming, the latched fault, what is wanted of the drive.
+
+Takes events and commands, returns what happened as values; sends and writes nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rigctl.control import modes
+from rigctl.control.modes import Event, Mode, Refusal, Situation, Verb
+from rigctl.control.safety import Fault, Trip
+from rigctl.devices.drive import Power
+
+ARM_LIMIT_NS = 2_000_000_000
+DRIVE_RESET_NS = 500_000_000
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of mode and the event behind it."""
+
+    before: Mode
+    after: Mode
+    event: Event
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer to the command ``id``."""
+
+    id: int
+    verb: Verb
+    refusal: Refusal
+
+
+class Machine:
+    """DISARMED at first. ``changes`` and ``answers`` collect what the loop has yet to publish."""
+
+    def __init__(self) -> None:
+        self.mode = Mode.DISARMED
+        self.fault = Fault.NONE
+        self.stopping = False
+        self.changes: list[Change] = []
+        self.answers: list[Answer] = []
+        self._arm_id: int | None = None
+        self._arm_until = 0
+        self._reset_until = 0
+        self._powered = False
+
+    @property
+    def arming(self) -> bool:
+        """An arm command waits for the drive."""
+        return self._arm_id is not None
+
+    def power(self, t_ns: int, *, drive_enabled: bool, drive_faulted: bool) -> Power:
+        """What is wanted of the drive now. Only arming switches it on; a drive that dropped out stays out."""
+        if drive_faulted and t_ns < self._reset_until:
+            return Power.RESET
+        return Power.ON if self.arming or (self._powered and drive_enabled) else Power.OFF
+
+    @property
+    def drive_wanted(self) -> bool:
+        """The mode needs the drive to be enabled."""
+        return self._powered
+
+    def on(self, event: Event) -> None:
+        """An event of the rig itself."""
+        self._go(event)
+
+    def trip(self, trip: Trip) -> None:
+        """Latch the first fault; the drive keeps holding under power if it has it."""
+        if self.mode is not Mode.FAULT:
+            self.fault = trip.fault
+        self._go(Event.TRIP)
+        if self._arm_id is not None:
+            self._finish_arming(Refusal.PREFLIGHT)
+
+    def command(self, id_: int, verb: Verb, value: float, situation: Situation, t_ns: int) -> None:
+        """An operator's command; its answer may come later (arm waits for the drive)."""
+        if self.stopping:
+            self.answers.append(Answer(id_, verb, Refusal.STOPPING))
+            return
+        if verb is Verb.DISARM and self.arming:
+            self._finish_arming(Refusal.DRIVE_TIMEOUT)
+            self.answers.append(Answer(id_, verb, Refusal.NONE))
+            return
+        if verb is Verb.ARM and self.arming:
+            self.answers.append(Answer(id_, verb, Refusal.ALREADY))
+            return
+        decision = modes.decide(self.mode, verb, value, situation)
+        if decision.refusal is Refusal.NONE and verb is Verb.ARM:
+            self._arm_id, self._arm_until = id_, t_ns + ARM_LIMIT_NS
+            return
+        if decision.refusal is Refusal.NONE:
+            self._accept(verb, decision.event, t_ns)
+        self.answers.append(Answer(id_, verb, decision.refusal))
+
+    def follow_drive(self, drive_enabled: bool, t_ns: int) -> None:
+        """Finish arming once the drive is enabled, or give up."""
+        if self._arm_id is None:
+            return
+        if drive_enabled:
+            self._go(Event.ENABLED)
+            self._finish_arming(Refusal.NONE)
+        elif t_ns >= self._arm_until:
+            self._finish_arming(Refusal.DRIVE_TIMEOUT)
+
+    def stop(self) -> None:
+        """The process is to end: hold the stroke, take no more commands."""
+        if not self.stopping:
+            self.stopping = True
+            if self._arm_id is not None:
+                self._finish_arming(Refusal.STOPPING)
+            self._go(Event.STOP)
+
+    def power_off(self) -> None:
+        """Let the drive close its brake and go off, whatever the mode (the last act of a stop)."""
+        self._powered = False
+
+    def _accept(self, verb: Verb, event: Event | None, t_ns: int) -> None:
+        if verb is Verb.RESET:
+            self._reset_until = t_ns + DRIVE_RESET_NS
+            self.fault = Fault.NONE
+        if verb is Verb.DISARM:
+            self._powered = False
+        if event is not None:
+            self._go(event)
+
+    def _go(self, event: Event) -> None:
+        before = self.mode
+        after = modes.next_mode(before, event)
+        if after is before:
+            return
+        self.mode = after
+        if after is Mode.DISARMED:
+            self._powered = False
+        elif after is not Mode.FAULT:
+            self._powered = True
+        self.changes.append(Change(before, after, event))
+
+    def _finish_arming(self, refusal: Refusal) -> None:
+        if self._arm_id is not None:
+            self.answers.append(Answer(self._arm_id, Verb.ARM, refusal))
+            self._arm_id = None

@@ -1,0 +1,41 @@
+"""Walking the cylinder drive through the CiA 402 power states: pure tables."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from rigctl.devices.objects import Controlword, DriveState
+
+
+class Power(IntEnum):
+    """What is wanted of the drive."""
+
+    OFF = 0  # stopped, brake closed, no power
+    ON = 1  # operation enabled
+    RESET = 2  # leave the drive's fault state, then off
+
+
+_TO_ON: dict[DriveState, Controlword] = {
+    DriveState.SWITCH_ON_DISABLED: Controlword.SHUTDOWN,
+    DriveState.READY_TO_SWITCH_ON: Controlword.SWITCH_ON,
+    DriveState.SWITCHED_ON: Controlword.ENABLE_OPERATION,
+    DriveState.OPERATION_ENABLED: Controlword.ENABLE_OPERATION,
+    DriveState.QUICK_STOP_ACTIVE: Controlword.DISABLE_VOLTAGE,
+}
+_TO_OFF: dict[DriveState, Controlword] = {
+    DriveState.SWITCHED_ON: Controlword.SHUTDOWN,
+    DriveState.OPERATION_ENABLED: Controlword.SHUTDOWN,
+    DriveState.READY_TO_SWITCH_ON: Controlword.SHUTDOWN,
+    DriveState.SWITCH_ON_DISABLED: Controlword.SHUTDOWN,
+}
+
+
+def next_controlword(state: DriveState, power: Power, last: int) -> Controlword:
+    """Command that takes the drive one step towards ``power``; ``last`` is the controlword sent before.
+
+    A fault reset is a rising edge of bit 7, so it alternates with a plain command while the fault stands.
+    """
+    if power is Power.RESET and state is DriveState.FAULT:
+        return Controlword.DISABLE_VOLTAGE if last == Controlword.FAULT_RESET else Controlword.FAULT_RESET
+    steps = _TO_ON if power is Power.ON else _TO_OFF
+    return steps.get(state, Controlword.DISABLE_VOLTAGE)

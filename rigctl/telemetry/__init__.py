@@ -1,0 +1,1 @@
+"""What leaves the loop: rings in shared memory, and the Zenoh gateway that reads them."""

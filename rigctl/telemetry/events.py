@@ -1,0 +1,162 @@
+"""Events: numbers in the loop, words for people. The loop writes ``EVENT`` slots; the gateway words them here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+from rigctl.control.modes import Event, Mode, Refusal, Verb
+from rigctl.control.safety import Check, Fault
+
+
+class Kind(IntEnum):
+    """Kind of an event; ``a``, ``b``, ``value`` and ``limit`` mean what the comment says."""
+
+    MODE = 1  # a: from, b: to, value: event
+    TRIP = 2  # a: fault, value, limit
+    RESET = 3  # a: fault acknowledged
+    EMERGENCY = 4  # a: node, b: emergency code (CiA 301)
+    NODE_STATE = 5  # a: node, b: NMT state
+    EXCEPTION = 6  # text: exception and place
+    BUS_ERROR = 7  # a: error class bits of the frame's id, b: controller error byte
+    SEND_FAILED = 8  # text: why
+    STARTED = 9  # loop running
+    STOPPED = 10  # loop ended, value: stroke, limit: tension
+    CLOCK = 11  # a: ticks skipped at once
+
+
+@dataclass(frozen=True)
+class Worded:
+    """An event for people: key ending (info, warning, error) and one line."""
+
+    severity: str
+    text: str
+
+
+FAULT_TEXT: dict[Fault, str] = {
+    Fault.NONE: "no fault",
+    Fault.TENSION_HIGH: "tension {value:.1f} N above {limit:.1f} N",
+    Fault.TENSION_LOW: "tension {value:.1f} N below {limit:.1f} N",
+    Fault.CELL_STALE: "no tension sample for {value:.0f} ms (limit {limit:.0f} ms)",
+    Fault.CELL_INVALID: "tension cell reports overload or no valid value (status {value:.0f})",
+    Fault.INCLINATION_STALE: "no inclination sample for {value:.0f} ms (limit {limit:.0f} ms)",
+    Fault.INCLINATION_INVALID: "inclinometer reports no valid value",
+    Fault.DRIVE_STALE: "no drive status for {value:.0f} ms (limit {limit:.0f} ms)",
+    Fault.DRIVE_FAULT: "drive reports a fault and holds by itself",
+    Fault.BUS_SILENT: "no frame on the bus for {value:.0f} ms (limit {limit:.0f} ms)",
+    Fault.OVERRUN: "{value:.0f} ticks skipped, loop cannot keep its rate (limit {limit:.0f})",
+    Fault.LOOP_EXCEPTION: "exception in the loop",
+    Fault.STROKE_END: "stroke limit reached before the tension was",
+    Fault.DRIVE_NOT_FOLLOWING: "drive left operation enabled without being told to",
+}
+
+_SCALE: dict[Fault, float] = {
+    Fault.CELL_STALE: 1e-6, Fault.INCLINATION_STALE: 1e-6, Fault.DRIVE_STALE: 1e-6, Fault.BUS_SILENT: 1e-6,
+    Fault.TENSION_LOW: -1.0,
+}  # fmt: skip
+
+CHECK_TEXT: dict[Check, str] = {
+    Check.CELL_STALE: "no fresh tension sample",
+    Check.CELL_INVALID: "tension cell reports overload or no valid value",
+    Check.INCLINATION_STALE: "no fresh inclination sample",
+    Check.INCLINATION_INVALID: "inclinometer reports no valid value",
+    Check.DRIVE_STALE: "no fresh drive status",
+    Check.DRIVE_FAULT: "drive reports a fault (reset clears it)",
+    Check.TENSION_HIGH: "tension above its limit",
+    Check.STROKE_RANGE: "stroke outside its limits",
+    Check.DRIVE_SUPERVISION: "drive's own stop on loss of the controller is not verified",
+}
+
+_EVENT_TEXT: dict[Event, str] = {
+    Event.ENABLED: "drive enabled",
+    Event.TENSION: "tension commanded",
+    Event.TENSIONED: "target reached",
+    Event.RELEASE: "release commanded",
+    Event.SLACK: "rope slack",
+    Event.HOLD: "hold commanded",
+    Event.DISARM: "disarm commanded",
+    Event.TRIP: "trip",
+    Event.RESET_HELD: "reset, drive on",
+    Event.RESET_OFF: "reset, drive off",
+    Event.STOP: "daemon stopping",
+}
+
+_NMT = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
+
+
+def fault_text(fault: Fault, value: float, limit: float) -> str:
+    """One line for a fault."""
+    scale = _SCALE.get(fault, 1.0)
+    return FAULT_TEXT[fault].format(value=value * scale, limit=limit * scale)
+
+
+def failed_checks(bits: int) -> list[str]:
+    """Preflight checks that failed, in words."""
+    return [CHECK_TEXT[check] for check in Check if bits & check]
+
+
+def refusal_text(
+    refusal: Refusal, verb: Verb, mode: Mode, checks: int, fault: Fault, limits: tuple[float, float]
+) -> str:
+    """Why a command was refused, in one line."""
+    match refusal:
+        case Refusal.ALREADY:
+            return (
+                f"already {mode.name}" if verb is not Verb.RELEASE or mode is not Mode.HOLD else "rope is slack already"
+            )
+        case Refusal.PREFLIGHT:
+            return "; ".join(failed_checks(checks))
+        case Refusal.OUT_OF_RANGE:
+            return f"target must be {limits[0]:g} to {limits[1]:g} N"
+        case Refusal.CAUSE_PRESENT:
+            return f"cause still present: {fault.name}"
+        case Refusal.WRONG_MODE:
+            return f"{verb.name.lower()} is not possible in {mode.name}{_HINT.get((mode, verb), '')}"
+        case Refusal.EXPIRED:
+            return "command came too late and was not carried out"
+        case Refusal.STOPPING:
+            return "daemon is stopping"
+        case Refusal.DRIVE_TIMEOUT:
+            return "drive did not become enabled"
+        case _:
+            return "unknown command"
+
+
+_HINT: dict[tuple[Mode, Verb], str] = {
+    **{(Mode.FAULT, verb): ": reset first" for verb in (Verb.ARM, Verb.TENSION, Verb.RELEASE, Verb.HOLD)},
+    **{(Mode.DISARMED, verb): ": arm first" for verb in (Verb.TENSION, Verb.RELEASE, Verb.HOLD)},
+    **{(mode, Verb.DISARM): ": hold first" for mode in (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)},
+    **{(mode, Verb.RESET): ": there is no fault" for mode in Mode if mode is not Mode.FAULT},
+}
+
+
+def _mode(a: int, b: int, value: float, _limit: float, _text: str) -> Worded:
+    severity = "error" if b == Mode.FAULT else "info"
+    return Worded(severity, f"{Mode(a).name} -> {Mode(b).name}: {_EVENT_TEXT[Event(int(value))]}")
+
+
+def _emergency(a: int, b: int, _value: float, _limit: float, _text: str) -> Worded:
+    if b == 0:
+        return Worded("info", f"node {a}: emergency over")
+    return Worded("error", f"node {a}: emergency 0x{b:04X}")
+
+
+_WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
+    Kind.MODE: _mode,
+    Kind.TRIP: lambda a, _b, v, m, _t: Worded("error", f"trip {Fault(a).name}: {fault_text(Fault(a), v, m)}"),
+    Kind.RESET: lambda a, _b, _v, _l, _t: Worded("info", f"fault {Fault(a).name} reset"),
+    Kind.EMERGENCY: _emergency,
+    Kind.NODE_STATE: lambda a, b, _v, _l, _t: Worded("info" if b == 5 else "warning", f"node {a}: {_NMT.get(b, b)}"),
+    Kind.EXCEPTION: lambda _a, _b, _v, _l, t: Worded("error", f"exception in the loop: {t}"),
+    Kind.BUS_ERROR: lambda a, b, _v, _l, _t: Worded("warning", f"CAN error frame 0x{a:03X}, controller 0x{b:02X}"),
+    Kind.SEND_FAILED: lambda _a, _b, _v, _l, t: Worded("warning", f"frame not sent: {t}"),
+    Kind.STARTED: lambda _a, _b, _v, _l, _t: Worded("info", "loop started, DISARMED"),
+    Kind.STOPPED: lambda _a, _b, v, m, _t: Worded("info", f"loop stopped, stroke {v:.2f} mm, tension {m:.1f} N"),
+    Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{a} ticks skipped at once"),
+}  # fmt: skip
+
+
+def worded(kind: int, a: int, b: int, value: float, limit: float, text: str) -> Worded:
+    """An ``EVENT`` slot in words."""
+    return _WORDS[Kind(kind)](a, b, value, limit, text)

@@ -1,0 +1,146 @@
+"""What one tick leaves behind, and the other slots that cross between processes, as tables of fields.
+
+Each table gives the packed struct the loop writes, the numpy dtype readers see, and the schema subscribers get.
+All slots are little-endian and packed, and begin with the ring's sequence number.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Field:
+    """One value of a slot: its struct code, unit ("" for none) and meaning."""
+
+    name: str
+    code: str
+    unit: str
+    description: str
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A slot's fields without the leading ``seq``, and what is derived from them."""
+
+    name: str
+    fields: tuple[Field, ...]
+
+    @property
+    def layout(self) -> struct.Struct:
+        """Struct of the fields without ``seq``: what a ``RingWriter`` takes."""
+        return struct.Struct("<" + "".join(field.code for field in self.fields))
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Packed dtype with ``seq``: what a ``RingReader`` takes, and the wire format of a fast block."""
+        kinds = {"d": "<f8", "q": "<i8", "Q": "<u8", "I": "<u4", "H": "<u2", "B": "u1", "80s": "S80"}
+        return np.dtype([("seq", "<u8"), *((field.name, kinds[field.code]) for field in self.fields)])
+
+
+class Quality(IntFlag):
+    """Why a signal is not good; 0 is good."""
+
+    STALE = 1
+    INVALID = 2
+    SATURATED = 4
+    NEVER = 8
+
+
+class Flag(IntFlag):
+    """Things true of a tick."""
+
+    LIMITED_SPEED = 1
+    LIMITED_ACCELERATION = 2
+    LIMITED_STROKE = 4
+    INNOVATION_REJECTED = 8
+    ARMING = 16
+    DRIVE_ENABLED = 32
+    REALTIME = 64
+
+
+RECORD = Slot(
+    "record",
+    (
+        Field("t_ns", "q", "ns", "grid point of the tick, CLOCK_MONOTONIC"),
+        Field("tick", "Q", "", "ticks on the grid since the loop started, skipped ones included"),
+        Field("skipped", "Q", "", "ticks skipped so far because the one before ran over"),
+        Field("lateness_ns", "q", "ns", "wake-up after the grid point"),
+        Field("work_ns", "q", "ns", "from wake-up to the last frame sent"),
+        Field("mode", "B", "", "mode, see modes"),
+        Field("fault", "H", "", "latched fault, see faults; 0 none"),
+        Field("flags", "H", "", "bits, see flags"),
+        Field("tension_n", "d", "N", "tension cell, along the rope"),
+        Field("tension_age_ns", "q", "ns", "age of that sample"),
+        Field("tension_quality", "B", "", "bits, see quality; 0 good"),
+        Field("tangential_rad", "d", "rad", "rope inclination along the move"),
+        Field("normal_rad", "d", "rad", "rope inclination along the rail"),
+        Field("inclination_age_ns", "q", "ns", "age of that sample"),
+        Field("inclination_quality", "B", "", "bits, see quality; 0 good"),
+        Field("stroke_mm", "d", "mm", "cylinder stroke, positive shortens the rope"),
+        Field("speed_mm_s", "d", "mm/s", "cylinder speed"),
+        Field("drive_age_ns", "q", "ns", "age of that sample"),
+        Field("drive_quality", "B", "", "bits, see quality; 0 good"),
+        Field("statusword", "H", "", "CiA 402 statusword 0x6041"),
+        Field("controlword", "H", "", "CiA 402 controlword 0x6040 sent"),
+        Field("command_mm_s", "d", "mm/s", "speed sent to the drive"),
+        Field("target_n", "d", "N", "vertical tension the operator wants"),
+        Field("setpoint_n", "d", "N", "rope tension the law holds now"),
+        Field("vertical_n", "d", "N", "vertical component of the measured tension"),
+        Field("estimate_n", "d", "N", "estimated tension"),
+        Field("estimate_mm_s", "d", "mm/s", "estimated cylinder speed"),
+        Field("disturbance_mm_s", "d", "mm/s", "estimated disturbance speed"),
+        Field("integral_mm_s", "d", "mm/s", "integral action"),
+        Field("innovation_n", "d", "N", "tension innovation"),
+        Field("innovation_n2", "d", "N^2", "its variance"),
+        Field("frames_sent", "Q", "", "frames sent so far"),
+        Field("frames_received", "Q", "", "frames received so far"),
+        Field("frames_lost", "Q", "", "device frames that did not come, so far"),
+        Field("frames_refused", "Q", "", "frames with a wrong length or a non-finite value, so far"),
+        Field("send_failures", "Q", "", "frames the bus did not take, so far"),
+        Field("error_frames", "Q", "", "CAN error frames seen so far"),
+    ),
+)
+
+EVENT = Slot(
+    "event",
+    (
+        Field("t_ns", "q", "ns", "when, CLOCK_MONOTONIC"),
+        Field("kind", "H", "", "see rigctl.telemetry.events.Kind"),
+        Field("a", "I", "", "meaning depends on kind"),
+        Field("b", "I", "", "meaning depends on kind"),
+        Field("value", "d", "", "what was found"),
+        Field("limit", "d", "", "what is allowed"),
+        Field("text", "80s", "", "where words are needed: an exception and its place"),
+    ),
+)
+
+COMMAND = Slot(
+    "command",
+    (
+        Field("t_ns", "q", "ns", "when it was given; an old one is not carried out"),
+        Field("id", "Q", "", "comes back in the reply"),
+        Field("verb", "B", "", "see rigctl.control.modes.Verb"),
+        Field("value", "d", "", "target: newtons"),
+    ),
+)
+
+REPLY = Slot(
+    "reply",
+    (
+        Field("t_ns", "q", "ns", "when"),
+        Field("id", "Q", "", "of the command"),
+        Field("accepted", "B", "", "1 carried out, 0 refused"),
+        Field("reason", "H", "", "why refused, see rigctl.control.modes.Refusal"),
+        Field("checks", "Q", "", "preflight checks that failed, bits, see rigctl.control.safety.Check"),
+        Field("mode", "B", "", "mode after the command"),
+        Field("value", "d", "", "what the reply is about: target, tension or stroke"),
+    ),
+)
+
+COMMAND_LIFETIME_NS = 1_000_000_000

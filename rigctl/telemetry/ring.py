@@ -1,0 +1,135 @@
+"""Lock-free rings in shared memory: one writer, any number of readers, each with its own cursor.
+
+A ring is a file in a memory-backed directory, mapped by every process. Slots are fixed little-endian structs that
+begin with their own sequence number (from 1). The writer stores the payload, then the slot's number, then the head;
+a reader copies and then looks at the head again, so that a slot overwritten under it is counted as lost, never
+returned torn. (Stores become visible in program order on x86-64; on other machines the check on the slot's number
+still refuses a torn slot, one poll later.)
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import pathlib
+import struct
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+_HEADER = struct.Struct("<8sIIQ")  # magic, slot size, capacity, head (sequence number last written)
+_HEAD = struct.Struct("<Q")
+_HEAD_OFFSET = 16
+_DATA_OFFSET = 64
+_MAGIC = b"rigring1"
+
+
+class RingError(ValueError):
+    """The file is not the ring that was expected."""
+
+
+def create(path: pathlib.Path, dtype: np.dtype[Any], capacity: int) -> None:
+    """Make an empty ring of ``capacity`` slots of ``dtype``, whose first field is ``seq`` (u64)."""
+    if dtype.names is None or dtype.names[0] != "seq":
+        raise RingError(f"{path.name}: the first field of a slot is its sequence number")
+    size = _DATA_OFFSET + capacity * dtype.itemsize
+    part = path.with_suffix(".new")
+    with part.open("wb") as file:
+        file.truncate(size)
+        file.write(_HEADER.pack(_MAGIC, dtype.itemsize, capacity, 0))
+    part.rename(path)
+
+
+def _map(path: pathlib.Path, slot_size: int, *, writable: bool) -> tuple[mmap.mmap, int]:
+    fd = os.open(path, os.O_RDWR if writable else os.O_RDONLY)
+    try:
+        access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
+        memory = mmap.mmap(fd, 0, access=access)
+    finally:
+        os.close(fd)
+    if len(memory) < _DATA_OFFSET:
+        raise RingError(f"{path.name}: too short to be a ring")
+    magic, size, capacity, _ = _HEADER.unpack_from(memory, 0)
+    if magic != _MAGIC or size != slot_size or len(memory) != _DATA_OFFSET + capacity * size:
+        raise RingError(f"{path.name}: made by another version")
+    return memory, capacity
+
+
+class RingWriter:
+    """The one writer. ``write`` packs straight into shared memory: no allocation, no lock, no system call."""
+
+    def __init__(self, path: pathlib.Path, layout: struct.Struct) -> None:
+        """``layout``: the slot without its leading sequence number."""
+        self._pack_into = layout.pack_into
+        self._slot_size = layout.size + 8
+        self._memory, self._capacity = _map(path, self._slot_size, writable=True)
+        (self.head,) = _HEAD.unpack_from(self._memory, _HEAD_OFFSET)
+
+    def write(self, *values: Any) -> int:
+        """Append one slot; returns its sequence number."""
+        seq: int = self.head + 1
+        offset = _DATA_OFFSET + (seq % self._capacity) * self._slot_size
+        memory = self._memory
+        _HEAD.pack_into(memory, offset, 0)
+        self._pack_into(memory, offset + 8, *values)
+        _HEAD.pack_into(memory, offset, seq)
+        _HEAD.pack_into(memory, _HEAD_OFFSET, seq)
+        self.head = seq
+        return seq
+
+    def close(self) -> None:
+        """Unmap."""
+        self._memory.close()
+
+
+class RingReader:
+    """A reader with its own cursor; ``lost`` counts the slots that were overwritten before it came."""
+
+    def __init__(self, path: pathlib.Path, dtype: np.dtype[Any], *, from_start: bool = False) -> None:
+        """``from_start``: begin with the oldest slot still held, else with the next one written."""
+        self._memory, self._capacity = _map(path, dtype.itemsize, writable=False)
+        self._slots: npt.NDArray[Any] = np.ndarray((self._capacity,), dtype, self._memory, _DATA_OFFSET)
+        self._dtype = dtype
+        self.lost = 0
+        self.cursor = self._oldest(self.head) - 1 if from_start else self.head
+
+    @property
+    def head(self) -> int:
+        """Sequence number written last (0: none yet)."""
+        return int(_HEAD.unpack_from(self._memory, _HEAD_OFFSET)[0])
+
+    def _oldest(self, head: int) -> int:
+        # One slot short of the capacity: the writer may be filling the next one.
+        return max(1, head - self._capacity + 2)
+
+    def read(self, limit: int | None = None) -> npt.NDArray[Any]:
+        """Slots after the cursor, oldest first, at most ``limit``; moves the cursor."""
+        head = self.head
+        if self.cursor >= head:
+            return np.empty(0, self._dtype)
+        first = max(self.cursor + 1, self._oldest(head))
+        last = head if limit is None else min(head, first + limit - 1)
+        numbers = np.arange(first, last + 1, dtype=np.uint64)
+        slots: npt.NDArray[Any] = self._slots[numbers % np.uint64(self._capacity)]
+        intact = slots["seq"] == numbers
+        intact &= numbers >= self._oldest(self.head)
+        slots = slots[intact]
+        self.lost += (last - self.cursor) - len(slots)
+        self.cursor = last
+        return slots
+
+    def latest(self) -> np.void | None:
+        """The newest whole slot, without moving the cursor; None while there is none."""
+        for _ in range(3):
+            head = self.head
+            if not head:
+                return None
+            slot = self._slots[head % self._capacity].copy()
+            if slot["seq"] == head:
+                return slot  # type: ignore[no-any-return]
+        return None
+
+    def close(self) -> None:
+        """Forget the mapping (it ends with the last array that refers to it)."""
+        del self._slots

@@ -1,0 +1,152 @@
+"""The running daemon's folder in memory: rings, the resolved configuration, and the lock that makes it the only one.
+
+``/dev/shm/rigctl-<rig>/``: ``records events commands replies`` (rings), ``active.json`` (what runs),
+``control.json`` (what the control process read back), ``gateway.*`` (the gateway's own), ``lock`` (held by the
+supervisor, with its pid in it).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import pathlib
+from typing import Any
+
+import msgspec
+
+from rigctl.config import RigSettings
+from rigctl.telemetry import record
+from rigctl.telemetry.ring import RingReader, RingWriter, create
+
+_BASE = pathlib.Path("/dev/shm")
+_SMALL_RING = 4096
+_FILES = (
+    "records", "events", "commands", "replies", "active.json", "control.json",
+    "gateway.cursor", "gateway.sock", "gateway.sock.lock",
+)  # fmt: skip
+
+
+class AlreadyRunningError(RuntimeError):
+    """Another daemon holds this rig."""
+
+
+class Runtime:
+    """Paths of one rig's rings and files; every process of the daemon opens what it needs."""
+
+    def __init__(self, directory: str | pathlib.Path) -> None:
+        self.directory = pathlib.Path(directory)
+
+    @classmethod
+    def of(cls, rig: str) -> Runtime:
+        """Where the daemon of ``rig`` keeps its folder."""
+        return cls(_BASE / f"rigctl-{rig}")
+
+    def claim(self) -> int:
+        """Become the only daemon of this rig; returns the lock's file descriptor, held until the process ends.
+
+        Raises:
+            AlreadyRunningError: naming the process that holds it.
+        """
+        self.directory.mkdir(mode=0o700, exist_ok=True)
+        fd = os.open(self.directory / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            pid = os.read(fd, 20).decode(errors="replace").strip() or "unknown"
+            os.close(fd)
+            raise AlreadyRunningError(f"another daemon (process {pid}) already runs this rig") from None
+        os.ftruncate(fd, 0)
+        os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
+        return fd
+
+    def make_rings(self, settings: RigSettings) -> None:
+        """Fresh, empty rings."""
+        create(self.records, record.RECORD.dtype, settings.loop.rate_hz * settings.telemetry.history_s)
+        create(self.events, record.EVENT.dtype, _SMALL_RING)
+        create(self.commands, record.COMMAND.dtype, _SMALL_RING)
+        create(self.replies, record.REPLY.dtype, _SMALL_RING)
+
+    def remove(self) -> None:
+        """Take the folder away; readers that still map a ring keep it until they let go."""
+        for file in (*_FILES, "lock"):
+            with contextlib.suppress(FileNotFoundError):
+                (self.directory / file).unlink()
+        with contextlib.suppress(OSError):
+            self.directory.rmdir()
+
+    @property
+    def records(self) -> pathlib.Path:
+        """Ring of ``record.RECORD``, written by the control process."""
+        return self.directory / "records"
+
+    @property
+    def events(self) -> pathlib.Path:
+        """Ring of ``record.EVENT``, written by the control process."""
+        return self.directory / "events"
+
+    @property
+    def commands(self) -> pathlib.Path:
+        """Ring of ``record.COMMAND``, written by the gateway."""
+        return self.directory / "commands"
+
+    @property
+    def replies(self) -> pathlib.Path:
+        """Ring of ``record.REPLY``, written by the control process."""
+        return self.directory / "replies"
+
+    @property
+    def gateway_cursor(self) -> pathlib.Path:
+        """How far the gateway has published, for the one that follows it."""
+        return self.directory / "gateway.cursor"
+
+    @property
+    def gateway_socket(self) -> pathlib.Path:
+        """Where the gateway's command session reaches its router."""
+        return self.directory / "gateway.sock"
+
+    def record_reader(self, *, from_start: bool = False) -> RingReader:
+        """A reader of the records."""
+        return RingReader(self.records, record.RECORD.dtype, from_start=from_start)
+
+    def event_reader(self, *, from_start: bool = False) -> RingReader:
+        """A reader of the events."""
+        return RingReader(self.events, record.EVENT.dtype, from_start=from_start)
+
+    def command_reader(self) -> RingReader:
+        """A reader of the commands given from now on."""
+        return RingReader(self.commands, record.COMMAND.dtype)
+
+    def reply_reader(self) -> RingReader:
+        """A reader of the replies given from now on."""
+        return RingReader(self.replies, record.REPLY.dtype)
+
+    def record_writer(self) -> RingWriter:
+        """The writer of the records (control process)."""
+        return RingWriter(self.records, record.RECORD.layout)
+
+    def event_writer(self) -> RingWriter:
+        """The writer of the events (control process)."""
+        return RingWriter(self.events, record.EVENT.layout)
+
+    def command_writer(self) -> RingWriter:
+        """The writer of the commands (gateway)."""
+        return RingWriter(self.commands, record.COMMAND.layout)
+
+    def reply_writer(self) -> RingWriter:
+        """The writer of the replies (control process)."""
+        return RingWriter(self.replies, record.REPLY.layout)
+
+    def write_json(self, name: str, value: Any) -> None:
+        """Replace ``name`` at once, so that a reader sees the old file or the new one."""
+        part = self.directory / f"{name}.new"
+        part.write_bytes(msgspec.json.encode(value))
+        part.rename(self.directory / name)
+
+    def read_json(self, name: str) -> dict[str, Any]:
+        """``name``, or an empty dict while it is not there."""
+        try:
+            value = msgspec.json.decode((self.directory / name).read_bytes())
+        except FileNotFoundError:
+            return {}
+        return value if isinstance(value, dict) else {}

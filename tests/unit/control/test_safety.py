@@ -1,0 +1,119 @@
+"""Every row of the safety table trips, in its modes, after its persistence, and not before."""
+
+from __future__ import annotations
+
+import pathlib
+from dataclasses import replace
+
+import pytest
+
+from rigctl import config
+from rigctl.control.modes import Mode
+from rigctl.control.safety import Check, Fault, Row, Sight, Watch, preflight, table
+
+SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+ROWS = table(SETTINGS)
+MS = 1_000_000
+
+GOOD = Sight(
+    tension_n=300.0,
+    cell_age_ns=MS,
+    inclination_age_ns=9 * MS,
+    stroke_mm=50.0,
+    drive_age_ns=MS,
+    drive_enabled=True,
+    bus_age_ns=MS,
+    drive_wanted=True,
+)
+
+BAD: dict[Fault, dict[str, object]] = {
+    Fault.BUS_SILENT: {"bus_age_ns": 16 * MS},
+    Fault.DRIVE_STALE: {"drive_age_ns": 16 * MS},
+    Fault.CELL_STALE: {"cell_age_ns": 16 * MS},
+    Fault.INCLINATION_STALE: {"inclination_age_ns": 101 * MS},
+    Fault.DRIVE_FAULT: {"drive_faulted": True},
+    Fault.DRIVE_NOT_FOLLOWING: {"drive_enabled": False},
+    Fault.CELL_INVALID: {"cell_quality": 4},
+    Fault.INCLINATION_INVALID: {"inclination_quality": 2},
+    Fault.TENSION_HIGH: {"tension_n": 400.1},
+    Fault.TENSION_LOW: {"tension_n": 19.9},
+    Fault.STROKE_END: {"stroke_limited": True},
+    Fault.OVERRUN: {"skipped_in_window": 50},
+}
+
+
+def test_the_table_covers_every_fault_a_tick_can_see() -> None:
+    assert {row.fault for row in ROWS} == set(BAD) == set(Fault) - {Fault.NONE, Fault.LOOP_EXCEPTION}
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_a_good_rig_never_trips(mode: Mode) -> None:
+    watch = Watch(SETTINGS)
+    assert all(watch.trips(GOOD, mode, t * MS) is None for t in range(500))
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.fault.name)
+@pytest.mark.parametrize("mode", Mode)
+def test_a_row_trips_in_its_modes_after_its_persistence(row: Row, mode: Mode) -> None:
+    sight = replace(GOOD, **BAD[row.fault])  # type: ignore[arg-type]
+    watch = Watch(SETTINGS)
+    if mode not in row.modes:
+        assert all(watch.trips(sight, mode, t * MS) is None for t in range(500))
+        return
+    tripped = next(t for t in range(500) if watch.trips(sight, mode, t * MS) is not None)
+    assert tripped * MS == row.persistence_ns
+    trip = watch.trips(sight, mode, 600 * MS)
+    assert trip is not None
+    assert trip.fault is row.fault
+    assert trip.value > trip.limit
+
+
+@pytest.mark.parametrize("row", [row for row in ROWS if row.persistence_ns], ids=lambda row: row.fault.name)
+def test_a_row_that_recovers_starts_again(row: Row) -> None:
+    mode = min(row.modes & {Mode.COMPENSATING, Mode.TENSIONING})
+    sight = replace(GOOD, **BAD[row.fault])  # type: ignore[arg-type]
+    watch = Watch(SETTINGS)
+    assert watch.trips(sight, mode, 0) is None
+    assert watch.trips(GOOD, mode, row.persistence_ns // 2) is None
+    assert watch.trips(sight, mode, row.persistence_ns) is None
+
+
+def test_every_armed_mode_watches_every_signal_it_needs() -> None:
+    needed = {Fault.BUS_SILENT, Fault.DRIVE_STALE, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_FAULT,
+              Fault.CELL_INVALID, Fault.INCLINATION_INVALID, Fault.TENSION_HIGH, Fault.OVERRUN}  # fmt: skip
+    for mode in set(Mode) - {Mode.DISARMED}:
+        assert needed <= {row.fault for row in ROWS if mode in row.modes}
+
+
+def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -> None:
+    watch = Watch(SETTINGS)
+    assert watch.present(GOOD) is Fault.NONE
+    assert watch.present(replace(GOOD, cell_age_ns=20 * MS)) is Fault.CELL_STALE
+    assert watch.present(replace(GOOD, drive_faulted=True)) is Fault.NONE
+
+
+@pytest.mark.parametrize(
+    ("bad", "check"),
+    [
+        ({"cell_age_ns": 16 * MS}, Check.CELL_STALE),
+        ({"cell_quality": 1}, Check.CELL_INVALID),
+        ({"inclination_age_ns": 101 * MS}, Check.INCLINATION_STALE),
+        ({"inclination_quality": 1}, Check.INCLINATION_INVALID),
+        ({"drive_age_ns": 16 * MS}, Check.DRIVE_STALE),
+        ({"drive_faulted": True}, Check.DRIVE_FAULT),
+        ({"tension_n": 401.0}, Check.TENSION_HIGH),
+        ({"tension_n": float("nan")}, Check.TENSION_HIGH),
+        ({"stroke_mm": 123.0}, Check.STROKE_RANGE),
+        ({"stroke_mm": float("nan")}, Check.STROKE_RANGE),
+    ],
+)
+def test_preflight_names_what_failed(bad: dict[str, object], check: Check) -> None:
+    assert preflight(GOOD, SETTINGS, supervision_verified=True) == Check(0)
+    sight = replace(GOOD, **bad)  # type: ignore[arg-type]
+    assert preflight(sight, SETTINGS, supervision_verified=True) == check
+    assert preflight(sight, SETTINGS, supervision_verified=False) == check | Check.DRIVE_SUPERVISION
+
+
+def test_nothing_has_been_seen_at_first() -> None:
+    unseen = preflight(Sight(), SETTINGS, supervision_verified=True)
+    assert Check.CELL_STALE | Check.DRIVE_STALE | Check.INCLINATION_STALE | Check.STROKE_RANGE in unseen
