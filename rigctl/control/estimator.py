@@ -1,0 +1,190 @@
+"""Kalman filter of tension, drive speed and disturbance speed.
+
+State ``x = [tension N, drive speed mm/s, disturbance speed mm/s]``. The disturbance is whatever stretches the spring
+that the cylinder does not: the upper point lagging, the rail's level, the payload moving.
+
+    dT/dt = k (v + w),   dv/dt = (u(t - Td) - v) / tau,   dw/dt = white noise
+
+A sample latched by the SYNC of tick n - 1 is read in tick n, and the command sent in tick n reaches the cylinder
+``delay_ticks`` after the SYNC of tick n. ``update`` therefore corrects the state of tick n - 1, ``predict`` carries
+it to tick n, and ``ahead`` to the instant at which the next command will act.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from filterpy.kalman import KalmanFilter
+
+from rigctl.config import RigSettings
+
+Array = npt.NDArray[np.float64]
+
+SETTLED_GAIN = 1e-7  # change of the gain in one tick below which it counts as settled
+MAX_CATCH_UP = 100  # periods predicted after an overrun; longer gaps end in a fault anyway
+
+
+@dataclass(frozen=True)
+class FilterModel:
+    """Discrete model at the loop period; shapes (3, 3), (3, 1), (3, 3) and two variances."""
+
+    f: Array
+    b: Array
+    q: Array
+    cell_variance_n2: float
+    speed_variance_mm2_s2: float
+    delay_ticks: int
+    period_s: float
+
+
+def filter_model(settings: RigSettings) -> FilterModel:
+    """Exact discretisation of the equations above for a command held over one period."""
+    plant, noise = settings.plant, settings.estimator
+    dt = 1.0 / settings.loop.rate_hz
+    k, tau = plant.stiffness_n_mm, plant.cylinder_lag_s
+    a = math.exp(-dt / tau)
+    f = np.array([[1.0, k * tau * (1.0 - a), k * dt], [0.0, a, 0.0], [0.0, 0.0, 1.0]])
+    b = np.array([[k * (dt - tau * (1.0 - a))], [1.0 - a], [0.0]])
+    qw = noise.disturbance_walk_mm_s**2
+    q = np.diag([noise.tension_walk_n**2 * dt, noise.speed_walk_mm_s**2 * dt, qw * dt])
+    q[0, 0] += k**2 * qw * dt**3 / 3.0
+    q[0, 2] = q[2, 0] = k * qw * dt**2 / 2.0
+    return FilterModel(
+        f,
+        b,
+        q,
+        (settings.tension_cell.noise_n * noise.cell_noise_scale) ** 2,
+        noise.speed_noise_mm_s**2,
+        round(plant.command_delay_s / dt),
+        dt,
+    )
+
+
+def _inverse(s: Array) -> Array:
+    """Inverse of a 1 x 1 or 2 x 2 innovation covariance (numpy's costs three times as much)."""
+    if s.shape == (1, 1):
+        return 1.0 / s
+    (a, b), (c, d) = s.tolist()
+    det = a * d - b * c
+    return np.array([[d / det, -b / det], [-c / det, a / det]])
+
+
+class TensionFilter:
+    """The filter, with absent samples skipped and non-finite ones refused."""
+
+    def __init__(self, model: FilterModel) -> None:
+        self.model = model
+        self._kf = kf = KalmanFilter(dim_x=3, dim_z=2, dim_u=1)
+        kf.F, kf.B, kf.Q = model.f, model.b, model.q
+        kf.H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        kf.R = np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
+        kf.inv = _inverse
+        self._settled_prior: Array | None = None  # covariance before the update, once the gain has settled
+        self._sent: list[float] = [0.0] * (model.delay_ticks + 1)  # oldest first
+        carry, forced = self._lookahead(model)
+        self._carry, self._forced = carry.tolist(), forced.tolist()
+        self.innovation_n = 0.0
+        self.innovation_n2 = 0.0
+        self.refused = 0
+        self.reset(0.0, 0.0)
+
+    @staticmethod
+    def _lookahead(model: FilterModel) -> tuple[Array, Array]:
+        """``x(n + d) = carry x(n) + forced [u(n - d) .. u(n - 1)]``; shapes (3, 3) and (3, d)."""
+        carry = np.eye(3)
+        columns: list[Array] = []
+        for _ in range(model.delay_ticks):
+            columns.insert(0, carry @ model.b)
+            carry = model.f @ carry
+        return carry, np.hstack(columns) if columns else np.zeros((3, 0))
+
+    def reset(self, tension_n: float, speed_mm_s: float) -> None:
+        """Start again from a measurement, with the disturbance at zero (a slack rope tells nothing of it)."""
+        kf = self._kf
+        kf.x = np.array([[tension_n], [speed_mm_s], [0.0]])
+        kf.P = np.diag([self.model.cell_variance_n2, self.model.speed_variance_mm2_s2, 1.0])
+        self._settled_prior = None
+        self.innovation_n = 0.0
+
+    def update(self, tension_n: float | None, speed_mm_s: float | None) -> None:
+        """Correct with the newest samples; ``None`` is absent, a non-finite one is counted and left out.
+
+        Once the gain has settled, and while both samples come, the covariance stands still and filterpy's
+        steady-state form gives the same state for a third of the time.
+        """
+        if tension_n is not None and not math.isfinite(tension_n):
+            self.refused += 1
+            tension_n = None
+        if speed_mm_s is not None and not math.isfinite(speed_mm_s):
+            self.refused += 1
+            speed_mm_s = None
+        kf = self._kf
+        if tension_n is not None and speed_mm_s is not None:
+            z = np.array([[tension_n], [speed_mm_s]])
+            if self._settled_prior is not None:
+                kf.update_steadystate(z)
+            else:
+                before = kf.K
+                kf.update(z)
+                if before.shape == kf.K.shape and np.abs(kf.K - before).max() < SETTLED_GAIN:
+                    self._settled_prior = kf.P_prior
+        else:
+            self._update_one(tension_n, speed_mm_s)
+        if tension_n is not None:
+            self.innovation_n = float(kf.y[0, 0])
+            self.innovation_n2 = float(kf.S[0, 0])
+
+    def _update_one(self, tension_n: float | None, speed_mm_s: float | None) -> None:
+        kf = self._kf
+        if self._settled_prior is not None:
+            kf.P, self._settled_prior = self._settled_prior, None
+        if tension_n is not None:
+            kf.update(np.array([[tension_n]]), kf.R[:1, :1], kf.H[:1])
+        elif speed_mm_s is not None:
+            kf.update(np.array([[speed_mm_s]]), kf.R[1:, 1:], kf.H[1:])
+
+    def predict(self, periods: int = 1) -> None:
+        """Carry the state to this tick; ``periods`` > 1 after an overrun, the last command having stayed."""
+        kf, sent = self._kf, self._sent
+        if periods == 1 and self._settled_prior is not None:
+            kf.predict_steadystate(u=sent[0])
+            sent.append(sent[-1])
+            del sent[0]
+            return
+        self._settled_prior = None
+        for _ in range(min(periods, MAX_CATCH_UP)):
+            kf.predict(u=sent[0])
+            sent.append(sent[-1])
+            del sent[0]
+
+    def ahead(self) -> tuple[float, float, float]:
+        """Tension, drive speed and disturbance speed when a command sent now will act."""
+        t, v, w = self.state
+        if not self.model.delay_ticks:
+            return t, v, w
+        # Plain floats: three rows of a handful of products cost numpy four times as much.
+        result = []
+        for (a, b, c), row in zip(self._carry, self._forced, strict=True):
+            value = a * t + b * v + c * w
+            for factor, command in zip(row, self._sent, strict=False):
+                value += factor * command
+            result.append(value)
+        return result[0], result[1], result[2]
+
+    def command(self, speed_mm_s: float) -> None:
+        """Note the command sent in this tick (the limited one: what the drive will do)."""
+        self._sent[-1] = speed_mm_s
+
+    @property
+    def state(self) -> tuple[float, float, float]:
+        """Tension, drive speed and disturbance speed at this tick."""
+        (t,), (v,), (w,) = self._kf.x.tolist()
+        return t, v, w
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the state, (3, 3)."""
+        return np.array(self._kf.P)

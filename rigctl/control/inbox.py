@@ -1,0 +1,141 @@
+"""The newest sample of every signal, with age and quality, and what else came over the bus."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import can
+
+from rigctl.config import RigSettings
+from rigctl.devices import codecs
+from rigctl.devices import objects as od
+from rigctl.telemetry.record import Quality
+
+MAX_FRAMES_PER_TICK = 256
+MAX_NOTICES = 32
+NEVER_NS = -(1 << 61)
+_NEVER = Quality.NEVER.value
+_EMCY_SIZE = 8
+
+
+class Inbox:
+    """Drains the bus to empty without blocking and decodes by CAN id; foreign ids are only counted."""
+
+    def __init__(self, bus: can.BusABC, settings: RigSettings) -> None:
+        self._bus = bus
+        self._slope_divisor = settings.inclinometer_divisor
+        cell, slope, drive = settings.tension_cell.node, settings.inclinometer.node, settings.cylinder.node
+        self._handlers: dict[int, Callable[[bytes | bytearray, int], None]] = {
+            od.CELL_TPDO.cob_base + cell: self._on_cell,
+            od.SLOPE_TPDO.cob_base + slope: self._on_slope,
+            od.DRIVE_TPDO.cob_base + drive: self._on_drive,
+        }
+        for node in (cell, slope, drive):
+            self._handlers[od.EMCY_BASE + node] = self._emergency_handler(node)
+            self._handlers[od.HEARTBEAT_BASE + node] = self._heartbeat_handler(node)
+        self.tension_n = math.nan
+        self.cell_quality = _NEVER
+        self.cell_t_ns = NEVER_NS
+        self.tangential_rad = self.normal_rad = 0.0
+        self.slope_quality = _NEVER
+        self.slope_t_ns = NEVER_NS
+        self.statusword = 0
+        self.stroke_mm = math.nan
+        self.speed_mm_s = 0.0
+        self.drive_t_ns = NEVER_NS
+        self.bus_t_ns = NEVER_NS
+        self.cell_fresh = self.drive_fresh = False
+        self.received = self.refused = self.error_frames = self.receive_failures = 0
+        self.emergencies: list[tuple[int, int]] = []  # (node, code) since last taken
+        self.node_states: list[tuple[int, int]] = []  # (node, NMT state) changes since last taken
+        self.bus_errors: list[tuple[int, int]] = []  # (error class, controller byte) since last taken
+        self._states: dict[int, int] = {}
+        self._counts = [0, 0, 0]  # cell, slope, drive frames since the first of each
+        self._bases = [-1, -1, -1]  # SYNCs sent when the first came
+        self._syncs = 0
+
+    def drain(self, now_ns: int, syncs_sent: int) -> None:
+        """Read until the bus is empty; samples are stamped ``now_ns``."""
+        self.cell_fresh = self.drive_fresh = False
+        self._syncs = syncs_sent
+        receive, handlers = self._bus.recv, self._handlers
+        for _ in range(MAX_FRAMES_PER_TICK):
+            try:
+                message = receive(0)
+            except can.CanError:
+                self.receive_failures += 1
+                return
+            if message is None:
+                return
+            if message.is_error_frame:
+                self._on_error_frame(message)
+                continue
+            self.received += 1
+            self.bus_t_ns = now_ns
+            handler = handlers.get(message.arbitration_id)
+            if handler is None or message.is_extended_id or message.is_remote_frame:
+                continue
+            try:
+                handler(message.data, now_ns)
+            except ValueError:
+                self.refused += 1
+
+    def frames_missing(self) -> int:
+        """Answers due to the SYNCs sent before this tick that have not come (late ones count until they do)."""
+        missing = 0
+        for i, divisor in enumerate((1, self._slope_divisor, 1)):
+            if self._bases[i] >= 0:
+                missing += max(0, (self._syncs - self._bases[i]) // divisor + 1 - self._counts[i])
+        return missing
+
+    def _count(self, i: int) -> None:
+        if self._bases[i] < 0:
+            self._bases[i] = self._syncs
+        self._counts[i] += 1
+
+    def _on_cell(self, data: bytes | bytearray, now_ns: int) -> None:
+        self.tension_n, self.cell_quality = codecs.decode_tension(data)
+        self.cell_t_ns = now_ns
+        self.cell_fresh = self.cell_quality == 0
+        self._count(0)
+
+    def _on_slope(self, data: bytes | bytearray, now_ns: int) -> None:
+        tangential, normal, quality = codecs.decode_inclination(data)
+        if not quality:
+            self.tangential_rad, self.normal_rad = tangential, normal
+        self.slope_quality = quality
+        self.slope_t_ns = now_ns
+        self._count(1)
+
+    def _on_drive(self, data: bytes | bytearray, now_ns: int) -> None:
+        self.statusword, self.stroke_mm, self.speed_mm_s = codecs.decode_drive(data)
+        self.drive_t_ns = now_ns
+        self.drive_fresh = True
+        self._count(2)
+
+    def _emergency_handler(self, node: int) -> Callable[[bytes | bytearray, int], None]:
+        def on_emergency(data: bytes | bytearray, _now_ns: int) -> None:
+            if len(data) != _EMCY_SIZE:
+                raise ValueError("length")
+            if len(self.emergencies) < MAX_NOTICES:
+                self.emergencies.append((node, data[0] | data[1] << 8))
+
+        return on_emergency
+
+    def _heartbeat_handler(self, node: int) -> Callable[[bytes | bytearray, int], None]:
+        def on_heartbeat(data: bytes | bytearray, _now_ns: int) -> None:
+            if len(data) != 1:
+                raise ValueError("length")
+            state = data[0] & 0x7F
+            if self._states.get(node) != state and len(self.node_states) < MAX_NOTICES:
+                self.node_states.append((node, state))
+            self._states[node] = state
+
+        return on_heartbeat
+
+    def _on_error_frame(self, message: can.Message) -> None:
+        self.error_frames += 1
+        if len(self.bus_errors) < MAX_NOTICES:
+            controller = message.data[1] if len(message.data) > 1 else 0
+            self.bus_errors.append((message.arbitration_id & 0x1FFFFFFF, controller))

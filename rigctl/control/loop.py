@@ -1,0 +1,326 @@
+"""One tick: receive, estimate, decide, send, record."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import can
+
+from rigctl.config import RigSettings
+from rigctl.control import modes, safety
+from rigctl.control.clock import Clock
+from rigctl.control.estimator import TensionFilter, filter_model
+from rigctl.control.inbox import Inbox
+from rigctl.control.machine import Machine
+from rigctl.control.modes import Event, Mode, Situation, Verb
+from rigctl.control.outbox import Outbox
+from rigctl.control.safety import Check, Fault, Sight, Trip, Watch
+from rigctl.control.tension import Estimate, Gains, TensionLaw
+from rigctl.devices.drive import Power, next_controlword
+from rigctl.devices.objects import DriveState, drive_state
+from rigctl.telemetry.events import Kind
+from rigctl.telemetry.record import COMMAND_LIFETIME_NS, Flag, Quality
+from rigctl.telemetry.ring import RingReader, RingWriter
+
+STOPPED_MM_S = 0.05
+STOP_LIMIT_NS = 2_000_000_000
+SKIP_NOTICE = 5  # ticks skipped at once that are worth an event
+_OFF = frozenset({DriveState.READY_TO_SWITCH_ON, DriveState.SWITCH_ON_DISABLED})
+_STALE = Quality.STALE.value
+_ENABLED, _ARMING = Flag.DRIVE_ENABLED.value, Flag.ARMING.value
+
+
+@dataclass(frozen=True)
+class Rings:
+    """Where a loop's records, events and replies go, and where its commands come from."""
+
+    records: RingWriter
+    events: RingWriter
+    replies: RingWriter
+    commands: RingReader
+
+
+class Loop:
+    """The fixed-rate loop. Bus and clock are passed in; nothing here knows whether they are real."""
+
+    def __init__(
+        self, settings: RigSettings, gains: Gains, bus: can.BusABC, clock: Clock, rings: Rings, *, supervised: bool
+    ) -> None:
+        """``supervised``: start-up has verified that the drive stops by itself when we go silent."""
+        self.settings = settings
+        self.machine = Machine()
+        self.inbox = Inbox(bus, settings)
+        self.outbox = Outbox(bus, settings)
+        self.filter = TensionFilter(filter_model(settings))
+        self.law = TensionLaw(settings, gains)
+        self.last_exception: BaseException | None = None
+        self.finished = False
+        self.stop_requested = False
+        self._clock, self._rings, self._supervised = clock, rings, supervised
+        self._watch, self._sight = Watch(settings), Sight()
+        self._tick = self._skipped = 0
+        self._skips: deque[tuple[int, int]] = deque(maxlen=4096)
+        self._window_ns = settings.safety.overrun_window_ms * 1_000_000
+        self._stale_ns = settings.safety.stale_ms * 1_000_000
+        self._slope_stale_ns = settings.safety.inclination_stale_ms * 1_000_000
+        self._slack_n = settings.tension.slack_n
+        self._cosine, self._tension_n, self._power = 1.0, 0.0, Power.OFF
+        self._stop_until = 0
+        self._events_said: dict[str, int] = {}
+        rings.events.write(clock.now(), Kind.STARTED, 0, 0, 0.0, 0.0, b"")
+
+    @property
+    def drive_off(self) -> bool:
+        """The drive was last seen off, its brake closed."""
+        return drive_state(self.inbox.statusword) in _OFF
+
+    # -- the tick -----------------------------------------------------------------------------------------------
+    def tick(self) -> None:
+        """One period. Whatever goes wrong in it, the drive gets a command, and that command is to stop."""
+        t_ns, skipped = self._clock.next_tick()
+        woke_ns = self._clock.now()
+        try:
+            self._receive(woke_ns, skipped)
+            estimate = self._estimate(skipped)
+            self._decide(t_ns, estimate)
+            speed = self._speed(estimate)
+            self._send(t_ns, speed)
+        except Exception as error:  # noqa: BLE001 - the edge of the tick: recorded, latched, and the stroke held
+            self._stop_safely(t_ns, error)
+        self._record(t_ns, woke_ns)
+        self._publish(t_ns)
+
+    def run(self) -> None:
+        """Tick until told to stop and stopped."""
+        while not self.finished:
+            self.tick()
+
+    def _receive(self, now_ns: int, skipped: int) -> None:
+        inbox, sight = self.inbox, self._sight
+        inbox.drain(now_ns, self.outbox.syncs)
+        self._tick += 1 + skipped
+        if skipped:
+            self._skipped += skipped
+            self._skips.append((now_ns, skipped))
+        while self._skips and now_ns - self._skips[0][0] > self._window_ns:
+            self._skips.popleft()
+        state = drive_state(inbox.statusword)
+        sight.tension_n, sight.cell_quality = inbox.tension_n, inbox.cell_quality
+        sight.cell_age_ns = now_ns - inbox.cell_t_ns
+        sight.inclination_quality = inbox.slope_quality
+        sight.inclination_age_ns = now_ns - inbox.slope_t_ns
+        sight.stroke_mm = inbox.stroke_mm
+        sight.drive_age_ns = now_ns - inbox.drive_t_ns
+        sight.drive_enabled = state is DriveState.OPERATION_ENABLED
+        sight.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
+        sight.bus_age_ns = now_ns - inbox.bus_t_ns
+        sight.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
+        sight.stroke_limited = self.law.limits & Flag.LIMITED_STROKE.value != 0
+        sight.drive_wanted = self.machine.drive_wanted and not self.machine.stopping
+
+    def _estimate(self, skipped: int) -> Estimate:
+        inbox, kalman = self.inbox, self.filter
+        if inbox.cell_fresh:
+            self._tension_n = inbox.tension_n
+            if not inbox.slope_quality:
+                self._cosine = math.cos(inbox.tangential_rad) * math.cos(inbox.normal_rad)
+        if self._tension_n < self._slack_n:
+            kalman.reset(self._tension_n, inbox.speed_mm_s)
+        else:
+            kalman.update(
+                inbox.tension_n if inbox.cell_fresh else None, inbox.speed_mm_s if inbox.drive_fresh else None
+            )
+        kalman.predict(1 + skipped)
+        return Estimate(*kalman.ahead(), inbox.stroke_mm)
+
+    def _decide(self, t_ns: int, estimate: Estimate) -> None:
+        machine, sight, law = self.machine, self._sight, self.law
+        trip = self._watch.trips(sight, machine.mode, t_ns)
+        if trip is not None and machine.mode is not Mode.FAULT:
+            self._trip(trip, t_ns)
+        for slot in self._rings.commands.read():
+            self._command(slot, t_ns)
+        if self.stop_requested and not machine.stopping:
+            self._stop_until = t_ns + STOP_LIMIT_NS
+            machine.stop()
+        machine.follow_drive(sight.drive_enabled, t_ns)
+        if machine.mode is Mode.TENSIONING and law.tensioned(estimate):
+            machine.on(Event.TENSIONED)
+        elif machine.mode is Mode.RELEASING and law.slack(estimate):
+            machine.on(Event.SLACK)
+        for change in machine.changes:
+            if change.after in (Mode.TENSIONING, Mode.RELEASING):
+                law.start_ramp(estimate.tension_n * self._cosine, estimate.speed_mm_s)
+
+    def _speed(self, estimate: Estimate) -> float:
+        law, mode = self.law, self.machine.mode
+        if not self._sight.drive_enabled:
+            law.follow_speed(0.0)
+            law.hold(estimate)
+            speed = 0.0
+        elif mode is Mode.TENSIONING:
+            speed = law.tensioning(estimate, self._cosine)
+        elif mode is Mode.COMPENSATING:
+            speed = law.compensating(estimate, self._cosine)
+        elif mode is Mode.RELEASING:
+            speed = law.releasing(estimate, self._cosine)
+        else:
+            speed = law.hold(estimate)
+        self.filter.command(speed)
+        return speed
+
+    def _send(self, t_ns: int, speed_mm_s: float) -> None:
+        machine, sight, outbox = self.machine, self._sight, self.outbox
+        if machine.stopping:
+            self._finish_stop(t_ns)
+        self._power = machine.power(t_ns, drive_enabled=sight.drive_enabled, drive_faulted=sight.drive_faulted)
+        state = drive_state(self.inbox.statusword)
+        outbox.command(next_controlword(state, self._power, outbox.controlword), speed_mm_s)
+
+    # -- what the tick is made of -------------------------------------------------------------------------------
+    def _trip(self, trip: Trip, t_ns: int) -> None:
+        self.machine.trip(trip)
+        self._rings.events.write(t_ns, Kind.TRIP, trip.fault, 0, trip.value, trip.limit, b"")
+
+    def _command(self, slot: object, t_ns: int) -> None:
+        given_ns, id_, code, value = (slot[name].item() for name in ("t_ns", "id", "verb", "value"))  # type: ignore[index]
+        machine, tension = self.machine, self.settings.tension
+        if code not in Verb._value2member_map_:
+            self._reply(t_ns, id_, modes.Refusal.UNKNOWN, 0, 0.0)
+            return
+        if abs(t_ns - given_ns) > COMMAND_LIFETIME_NS:
+            self._reply(t_ns, id_, modes.Refusal.EXPIRED, 0, 0.0)
+            return
+        situation = Situation(
+            failed_checks=int(self._failed_checks()),
+            cause_present=self._watch.present(self._sight) is not Fault.NONE,
+            drive_enabled=self._sight.drive_enabled,
+            drive_faulted=self._sight.drive_faulted,
+            slack=self._tension_n < self._slack_n,
+            target_min_n=tension.target_min_n,
+            target_max_n=tension.target_max_n,
+        )
+        fault = machine.fault
+        machine.command(id_, Verb(code), value, situation, t_ns)
+        if fault is not machine.fault:
+            self._rings.events.write(t_ns, Kind.RESET, fault, 0, 0.0, 0.0, b"")
+        if code == Verb.TARGET and machine.answers and machine.answers[-1].refusal is modes.Refusal.NONE:
+            self.law.target_n = value
+
+    def _failed_checks(self) -> Check:
+        return safety.preflight(self._sight, self.settings, supervision_verified=self._supervised)
+
+    def _finish_stop(self, t_ns: int) -> None:
+        """Once the stroke stands still, let the drive close its brake; once it has, the loop may end."""
+        still = abs(self.inbox.speed_mm_s) < STOPPED_MM_S and self.law.command_mm_s == 0.0
+        late = t_ns >= self._stop_until
+        if still or late:
+            self.machine.power_off()
+        if (still and not self._sight.drive_enabled) or late:
+            self.finished = True
+            self._rings.events.write(
+                t_ns, Kind.STOPPED, 0, 0, _number(self.inbox.stroke_mm), _number(self.inbox.tension_n), b""
+            )
+
+    def _stop_safely(self, t_ns: int, error: Exception) -> None:
+        """The safe command: no speed, the drive as it is, FAULT latched."""
+        first = self.machine.fault is not Fault.LOOP_EXCEPTION
+        self.last_exception = error
+        self.law.follow_speed(0.0)
+        if first:
+            self.machine.trip(Trip(Fault.LOOP_EXCEPTION, 0.0, 0.0))
+            self._rings.events.write(t_ns, Kind.EXCEPTION, 0, 0, 0.0, 0.0, _place(error))
+        if self.machine.stopping or self.stop_requested:
+            self.machine.stop()
+            self.finished = True
+        try:
+            self.outbox.command(self.outbox.controlword, 0.0)
+        except Exception:  # noqa: BLE001 - the bus itself fails: the drive stops by its own supervision
+            self.outbox.failures += 1
+
+    def _record(self, t_ns: int, woke_ns: int) -> None:
+        inbox, outbox, sight, law, kalman = self.inbox, self.outbox, self._sight, self.law, self.filter
+        x = kalman.state
+        flags = law.limits | (_ENABLED if sight.drive_enabled else 0) | (_ARMING if self.machine.arming else 0)
+        self._rings.records.write(
+            t_ns,
+            self._tick,
+            self._skipped,
+            woke_ns - t_ns,
+            self._clock.now() - woke_ns,
+            self.machine.mode,
+            self.machine.fault,
+            flags,
+            inbox.tension_n,
+            sight.cell_age_ns,
+            inbox.cell_quality | (_STALE if sight.cell_age_ns > self._stale_ns else 0),
+            inbox.tangential_rad,
+            inbox.normal_rad,
+            sight.inclination_age_ns,
+            inbox.slope_quality | (_STALE if sight.inclination_age_ns > self._slope_stale_ns else 0),
+            inbox.stroke_mm,
+            inbox.speed_mm_s,
+            sight.drive_age_ns,
+            _STALE if sight.drive_age_ns > self._stale_ns else 0,
+            inbox.statusword,
+            outbox.controlword,
+            law.command_mm_s,
+            law.target_n,
+            law.rope_setpoint_n,
+            inbox.tension_n * self._cosine,
+            x[0],
+            x[1],
+            x[2],
+            law.integral_mm_s,
+            kalman.innovation_n,
+            kalman.innovation_n2,
+            outbox.sent,
+            inbox.received,
+            inbox.frames_missing(),
+            inbox.refused,
+            outbox.failures,
+            inbox.error_frames,
+        )
+
+    def _publish(self, t_ns: int) -> None:
+        """What is not in every tick: mode changes, answers, notices of the bus."""
+        machine, events = self.machine, self._rings.events
+        if machine.changes:
+            for change in machine.changes:
+                events.write(t_ns, Kind.MODE, change.before, change.after, float(change.event), 0.0, b"")
+            machine.changes.clear()
+        if machine.answers:
+            for answer in machine.answers:
+                checks = int(self._failed_checks()) if answer.refusal is modes.Refusal.PREFLIGHT else 0
+                value = self.law.target_n if answer.verb in (Verb.TARGET, Verb.TENSION) else _number(self._tension_n)
+                self._reply(t_ns, answer.id, answer.refusal, checks, value)
+            machine.answers.clear()
+        inbox = self.inbox
+        for kind, notices in (
+            (Kind.EMERGENCY, inbox.emergencies),
+            (Kind.NODE_STATE, inbox.node_states),
+            (Kind.BUS_ERROR, inbox.bus_errors),
+        ):
+            if notices:
+                for a, b in notices:
+                    events.write(t_ns, kind, a, b, 0.0, 0.0, b"")
+                notices.clear()
+
+    def _reply(self, t_ns: int, id_: int, refusal: modes.Refusal, checks: int, value: float) -> None:
+        accepted = refusal is modes.Refusal.NONE
+        self._rings.replies.write(t_ns, id_, accepted, refusal, checks, self.machine.mode, value)
+
+
+def _number(value: float) -> float:
+    return value if math.isfinite(value) else 0.0
+
+
+def _place(error: BaseException) -> bytes:
+    """Exception and the line it came from, for the event's 80 bytes."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    where = f"{trace.tb_frame.f_code.co_name}:{trace.tb_lineno}" if trace is not None else "?"
+    return f"{type(error).__name__} in {where}: {error}".encode()[:80]

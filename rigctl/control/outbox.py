@@ -1,0 +1,45 @@
+"""What the loop sends: command, SYNC and heartbeat, in that order, never waiting for the bus."""
+
+from __future__ import annotations
+
+import can
+
+from rigctl.config import RigSettings
+from rigctl.devices import codecs
+from rigctl.devices import objects as od
+
+
+class Outbox:
+    """Sends and counts; a frame the bus does not take is a missed send, not an error of the tick."""
+
+    def __init__(self, bus: can.BusABC, settings: RigSettings) -> None:
+        self._bus = bus
+        self._command_id = od.DRIVE_RPDO.cob_base + settings.cylinder.node
+        self._heartbeat_id = od.HEARTBEAT_BASE + settings.can.controller_node
+        period_ticks = settings.can.heartbeat_ms * settings.loop.rate_hz // 1000
+        self._heartbeat_every = max(1, period_ticks)
+        self._until_heartbeat = 1
+        self._operational = bytes([od.NmtState.OPERATIONAL])
+        self.controlword = 0
+        self.sent = self.failures = self.syncs = 0
+        self.failure_text = ""
+
+    def command(self, controlword: int, speed_mm_s: float) -> None:
+        """The command PDO, then SYNC, then the heartbeat when it is due."""
+        self.controlword = controlword
+        self._send(self._command_id, codecs.encode_command(controlword, speed_mm_s))
+        self.syncs += self._send(od.SYNC_COB, b"")
+        self._until_heartbeat -= 1
+        if not self._until_heartbeat:
+            self._until_heartbeat = self._heartbeat_every
+            self._send(self._heartbeat_id, self._operational)
+
+    def _send(self, can_id: int, data: bytes) -> int:
+        try:
+            self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+        except can.CanError as error:
+            self.failures += 1
+            self.failure_text = str(error)
+            return 0
+        self.sent += 1
+        return 1

@@ -1,0 +1,134 @@
+"""The control process: bring the devices up, take the gains, ask for real time, run the loop.
+
+Only numbers cross to it: settings from the runtime folder, gains as one line on standard input, rings for the rest.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from types import FrameType
+
+import can
+import msgspec
+from can.typechecking import CanFilters
+
+from rigctl.config import RigSettings
+from rigctl.control import realtime
+from rigctl.control.clock import GridClock, SimulatedClock
+from rigctl.control.loop import Loop, Rings
+from rigctl.control.tension import Gains
+from rigctl.devices import objects as od
+from rigctl.devices import startup
+from rigctl.telemetry.runtime import Runtime
+
+WARM_UP_TICKS = 50
+EXIT_CANNOT_START = 1
+
+
+def receive_filters(settings: RigSettings) -> CanFilters:
+    """Ids the loop reads; on interfaces that filter in the kernel nothing else wakes or fills the socket."""
+    nodes = (settings.tension_cell.node, settings.inclinometer.node, settings.cylinder.node)
+    bases = (od.TPDO1_BASE, od.EMCY_BASE, od.HEARTBEAT_BASE)
+    ids = [base + node for base in bases for node in nodes]
+    return [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in ids]
+
+
+def open_bus(settings: RigSettings) -> can.BusABC:
+    """The loop's bus.
+
+    Raises:
+        StartupError: one line.
+    """
+    where = f"{settings.can.interface}:{settings.can.channel}"
+    try:
+        return can.Bus(
+            interface=settings.can.interface, channel=settings.can.channel, bitrate=settings.can.bitrate_bit_s
+        )
+    except (can.CanError, OSError, ValueError, NotImplementedError) as error:
+        raise startup.StartupError(f"{where} cannot be opened: {' '.join(str(error).split())}") from None
+
+
+def open_rings(runtime: Runtime) -> Rings:
+    """The loop's ends of the rings."""
+    return Rings(runtime.record_writer(), runtime.event_writer(), runtime.reply_writer(), runtime.command_reader())
+
+
+def warm_up(settings: RigSettings, gains: Gains, directory: Runtime) -> None:
+    """Run every path of the tick on a bus of its own, so that the first real tick meets nothing for the first time."""
+    runtime = Runtime(directory.directory / f"warm-up-{os.getpid()}")
+    runtime.directory.mkdir()
+    try:
+        runtime.make_rings(settings)
+        bus = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
+        other = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
+        clock = SimulatedClock(settings.loop.period_ns, lambda _t: _answer(other, settings))
+        loop = Loop(settings, gains, bus, clock, open_rings(runtime), supervised=True)
+        for _ in range(WARM_UP_TICKS):
+            loop.tick()
+        bus.shutdown()
+        other.shutdown()
+    finally:
+        runtime.remove()
+
+
+def _answer(bus: can.BusABC, settings: RigSettings) -> None:
+    frames = (
+        (od.CELL_TPDO, settings.tension_cell.node, (300_000, 0)),
+        (od.SLOPE_TPDO, settings.inclinometer.node, (10, 0)),
+        (od.DRIVE_TPDO, settings.cylinder.node, (0x0237, 50_000, 1)),
+    )
+    for layout, node, values in frames:
+        data = layout.codec.pack(*values)
+        bus.send(can.Message(arbitration_id=layout.cob_base + node, data=data, is_extended_id=False))
+    while bus.recv(0) is not None:
+        pass
+
+
+def _stop_on_signal(loop: Loop) -> Callable[[int, FrameType | None], None]:
+    def on_signal(_number: int, _frame: FrameType | None) -> None:
+        loop.stop_requested = True
+
+    return on_signal
+
+
+def run(directory: str) -> int:
+    """Body of the process; returns its exit code."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    realtime.die_with_parent(signal.SIGTERM)
+    runtime = Runtime(directory)
+    settings = RigSettings.model_validate(runtime.read_json("active.json")["settings"])
+    try:
+        bus = open_bus(settings)
+        report = startup.bring_up(bus, settings)
+    except startup.StartupError as error:
+        sys.stderr.write(f"rigctl: {error}\n")
+        return EXIT_CANNOT_START
+    line = sys.stdin.readline()
+    if not line:
+        return EXIT_CANNOT_START  # the supervisor has ended, or refused the design
+    gains = msgspec.json.decode(line, type=Gains)
+    warm_up(settings, gains, runtime)
+    bus.set_filters(receive_filters(settings))
+    clock = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000)
+    loop = Loop(settings, gains, bus, clock, open_rings(runtime), supervised=True)
+    signal.signal(signal.SIGTERM, _stop_on_signal(loop))
+    applied = [*realtime.apply(settings.loop), realtime.freeze_garbage_collector()]
+    runtime.write_json(
+        "control.json",
+        {
+            "pid": os.getpid(),
+            "realtime": [asdict(setting) for setting in applied],
+            "warnings": [f"{setting.name}: {setting.warning}" for setting in applied if not setting.ok],
+            **report.as_json(),
+        },
+    )
+    loop.run()
+    if loop.drive_off:
+        bus.set_filters(None)
+        startup.release(bus, settings)
+    bus.shutdown()
+    return 0

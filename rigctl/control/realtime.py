@@ -1,0 +1,113 @@
+"""Asking the operating system for real time, and reading back what it gave.
+
+Each setting is optional: one that is refused leaves a warning that says what was asked, what is in force and what
+would help, and the process runs on without it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rigctl.config import LoopSettings
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK, _PR_SET_PDEATHSIG = 29, 30, 1
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+@dataclass(frozen=True)
+class Applied:
+    """One setting: what was asked, what is in force, and a warning if they differ."""
+
+    name: str
+    asked: str
+    in_force: str
+    ok: bool
+    warning: str = ""
+
+
+def apply(loop: LoopSettings) -> list[Applied]:
+    """Apply every setting the rig file asks for to this process; each is read back."""
+    steps: list[Callable[[], Applied]] = [_timer_slack]
+    if loop.lock_memory:
+        steps.append(_lock_memory)
+    if loop.cpu is not None:
+        steps.append(lambda: _affinity(loop.cpu or 0))
+    if loop.priority:
+        steps.append(lambda: _scheduler(loop.priority))
+    return [step() for step in steps]
+
+
+def freeze_garbage_collector() -> Applied:
+    """Collect once, move what is left out of the collector's sight, and switch it off: no tick pays for it."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    frozen = gc.get_freeze_count()
+    return Applied("garbage collector", "frozen", f"frozen ({frozen} objects)", not gc.isenabled() and frozen > 0)
+
+
+def die_with_parent(signal_number: int) -> None:
+    """Have the kernel send this process ``signal_number`` when its parent ends, however it ends."""
+    _libc.prctl(_PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
+
+
+def _scheduler(priority: int) -> Applied:
+    asked = f"SCHED_FIFO {priority}, reset on fork"
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    policy, level = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+    ok = policy == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK and level == priority
+    return Applied(
+        "scheduler",
+        asked,
+        f"SCHED_FIFO {level}" if policy & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO else "SCHED_OTHER",
+        ok,
+        "" if ok else f"{asked} not allowed: run as root, or raise RLIMIT_RTPRIO to {priority} (limits.conf: rtprio)",
+    )
+
+
+def _affinity(cpu: int) -> Applied:
+    with contextlib.suppress(OSError):
+        os.sched_setaffinity(0, {cpu})
+    have = os.sched_getaffinity(0)
+    ok = have == {cpu}
+    return Applied(
+        "affinity",
+        f"cpu {cpu}",
+        "cpu " + ",".join(map(str, sorted(have))),
+        ok,
+        "" if ok else f"cpu {cpu} is not available to this process; set loop.cpu to one that is",
+    )
+
+
+def _lock_memory() -> Applied:
+    failed = _libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0
+    locked = _status_kib("VmLck")
+    ok = not failed and locked > 0
+    return Applied(
+        "memory",
+        "locked",
+        f"{locked // 1024} MiB locked",
+        ok,
+        "" if ok else "mlockall not allowed: run as root, or raise RLIMIT_MEMLOCK (limits.conf: memlock unlimited)",
+    )
+
+
+def _timer_slack() -> Applied:
+    _libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    slack = _libc.prctl(_PR_GET_TIMERSLACK, 0, 0, 0, 0)
+    return Applied("timer slack", "1 ns", f"{slack} ns", slack == 1, "" if slack == 1 else "timer slack not set")
+
+
+def _status_kib(name: str) -> int:
+    with open("/proc/self/status", encoding="ascii") as file:  # noqa: PTH123 - procfs
+        for line in file:
+            if line.startswith(name + ":"):
+                return int(line.split()[1])
+    return 0

@@ -1,0 +1,174 @@
+"""The tension law: what speed to command, from what the filter says.
+
+State feedback with integral action about a disturbance feed-forward,
+
+    u = -w + r/k - K_T (T - T_sp) - K_v (v + w - r/k) - I,    dI/dt = K_i (T - T_sp)
+
+with T, v, w predicted to the instant at which ``u`` acts (delay compensation), r the slope of the set-point ramp.
+The operator's target is the vertical component, so the rope's set-point is ``target / (cos theta_x cos theta_y)``.
+Every command passes the same limits: speed, acceleration, and the stroke that is left to stop in.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rigctl.config import RigSettings
+from rigctl.telemetry.record import Flag
+
+SETTLED_FRACTION = 0.005  # of the target: tensioning is over within this error
+RAMP_EASE_S = 0.25  # a ramp takes this long to reach its slope and to leave it
+PAY_OUT_SPARE_MM = 1.0  # rope paid out beyond the last of the stretch, so that slack is slack
+_SPEED, _STROKE = Flag.LIMITED_SPEED.value, Flag.LIMITED_STROKE.value  # as numbers: an IntFlag's | costs 1 us
+_ACCELERATION = Flag.LIMITED_ACCELERATION.value
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Feedback gains; the design computes them, only numbers cross to the loop."""
+
+    k_tension: float  # mm/s per N
+    k_speed: float  # 1
+    k_integral: float  # mm/s per N s
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What the law acts on: tension N, drive speed and disturbance speed mm/s, measured stroke mm."""
+
+    tension_n: float
+    speed_mm_s: float
+    disturbance_mm_s: float
+    stroke_mm: float
+
+
+class TensionLaw:
+    """Holds the little state there is: integral, set-point on its ramp, last command."""
+
+    def __init__(self, settings: RigSettings, gains: Gains) -> None:
+        tension = settings.tension
+        self._gains = gains
+        self._dt = 1.0 / settings.loop.rate_hz
+        self._stiffness = settings.plant.stiffness_n_mm
+        self._slack_n = tension.slack_n
+        self._ramp_n_s = tension.ramp_n_s
+        self._ramp_n_s2 = tension.ramp_n_s / RAMP_EASE_S
+        self._speed_max = tension.speed_max_mm_s
+        self._step_max = tension.acceleration_max_mm_s2 * self._dt
+        self._braking = 2.0 * tension.acceleration_max_mm_s2
+        self._stroke_min = settings.cylinder.stroke_min_mm
+        self._stroke_max = settings.cylinder.stroke_max_mm
+        self._take_up = min(tension.speed_max_mm_s, tension.ramp_n_s / self._stiffness)
+        self._pay_out_mm = tension.slack_n / self._stiffness + PAY_OUT_SPARE_MM
+        self.target_n = tension.target_n
+        self.setpoint_n = 0.0  # vertical, on its ramp
+        self.rope_setpoint_n = 0.0
+        self._slope_n_s = 0.0
+        self.integral_mm_s = 0.0
+        self.command_mm_s = 0.0
+        self.limits = 0  # bits, see rigctl.telemetry.record.Flag
+        self._slack_stroke_mm: float | None = None
+
+    # -- entering a mode: bumpless, because nothing but the set-point's start changes ---------------------------
+    def start_ramp(self, vertical_n: float, speed_mm_s: float) -> None:
+        """Begin a ramp at the tension there is now, with the slope the cylinder's speed gives it."""
+        self.setpoint_n = max(vertical_n, 0.0)
+        self._slope_n_s = self._slope_of(speed_mm_s)
+        self.integral_mm_s = 0.0
+        self._slack_stroke_mm = None
+
+    def follow_speed(self, speed_mm_s: float) -> None:
+        """Take over from a drive that was moving by itself, or not at all."""
+        self.command_mm_s = max(-self._speed_max, min(self._speed_max, speed_mm_s))
+
+    # -- one tick in a mode -------------------------------------------------------------------------------------
+    def hold(self, estimate: Estimate) -> float:
+        """Stroke held: command zero, reached at the acceleration limit."""
+        self.integral_mm_s = 0.0
+        return self._limited(0.0, estimate.stroke_mm)
+
+    def tensioning(self, estimate: Estimate, cosine: float) -> float:
+        """Take up slack at a fixed speed, then follow a ramp to the target."""
+        if estimate.tension_n < self._slack_n:
+            self.start_ramp(estimate.tension_n, estimate.speed_mm_s)
+            return self._limited(self._take_up, estimate.stroke_mm)
+        return self._closed(estimate, cosine, self._ramp_towards(self.target_n))
+
+    def compensating(self, estimate: Estimate, cosine: float) -> float:
+        """Hold the target; a new target is reached on the same ramp."""
+        return self._closed(estimate, cosine, self._ramp_towards(self.target_n))
+
+    def releasing(self, estimate: Estimate, cosine: float) -> float:
+        """Follow a ramp down to slack, then pay out a little more rope."""
+        if estimate.tension_n > self._slack_n and self._slack_stroke_mm is None:
+            return self._closed(estimate, cosine, self._ramp_towards(0.0))
+        if self._slack_stroke_mm is None:
+            self._slack_stroke_mm = estimate.stroke_mm
+        return self._limited(-self._take_up, estimate.stroke_mm)
+
+    def tensioned(self, estimate: Estimate) -> bool:
+        """The ramp has ended and the tension is on the target."""
+        error = estimate.tension_n - self.rope_setpoint_n
+        return self.setpoint_n == self.target_n and abs(error) < SETTLED_FRACTION * self.target_n
+
+    def slack(self, estimate: Estimate) -> bool:
+        """The rope is slack, with rope to spare."""
+        start = self._slack_stroke_mm
+        return start is not None and estimate.stroke_mm < start - self._pay_out_mm
+
+    # -- the law itself -----------------------------------------------------------------------------------------
+    def _slope_of(self, speed_mm_s: float) -> float:
+        slope = self._stiffness * speed_mm_s
+        return max(-self._ramp_n_s, min(self._ramp_n_s, slope)) if math.isfinite(slope) else 0.0
+
+    def _ramp_towards(self, target_n: float) -> float:
+        """Move the set-point one tick along its ramp, easing in and out; returns its slope in N/s."""
+        left = target_n - self.setpoint_n
+        # Three quarters of the easing for the way out: the discrete steps then never run past the target.
+        fastest = min(self._ramp_n_s, math.sqrt(1.5 * self._ramp_n_s2 * abs(left)))
+        wanted = math.copysign(fastest, left)
+        change = self._ramp_n_s2 * self._dt
+        self._slope_n_s = max(self._slope_n_s - change, min(self._slope_n_s + change, wanted))
+        if abs(left) <= change * self._dt or (
+            abs(left) <= abs(self._slope_n_s) * self._dt and left * self._slope_n_s > 0
+        ):
+            self.setpoint_n, self._slope_n_s = target_n, 0.0
+        else:
+            self.setpoint_n += self._slope_n_s * self._dt
+        return self._slope_n_s
+
+    def _closed(self, estimate: Estimate, cosine: float, slope_n_s: float) -> float:
+        gains = self._gains
+        self.rope_setpoint_n = self.setpoint_n / cosine
+        error = estimate.tension_n - self.rope_setpoint_n
+        feed_forward = slope_n_s / self._stiffness - estimate.disturbance_mm_s
+        wanted = (
+            feed_forward
+            - gains.k_tension * error
+            - gains.k_speed * (estimate.speed_mm_s - feed_forward)
+            - self.integral_mm_s
+        )
+        command = self._limited(wanted, estimate.stroke_mm)
+        # Anti-windup: integrate only what the limits let through, or what leads back inside them.
+        if command == wanted or (wanted - command) * error > 0.0:
+            self.integral_mm_s += gains.k_integral * error * self._dt
+        return command
+
+    def _limited(self, wanted: float, stroke_mm: float) -> float:
+        """Apply the stroke, speed and acceleration limits; a non-finite demand is a demand to stop."""
+        limits = 0
+        command = wanted if math.isfinite(wanted) else 0.0
+        up = min(self._speed_max, math.sqrt(self._braking * max(0.0, self._stroke_max - stroke_mm)))
+        down = -min(self._speed_max, math.sqrt(self._braking * max(0.0, stroke_mm - self._stroke_min)))
+        if command > up:
+            limits, command = (_SPEED if up == self._speed_max else _STROKE), up
+        elif command < down:
+            limits, command = (_SPEED if down == -self._speed_max else _STROKE), down
+        last, step = self.command_mm_s, self._step_max
+        if command > last + step or command < last - step:
+            limits |= _ACCELERATION
+            command = min(max(command, last - step), last + step)
+        self.limits = limits
+        self.command_mm_s = command
+        return command

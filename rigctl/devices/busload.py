@@ -1,0 +1,45 @@
+"""Worst-case load of the CAN bus by what a rig file asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rigctl.config import RigSettings
+from rigctl.devices import objects as od
+from rigctl.devices.startup import DEVICE_HEARTBEAT_MS
+
+LIMIT = 0.8
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """One kind of frame: data bytes and how many per second."""
+
+    name: str
+    size: int
+    rate_hz: float
+
+    @property
+    def bit_s(self) -> float:
+        """Bits per second, every frame stuffed as badly as can be."""
+        return od.frame_bits(self.size) * self.rate_hz
+
+
+def traffic(settings: RigSettings) -> list[Traffic]:
+    """Cyclic frames of the rig, both ways."""
+    rate = float(settings.loop.rate_hz)
+    return [
+        Traffic("SYNC", 0, rate),
+        Traffic("command", od.DRIVE_RPDO.size, rate),
+        Traffic("tension", od.CELL_TPDO.size, rate),
+        Traffic("drive status", od.DRIVE_TPDO.size, rate),
+        Traffic("inclination", od.SLOPE_TPDO.size, float(settings.inclinometer.rate_hz)),
+        Traffic("heartbeat, controller", 1, 1000.0 / settings.can.heartbeat_ms),
+        Traffic("heartbeats, devices", 1, 3 * 1000.0 / DEVICE_HEARTBEAT_MS),
+    ]
+
+
+def bus_load(settings: RigSettings) -> float | None:
+    """Fraction of the bit rate in use at worst; None where the bus has no bit timing."""
+    bitrate = settings.can.bitrate_bit_s
+    return sum(t.bit_s for t in traffic(settings)) / bitrate if bitrate else None

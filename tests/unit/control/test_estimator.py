@@ -1,0 +1,143 @@
+"""The filter against the equations it stands for."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from rigctl import config
+from rigctl.control.estimator import FilterModel, TensionFilter, filter_model
+
+SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+MODEL = filter_model(SETTINGS)
+
+
+def test_the_model_is_the_exact_discretisation() -> None:
+    k, tau = SETTINGS.plant.stiffness_n_mm, SETTINGS.plant.cylinder_lag_s
+    a = np.array([[0.0, k, k, 0.0], [0.0, -1 / tau, 0.0, 1 / tau], [0.0] * 4, [0.0] * 4])
+    step = expm(a * MODEL.period_s)
+    np.testing.assert_allclose(MODEL.f, step[:3, :3], atol=1e-14)
+    np.testing.assert_allclose(MODEL.b, step[:3, 3:], atol=1e-14)
+    assert MODEL.delay_ticks == 2
+
+
+class Plant:
+    """The model's own plant with the loop's timing: a sample of tick n - 1 is read in tick n."""
+
+    def __init__(self, model: FilterModel, disturbance_mm_s: float) -> None:
+        self.model = model
+        self.x = np.array([[100.0], [0.0], [disturbance_mm_s]])
+        self.pending = [0.0] * model.delay_ticks
+
+    def sample(self) -> tuple[float, float]:
+        return float(self.x[0, 0]), float(self.x[1, 0])
+
+    def step(self, command: float) -> None:
+        self.pending.append(command)
+        self.x = self.model.f @ self.x + self.model.b * self.pending.pop(0)
+
+
+def test_it_finds_the_disturbance_and_the_state_the_next_command_meets() -> None:
+    kalman, plant = TensionFilter(MODEL), Plant(MODEL, 3.0)
+    kalman.reset(100.0, 0.0)
+    sample = plant.sample()
+    for n in range(2000):
+        kalman.update(*sample)
+        kalman.predict()
+        now, pending = plant.x.copy(), list(plant.pending)
+        command = 2.0 * math.sin(0.01 * n)
+        kalman.command(command)
+        sample = plant.sample()
+        plant.step(command)
+    assert kalman.state == pytest.approx(now[:, 0].tolist(), abs=1e-3)
+    assert len(pending) == MODEL.delay_ticks
+    for command in pending:
+        now = MODEL.f @ now + MODEL.b * command
+    assert kalman.ahead() == pytest.approx(now[:, 0].tolist(), abs=1e-3)
+
+
+def test_an_absent_sample_is_predicted_through() -> None:
+    kalman, plant = TensionFilter(MODEL), Plant(MODEL, 1.0)
+    kalman.reset(100.0, 0.0)
+    sample = plant.sample()
+    for n in range(3000):
+        kalman.update(sample[0] if n % 5 else None, sample[1] if n % 3 else None)
+        kalman.predict()
+        kalman.command(0.5)
+        sample = plant.sample()
+        plant.step(0.5)
+    assert kalman.state[2] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_settled_form_gives_what_the_full_recursion_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+    noise = np.random.default_rng(3)
+    samples = [(300.0 + 0.03 * a, 0.5 + 0.02 * b) for a, b in noise.standard_normal((4000, 2))]
+
+    def run() -> tuple[list[float], int]:
+        kalman, calls = TensionFilter(MODEL), 0
+        kalman.reset(300.0, 0.5)
+        plain = kalman._kf.update
+
+        def counted(*args: object) -> None:
+            nonlocal calls
+            calls += 1
+            plain(*args)
+
+        kalman._kf.update = counted
+        states: list[float] = []
+        for n, (tension, speed) in enumerate(samples):
+            kalman.update(None if n % 1500 == 1400 else tension, None if n % 1900 == 1800 else speed)
+            kalman.predict(3 if n == 2000 else 1)
+            kalman.command(-0.5)
+            states += kalman.ahead()
+        return states, calls
+
+    fast, fast_calls = run()
+    monkeypatch.setattr("rigctl.control.estimator.SETTLED_GAIN", -1.0)
+    full, full_calls = run()
+    assert full_calls == 4000
+    assert fast_calls < 3000
+    np.testing.assert_allclose(fast, full, atol=1e-4)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_non_finite_sample_is_counted_and_left_out(bad: float) -> None:
+    kalman = TensionFilter(MODEL)
+    kalman.reset(300.0, 0.0)
+    kalman.update(bad, bad)
+    kalman.predict()
+    assert kalman.refused == 2
+    assert kalman.state == (300.0, 0.0, 0.0)
+
+
+def test_skipped_periods_are_predicted_with_the_command_that_stayed() -> None:
+    one, many = TensionFilter(MODEL), TensionFilter(MODEL)
+    for kalman in (one, many):
+        kalman.reset(300.0, 0.0)
+        for _ in range(4):
+            kalman.predict()
+            kalman.command(5.0)
+    for _ in range(3):
+        one.predict()
+    many.predict(3)
+    assert many.state == pytest.approx(one.state)
+    assert many.ahead() == pytest.approx(one.ahead())
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(st.floats() | st.none(), st.floats(-1e6, 1e6) | st.none()), max_size=60))
+def test_whatever_is_measured_the_state_stays_finite_and_the_covariance_positive(samples: list) -> None:  # type: ignore[type-arg]
+    kalman = TensionFilter(MODEL)
+    for tension, speed in samples:
+        kalman.update(None if tension is None or abs(tension) > 1e9 else tension, speed)
+        kalman.predict()
+    assert all(math.isfinite(value) for value in kalman.state)
+    covariance = kalman.covariance
+    np.testing.assert_allclose(covariance, covariance.T, rtol=1e-9, atol=1e-15)
+    assert np.all(np.linalg.eigvalsh(covariance) > 0)
