@@ -1,0 +1,161 @@
+"""python-can's view of the simulated wire: ``rigsim`` over the hub's socket, and its twin in one process."""
+
+from __future__ import annotations
+
+import errno
+import select
+import socket
+import threading
+from collections import deque
+from time import time
+
+import can
+from can.typechecking import CanFilters
+
+from hil.hub import Hub
+from hil.wire import ERROR_FLAG, EXTENDED_FLAG, FRAME, FRAME_SIZE, STANDARD_MASK, frame_of, message_of
+
+_GONE = frozenset({errno.EPIPE, errno.ECONNRESET, errno.ENOTCONN, errno.EBADF})
+
+
+class RigSimBus(can.BusABC):
+    """``can.Bus(interface="rigsim", channel=SOCKET)``: a client of ``python -m hil serve``.
+
+    Filters work as in the kernel: a refused frame is never seen and does not end a drain; error frames pass.
+
+    Raises:
+        can.CanInitializationError: nobody serves the socket.
+        can.CanOperationError: the simulated rig has gone, or the send buffer is full.
+    """
+
+    def __init__(self, channel: str, can_filters: CanFilters | None = None, **kwargs: object) -> None:
+        self.channel = str(channel)
+        self.channel_info = f"rigsim:{self.channel}"
+        self._accepted: bytes | None = None
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
+        try:
+            self._socket.connect(self.channel)
+        except OSError as error:
+            self._socket.close()
+            reason = f"{self.channel_info}: no simulated rig is served here ({error.strerror or error})"
+            raise can.CanInitializationError(reason) from None
+        self._socket.setblocking(False)
+        self._recv = self._socket.recv
+        self._poll = select.poll()
+        self._poll.register(self._socket, select.POLLIN)
+        super().__init__(channel=channel, can_filters=can_filters, **kwargs)
+
+    def fileno(self) -> int:
+        """Descriptor that is readable when a frame waits."""
+        return self._socket.fileno()
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 - never waits
+        """Hand a frame to the hub; a full buffer is an error at once, like ENOBUFS."""
+        try:
+            self._socket.send(frame_of(msg))
+        except BlockingIOError:
+            raise can.CanOperationError(f"{self.channel_info}: send buffer full", errno.ENOBUFS) from None
+        except OSError as error:
+            raise self._failure(error) from None
+
+    def shutdown(self) -> None:
+        """Close the connection."""
+        super().shutdown()
+        self._socket.close()
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        while True:
+            try:
+                frame = self._recv(FRAME_SIZE)
+            except BlockingIOError:
+                if timeout == 0 or not self._wait(timeout):
+                    return None, True
+                continue
+            except OSError as error:
+                raise self._failure(error) from None
+            if not frame:
+                raise can.CanOperationError(f"{self.channel_info}: the simulated rig has gone", errno.EPIPE)
+            if self._accepted is None:
+                return message_of(frame, time(), self.channel), True
+            if _accepts(self._accepted, frame):
+                message = message_of(frame, time(), self.channel)
+                return message, not message.is_extended_id
+
+    def _wait(self, timeout: float | None) -> bool:
+        try:
+            return bool(self._poll.poll(None if timeout is None else timeout * 1000))
+        except OSError as error:
+            raise self._failure(error) from None
+
+    def _apply_filters(self, filters: CanFilters | None) -> None:
+        self._accepted = _acceptance(filters) if filters else None
+
+    def _failure(self, error: OSError) -> can.CanOperationError:
+        reason = "the simulated rig has gone" if error.errno in _GONE else error.strerror
+        return can.CanOperationError(f"{self.channel_info}: {reason}", error.errno)
+
+
+class InProcessBus(can.BusABC):
+    """The same wire within one process, for lockstep: what is sent has arrived when ``send`` returns.
+
+    Receive stamps are the hub's time (s); ``recv`` may also block in a thread of its own, as canopen's notifier does.
+    """
+
+    def __init__(self, hub: Hub, can_filters: CanFilters | None = None) -> None:
+        self.channel_info = "rigsim in process"
+        self._hub = hub
+        self._frames: deque[bytes] = deque()
+        self._arrival = threading.Condition()
+        self._waiters = 0
+        self._accepted: bytes | None = None
+        self._port = hub.attach(self._take)
+        super().__init__(channel="in-process", can_filters=can_filters)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 - never waits
+        """Deliver a frame to every other port of the hub."""
+        self._port.send(frame_of(msg))
+
+    def shutdown(self) -> None:
+        """Leave the hub."""
+        super().shutdown()
+        self._hub.detach(self._port)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if not self._frames and (timeout == 0 or not self._wait(timeout)):
+            return None, True
+        now_ns = self._hub.now_ns
+        message = message_of(self._frames.popleft(), now_ns() * 1e-9 if now_ns else 0.0)
+        return message, not (self._accepted and message.is_extended_id)
+
+    def _wait(self, timeout: float | None) -> bool:
+        with self._arrival:
+            self._waiters += 1
+            try:
+                return self._arrival.wait_for(lambda: bool(self._frames), timeout)
+            finally:
+                self._waiters -= 1
+
+    def _take(self, frame: bytes) -> None:
+        if self._accepted is not None and not _accepts(self._accepted, frame):
+            return
+        self._frames.append(frame)
+        if self._waiters:
+            with self._arrival:
+                self._arrival.notify()
+
+    def _apply_filters(self, filters: CanFilters | None) -> None:
+        self._accepted = _acceptance(filters) if filters else None
+
+
+def _acceptance(filters: CanFilters) -> bytes:
+    """One byte per standard identifier: whether any of the filters lets it pass."""
+    return bytes(
+        any((can_id ^ f["can_id"]) & f["can_mask"] == 0 and not f.get("extended", False) for f in filters)
+        for can_id in range(STANDARD_MASK + 1)
+    )
+
+
+def _accepts(accepted: bytes, frame: bytes) -> bool:
+    """Standard frames by the table; error frames always; extended frames are left to python-can's own filter."""
+    can_id: int = FRAME.unpack(frame)[0]
+    return bool(can_id & (ERROR_FLAG | EXTENDED_FLAG) or accepted[can_id & STANDARD_MASK])

@@ -1,0 +1,98 @@
+"""The rig on a bus that others own (SocketCAN, an adapter): any python-can interface, kept through its troubles."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import logging
+import time
+from typing import Any
+
+import can
+
+from hil.hub import Receive
+from hil.wire import frame_of, message_of
+
+POLLS_PER_RETRY = 200
+_VANISHED = frozenset({errno.ENODEV, errno.ENXIO, errno.EBADF, errno.EPIPE, errno.ECONNRESET})
+
+
+class BusLink:
+    """Frames to and from a python-can bus.
+
+    An interface that is down (ENETDOWN) or congested (ENOBUFS) loses what is sent meanwhile and works again once it
+    can; one that has vanished is opened anew. Frames lost and errors are counted.
+
+    Args:
+        interface, channel, bitrate_bit_s: as in the rig file's ``can`` section.
+        receive: gets each frame.
+
+    Raises:
+        can.CanError, OSError, ValueError: the bus cannot be opened.
+    """
+
+    def __init__(self, interface: str, channel: str, bitrate_bit_s: int | None, receive: Receive) -> None:
+        logging.getLogger("can").setLevel(logging.CRITICAL)  # it would print what is raised as well
+        self.received = 0
+        self.delivered = 0
+        self.lost = 0
+        self.malformed = 0
+        self.errors = 0
+        self._polls_without = 0
+        self._receive = receive
+        self._address: dict[str, Any] = {"interface": interface, "channel": channel, "bitrate": bitrate_bit_s}
+        self._bus: can.BusABC | None = can.Bus(**self._address)
+
+    def poll(self, timeout_s: float) -> None:
+        """Wait at most ``timeout_s`` for a frame, then take in what is there."""
+        bus = self._bus
+        if bus is None:
+            time.sleep(timeout_s)
+            self._open_again()
+            return
+        try:
+            message = bus.recv(timeout_s)
+            while message is not None:
+                self._take(message)
+                message = bus.recv(0) if self._bus is bus else None
+        except (can.CanError, OSError) as error:
+            self._note(error)
+
+    def send(self, frame: bytes) -> None:
+        """Send a frame, or count it as lost."""
+        if self._bus is None:
+            self.lost += 1
+            return
+        try:
+            self._bus.send(message_of(frame, 0.0))
+            self.delivered += 1
+        except (can.CanError, OSError) as error:
+            self.lost += 1
+            self._note(error)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        if self._bus is not None:
+            with contextlib.suppress(can.CanError, OSError):
+                self._bus.shutdown()
+            self._bus = None
+
+    def _take(self, message: can.Message) -> None:
+        if message.is_fd:
+            self.malformed += 1
+            return
+        self.received += 1
+        self._receive(frame_of(message))
+
+    def _note(self, error: can.CanError | OSError) -> None:
+        self.errors += 1
+        code = error.error_code if isinstance(error, can.CanError) else error.errno
+        if code in _VANISHED:
+            self.close()
+
+    def _open_again(self) -> None:
+        self._polls_without += 1
+        if self._polls_without % POLLS_PER_RETRY:
+            return
+        with contextlib.suppress(can.CanError, OSError):
+            self._bus = can.Bus(**self._address)

@@ -1,0 +1,74 @@
+"""The simulated wire: every frame reaches every other port, and all ports see the same order."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+
+Receive = Callable[[bytes], None]
+
+
+class Port:
+    """One device's place on the wire."""
+
+    __slots__ = ("hub", "receive")
+
+    def __init__(self, hub: Hub, receive: Receive) -> None:
+        self.hub = hub
+        self.receive = receive
+
+    def send(self, frame: bytes) -> None:
+        """Put a frame on the wire; it reaches every other port."""
+        self.hub.send(self, frame)
+
+
+class Hub:
+    """Ports of one process.
+
+    A frame sent from within a delivery queues behind it, so an answer never overtakes its question. Senders in
+    different threads take turns.
+
+    Args:
+        now_ns: time of the frame log and of in-process receive stamps; without it nothing is logged.
+    """
+
+    def __init__(self, now_ns: Callable[[], int] | None = None) -> None:
+        self.now_ns = now_ns
+        self.log: list[tuple[int, bytes]] = []
+        self._ports: tuple[Port, ...] = ()
+        self._waiting: deque[tuple[Port, bytes]] = deque()
+        self._delivering = False
+        self._turn = threading.RLock()
+
+    def attach(self, receive: Receive) -> Port:
+        """A new port; ``receive`` gets each frame the others send, from now on."""
+        port = Port(self, receive)
+        with self._turn:
+            self._ports = (*self._ports, port)
+        return port
+
+    def detach(self, port: Port) -> None:
+        """Take a port off the wire (harmless when it is off already)."""
+        with self._turn:
+            self._ports = tuple(p for p in self._ports if p is not port)
+
+    def send(self, sender: Port, frame: bytes) -> None:
+        """Deliver ``frame`` to all ports but ``sender``, after every frame sent before it."""
+        with self._turn:
+            self._waiting.append((sender, frame))
+            if self._delivering:
+                return
+            self._delivering = True
+            try:
+                while self._waiting:
+                    self._deliver(*self._waiting.popleft())
+            finally:
+                self._delivering = False
+
+    def _deliver(self, sender: Port, frame: bytes) -> None:
+        if self.now_ns is not None:
+            self.log.append((self.now_ns(), frame))
+        for port in self._ports:
+            if port is not sender:
+                port.receive(frame)

@@ -1,0 +1,115 @@
+"""The real loop and the simulated rig in one process under a simulated clock: same loop, same frames, no waiting."""
+
+from __future__ import annotations
+
+import contextlib
+import pathlib
+import tempfile
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.bus import InProcessBus
+from hil.hub import Hub
+from hil.rig import SimulatedRig
+from rigctl.config import RigSettings
+from rigctl.control.clock import SimulatedClock
+from rigctl.control.loop import Loop, Rings
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.tension import Gains
+from rigctl.devices import startup
+from rigctl.telemetry.runtime import Runtime
+
+START_NS = 1_000_000_000
+WORK_NS = 100_000  # frames of a tick reach the rig this long after its grid point, as on the bus
+
+
+class Lockstep:
+    """One tick at a time. Build it with `lockstep()`, which also takes its rings away."""
+
+    def __init__(self, settings: RigSettings, gains: Gains, runtime: Runtime, *, log: bool = False) -> None:
+        """``log``: keep every frame, with its time, in ``frames``."""
+        runtime.make_rings(settings)
+        self.settings = settings
+        self.rig_ns = START_NS
+        self._hub = Hub(lambda: self.rig_ns)
+        port = self._hub.attach(self.rig.receive)
+        self.rig: SimulatedRig = SimulatedRig(settings, START_NS, port.send)
+        self._stranger = self._hub.attach(lambda _frame: None)
+        self._keep_log = log
+        self.frames: list[tuple[int, bytes]] = self._hub.log
+        self._bus = bus = InProcessBus(self._hub)
+        self.clock = SimulatedClock(settings.loop.period_ns, self._advance, START_NS)
+        self.report = startup.bring_up(bus, settings)
+        self._records = runtime.record_reader()
+        self._replies = runtime.reply_reader()
+        self._commands = runtime.command_writer()
+        self.events = runtime.event_reader()
+        rings = Rings(runtime.record_writer(), runtime.event_writer(), runtime.reply_writer(), runtime.command_reader())
+        self.loop = Loop(settings, gains, bus, self.clock, rings, supervised=True)
+        self._id = 0
+
+    def _advance(self, t_ns: int) -> None:
+        self.rig_ns = t_ns + WORK_NS
+        self.rig.advance(self.rig_ns)
+        self.rig.supervise(self.rig_ns)
+        if not self._keep_log:
+            self._hub.log.clear()
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._bus.shutdown()
+
+    def run(self, seconds: float) -> npt.NDArray[Any]:
+        """Run for ``seconds`` of simulated time; returns the records of that time."""
+        self._records.read()
+        slots = []
+        for i in range(round(seconds * self.settings.loop.rate_hz)):
+            self.loop.tick()
+            if i % 1000 == 999:
+                slots.append(self._records.read())
+        return np.concatenate([*slots, self._records.read()])
+
+    def read_records(self) -> npt.NDArray[Any]:
+        """Records written since they were last read (the ring holds the last seconds only)."""
+        return self._records.read()
+
+    def inject(self, frame: bytes) -> None:
+        """Put a frame on the bus as a foreign node would."""
+        self._stranger.send(frame)
+
+    def command(self, verb: Verb, value: float = 0.0, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
+        """Give a command, ``age_ns`` ago, through the command ring and run until it is answered."""
+        self._id += 1
+        self._commands.write(self.clock.now() - age_ns, self._id, verb, value)
+        for _ in range(round(limit_s * self.settings.loop.rate_hz)):
+            self.loop.tick()
+            for reply in self._replies.read():
+                if reply["id"] == self._id:
+                    return Refusal(int(reply["reason"]))
+        raise TimeoutError(f"{verb.name} was not answered within {limit_s} s")
+
+    def run_until(self, mode: Mode, limit_s: float) -> None:
+        """Run until the loop is in ``mode``.
+
+        Raises:
+            TimeoutError: it did not get there.
+        """
+        for _ in range(round(limit_s * self.settings.loop.rate_hz)):
+            if self.loop.machine.mode is mode:
+                return
+            self.loop.tick()
+        raise TimeoutError(f"not in {mode.name} within {limit_s} s, but in {self.loop.machine.mode.name}")
+
+
+@contextlib.contextmanager
+def lockstep(settings: RigSettings, gains: Gains, *, log: bool = False) -> Iterator[Lockstep]:
+    """A `Lockstep` whose rings are gone afterwards."""
+    with tempfile.TemporaryDirectory(prefix="rigctl-lockstep-", dir="/dev/shm") as folder:
+        subject = Lockstep(settings, gains, Runtime(pathlib.Path(folder)), log=log)
+        try:
+            yield subject
+        finally:
+            subject.close()

@@ -1,0 +1,206 @@
+"""Cylinder drive, CiA 402 in cyclic synchronous velocity mode, which watches its controller and stops by itself."""
+
+from __future__ import annotations
+
+from hil.nodes.deadline import Deadline
+from hil.nodes.device_control import QUICK_STOP_OPTIONS, DeviceControl
+from hil.nodes.dictionary import Abort, number, refuse
+from hil.nodes.network import RigNetwork
+from hil.nodes.node import COMMUNICATION_ERROR, Node
+from hil.nodes.pdo import ReceivePdo
+from hil.nodes.power_stage import PowerStage
+from hil.plant import Plant
+from rigctl.config import RigSettings, SimulationSettings
+from rigctl.devices import objects
+from rigctl.devices.objects import DriveState, EmcyCode, NmtState
+
+SERIAL = 402001
+MODES = frozenset({0, objects.CYCLIC_SYNCHRONOUS_VELOCITY})
+
+_STATUS_ALWAYS = 0x0210  # voltage enabled, remote
+_STATUS_FOLLOWS = 0x1000  # bit 12 in CSV: drive follows the command value
+_INT16_MAX = 0x7FFF
+
+
+class CylinderDrive(Node):
+    """The drive on the bus. ``advance`` is called on the rig's fixed grid, ``on_sync`` at each SYNC.
+
+    Heartbeat loss (0x1016), a missed RPDO deadline (0x1400:05) and leaving NMT OPERATIONAL while enabled are answered
+    by the abort connection option (0x6007).
+    """
+
+    def __init__(
+        self, network: RigNetwork, settings: RigSettings, simulation: SimulationSettings, plant: Plant
+    ) -> None:
+        cylinder = settings.cylinder
+        super().__init__(network, cylinder.node, settings.file(cylinder.eds), plant, SERIAL)
+        stage = PowerStage(simulation.brake_ms * 1_000_000)
+        self.control = DeviceControl(stage, lambda index: number(self.device, index), self._clear_faults)
+        self._heartbeat = Deadline()
+        self._heartbeat_cob = 0
+        self._commands_due = Deadline()
+        self._target = 0
+        self._mode = 0
+        self._error_code = 0
+        self._received: bytes | None = None
+        self._rpdo: ReceivePdo | None = None
+        self.readers.update(
+            {
+                (objects.STATUSWORD, 0): self._statusword,
+                (objects.POSITION_ACTUAL, 0): self._position,
+                (objects.VELOCITY_ACTUAL, 0): self._velocity,
+                (objects.VELOCITY_ACTUAL_16, 0): self._velocity_16,
+                (objects.MODE_DISPLAY, 0): lambda: self._mode,
+                (objects.ERROR_CODE, 0): lambda: self._error_code,
+                (objects.CONTROLWORD, 0): lambda: self.control.controlword,
+                (objects.TARGET_VELOCITY, 0): lambda: self._target,
+            }
+        )
+        self.writers.update(
+            {
+                (objects.CONTROLWORD, 0): self._obey,
+                (objects.TARGET_VELOCITY, 0): self._set_target,
+                (objects.MODE_OF_OPERATION, 0): self._set_mode,
+                (objects.QUICK_STOP_OPTION, 0): _check_quick_stop_option,
+                (objects.CONSUMER_HEARTBEAT, 1): self._watch_heartbeat,
+                (objects.RPDO1_COMMUNICATION, 5): self._commands_due.set_limit_ms,
+            }
+        )
+
+    # -- commands ----------------------------------------------------------------------------------------------
+
+    def on_sync(self) -> None:
+        """Act on the RPDO received since the last SYNC and drive at the target velocity; then send the TPDO."""
+        if self._received is not None and self._rpdo is not None:
+            received, self._received = self._received, None
+            self._rpdo.apply(received)
+        if self.control.state is DriveState.OPERATION_ENABLED:
+            moves = self._mode == objects.CYCLIC_SYNCHRONOUS_VELOCITY
+            self.control.stage.follow(self._target * objects.MM_S_PER_VELOCITY_UNIT if moves else 0.0)
+            self._drive()
+        super().on_sync()
+
+    def advance(self, t_ns: int) -> None:
+        """Let ramps and the brake go on to ``t_ns``."""
+        self.control.advance(t_ns, self.plant.truth.speed_mm_s)
+        self._drive()
+
+    def _drive(self) -> None:
+        stage = self.control.stage
+        self.plant.set_drive(stage.velocity_mm_s, stage.braked)
+
+    def _on_rpdo(self, _: int, data: bytes, __: float) -> None:
+        rpdo = self._rpdo
+        if rpdo is None or self.nmt_state is not NmtState.OPERATIONAL or len(data) < rpdo.size:
+            return
+        self._commands_due.heard()
+        if rpdo.synchronous:
+            self._received = data
+        else:
+            rpdo.apply(data)
+
+    def _obey(self, controlword: int) -> None:
+        self.control.obey(controlword, self.plant.t_ns, may_enable=self.nmt_state is NmtState.OPERATIONAL)
+
+    def _set_target(self, velocity_um_s: int) -> None:
+        self._target = velocity_um_s
+
+    def _set_mode(self, mode: int) -> None:
+        if mode not in MODES:
+            raise refuse(Abort.VALUE_RANGE)
+        self._mode = mode
+
+    # -- supervision of the controller -------------------------------------------------------------------------
+
+    def supervise(self, t_ns: int, elapsed_ns: int) -> None:
+        """Produce the heartbeat and judge the controller's silence."""
+        super().supervise(t_ns, elapsed_ns)
+        if self._heartbeat.runs_out(elapsed_ns):
+            self._lose_connection(EmcyCode.HEARTBEAT_LOST)
+        if self._commands_due.runs_out(elapsed_ns):
+            self._lose_connection(EmcyCode.RPDO_TIMEOUT)
+        if self.errors and not self.control.faulty:
+            self._clear_faults()  # 0x6007 asked for no fault: the error goes with its cause
+
+    def on_state(self, before: NmtState, now: NmtState) -> None:
+        """Leaving OPERATIONAL while enabled is a lost connection; commands are awaited afresh."""
+        super().on_state(before, now)
+        self._commands_due.restart()
+        self._received = None
+        if before is NmtState.OPERATIONAL and self.control.enabled:
+            self._lose_connection(EmcyCode.COMMUNICATION)
+
+    def on_node_reset(self) -> None:
+        """Objects at their defaults; the state machine starts anew, once a motor that was on has been stopped."""
+        self._mode = number(self.device, objects.MODE_OF_OPERATION)
+        self._target = 0
+        self._error_code = 0
+        self.control.restart(self.plant.t_ns)
+
+    def on_communication_reset(self) -> None:
+        """Heartbeat consumer and RPDO deadline at their defaults: off."""
+        self._watch_heartbeat(number(self.device, objects.CONSUMER_HEARTBEAT, 1))
+        self._commands_due.set_limit_ms(number(self.device, objects.RPDO1_COMMUNICATION, 5))
+
+    def on_pdo_change(self) -> None:
+        """Compile the RPDO anew and listen to its identifier."""
+        super().on_pdo_change()
+        if self._rpdo is not None and self._rpdo.valid:
+            self.network.unsubscribe(self._rpdo.cob_id, self._on_rpdo)
+        self._received = None
+        self._rpdo = ReceivePdo(self.device, self.writers)
+        if self._rpdo.valid:
+            self.network.subscribe(self._rpdo.cob_id, self._on_rpdo)
+
+    def _watch_heartbeat(self, entry: int) -> None:
+        """0x1016:01: node id in bits 16 to 22, time in ms below; either 0 means nobody is watched."""
+        if self._heartbeat_cob:
+            self.network.unsubscribe(self._heartbeat_cob, self._on_heartbeat)
+        node, limit_ms = entry >> 16 & 0x7F, entry & 0xFFFF
+        self._heartbeat_cob = objects.HEARTBEAT_BASE + node if node and limit_ms else 0
+        self._heartbeat.set_limit_ms(limit_ms if node else 0)
+        if self._heartbeat_cob:
+            self.network.subscribe(self._heartbeat_cob, self._on_heartbeat)
+
+    def _on_heartbeat(self, _: int, data: bytes, __: float) -> None:
+        if data and data[0] != NmtState.BOOT_UP:
+            self._heartbeat.heard()
+
+    def _lose_connection(self, code: EmcyCode) -> None:
+        self._error_code = code
+        self.raise_error(code, COMMUNICATION_ERROR)
+        self.control.lose_connection(number(self.device, objects.ABORT_CONNECTION_OPTION), self.plant.t_ns)
+
+    def _clear_faults(self) -> bool:
+        """Drop the errors if no cause is left; whether it is so."""
+        if self._heartbeat.overdue or self._commands_due.overdue:
+            return False
+        for code in self.errors:
+            self.clear_error(code)
+        self._error_code = 0
+        return True
+
+    # -- what it reports ---------------------------------------------------------------------------------------
+
+    def _statusword(self) -> int:
+        status = self.control.state | _STATUS_ALWAYS
+        if self.control.state is DriveState.OPERATION_ENABLED:
+            status |= _STATUS_FOLLOWS
+        if self.plant.at_stroke_end:
+            status |= objects.STATUS_INTERNAL_LIMIT
+        return status
+
+    def _position(self) -> int:
+        return round(self.plant.truth.stroke_mm / objects.MM_PER_POSITION_UNIT)
+
+    def _velocity(self) -> int:
+        return round(self.plant.truth.speed_mm_s / objects.MM_S_PER_VELOCITY_UNIT)
+
+    def _velocity_16(self) -> int:
+        units = round(self.plant.truth.speed_mm_s / objects.MM_S_PER_VELOCITY_16_UNIT)
+        return min(max(units, -_INT16_MAX), _INT16_MAX)
+
+
+def _check_quick_stop_option(option: int) -> None:
+    if option not in QUICK_STOP_OPTIONS:
+        raise refuse(Abort.VALUE_RANGE)

@@ -1,0 +1,42 @@
+"""Watching for silence: the consumer heartbeat (0x1016) and the RPDO deadline (0x1400:05) of CiA 301."""
+
+from __future__ import annotations
+
+
+class Deadline:
+    """Runs out when nothing was heard for a time; armed by the first thing heard, and again after it ran out."""
+
+    __slots__ = ("_armed", "_limit_ns", "_silence_ns", "overdue")
+
+    def __init__(self) -> None:
+        self._limit_ns = 0
+        self._silence_ns = 0
+        self._armed = False
+        self.overdue = False
+
+    def set_limit_ms(self, limit_ms: int) -> None:
+        """Longest silence allowed; 0 turns the deadline off. Starts afresh."""
+        self._limit_ns = limit_ms * 1_000_000
+        self.restart()
+
+    def heard(self) -> None:
+        """What is awaited has come."""
+        self._silence_ns = 0
+        self._armed = self._limit_ns > 0
+        self.overdue = False
+
+    def restart(self) -> None:
+        """Forget, and wait for the first one again."""
+        self._armed = False
+        self.overdue = False
+
+    def runs_out(self, elapsed_ns: int) -> bool:
+        """Let the silence last ``elapsed_ns`` longer; whether the deadline ran out just now."""
+        if not self._armed:
+            return False
+        self._silence_ns += elapsed_ns
+        if self._silence_ns <= self._limit_ns:
+            return False
+        self._armed = False
+        self.overdue = True
+        return True

@@ -1,0 +1,107 @@
+"""CiA 402 device control: the power drive state machine over motor and brake."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from hil.nodes.drive_states import WHEN_STOPPED, command_of, next_state
+from hil.nodes.power_stage import Phase, PowerStage
+from rigctl.devices import objects
+from rigctl.devices.objects import Controlword, DriveState
+
+PROFILE_DECELERATION = 0x6084
+QUICK_STOP_OPTIONS = frozenset({0, 1, 2, 5, 6})
+_STAYS = 5  # quick stop options from here on stay in QUICK STOP ACTIVE; 5 and 6 ramp like 1 and 2
+_QUICK_STOP_RAMP = 2
+_RAMP_OBJECTS = {1: PROFILE_DECELERATION, 2: objects.QUICK_STOP_DECELERATION, 5: PROFILE_DECELERATION,
+                 6: objects.QUICK_STOP_DECELERATION}  # fmt: skip
+_FAULTS = frozenset({DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT})
+
+
+class DeviceControl:
+    """State of the drive. Every way out of OPERATION ENABLED stops the motor, then closes the brake.
+
+    Shutdown, disable operation and disable voltage (0x605B, 0x605C not implemented) ramp like a quick stop: a motor
+    that lets go at once would drop its load on the brake.
+
+    Args:
+        stage: motor and brake.
+        parameter: current value of an object of the drive (0x605A, 0x605E, 0x6084, 0x6085).
+        clear_faults: asked at a fault reset; whether no cause is left.
+    """
+
+    def __init__(self, stage: PowerStage, parameter: Callable[[int], int], clear_faults: Callable[[], bool]) -> None:
+        self.state = DriveState.NOT_READY
+        self.stage = stage
+        self.controlword = 0
+        self._parameter = parameter
+        self._clear_faults = clear_faults
+        self._enabling = False
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the motor drives, or will as soon as the brake is open."""
+        return self._enabling or self.state is DriveState.OPERATION_ENABLED
+
+    @property
+    def faulty(self) -> bool:
+        """Whether a fault is being reacted to, or latched."""
+        return self.state in _FAULTS
+
+    def obey(self, controlword: int, t_ns: int, may_enable: bool) -> None:
+        """Evaluate a controlword (0x6040)."""
+        command = command_of(controlword, self.controlword)
+        self.controlword = controlword
+        target = next_state(self.state, command)
+        if target is None:
+            return
+        if target is DriveState.OPERATION_ENABLED:
+            if may_enable:
+                self._enable(t_ns)
+        elif command is not Controlword.FAULT_RESET or self._clear_faults():
+            quick = target is DriveState.QUICK_STOP_ACTIVE
+            self._stop(target, self._parameter(objects.QUICK_STOP_OPTION) if quick else _QUICK_STOP_RAMP, t_ns)
+
+    def advance(self, t_ns: int, speed_mm_s: float) -> None:
+        """Go on to ``t_ns``: ramp, brake, and the states that wait for them."""
+        self.stage.advance(t_ns, speed_mm_s)
+        if self._enabling and self.stage.phase is Phase.DRIVING:
+            self._enabling = False
+            self.state = DriveState.OPERATION_ENABLED
+        elif self.state in WHEN_STOPPED and self.stage.phase is Phase.BRAKED and not self._stays():
+            self.state = WHEN_STOPPED[self.state]
+
+    def restart(self, t_ns: int) -> None:
+        """Node reset, transitions 0 and 1; a motor that is on is stopped first."""
+        self.controlword = 0
+        self._stop(DriveState.NOT_READY, _QUICK_STOP_RAMP, t_ns)
+
+    def lose_connection(self, option: int, t_ns: int) -> None:
+        """React as 0x6007 says: 0 nothing, 1 fault reaction (0x605E), 2 disable voltage, 3 quick stop then FAULT."""
+        if option == 0 or self.faulty:
+            return
+        if option == 2:
+            self._stop(DriveState.SWITCH_ON_DISABLED, 0, t_ns)
+            return
+        quick = option == objects.ABORT_CONNECTION_QUICK_STOP
+        ramp = _QUICK_STOP_RAMP if quick else self._parameter(objects.FAULT_REACTION_OPTION)
+        self._stop(DriveState.FAULT_REACTION_ACTIVE, ramp, t_ns)
+
+    def _enable(self, t_ns: int) -> None:
+        if self.state is DriveState.QUICK_STOP_ACTIVE and not self._stays():
+            return
+        self._enabling = True
+        self.stage.start(t_ns)
+
+    def _stop(self, target: DriveState, ramp_option: int, t_ns: int) -> None:
+        """Go to ``target``; motor at rest on the ramp of an option code (0: at once), then brake closed."""
+        self._enabling = False
+        self.state = target
+        ramp = _RAMP_OBJECTS.get(ramp_option)
+        deceleration = self._parameter(ramp) * objects.MM_S_PER_VELOCITY_UNIT if ramp else math.inf
+        self.stage.stop(t_ns, deceleration)
+
+    def _stays(self) -> bool:
+        """Whether QUICK STOP ACTIVE is not left by itself (0x605A)."""
+        return self.state is DriveState.QUICK_STOP_ACTIVE and self._parameter(objects.QUICK_STOP_OPTION) >= _STAYS

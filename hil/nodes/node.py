@@ -1,0 +1,249 @@
+"""What every simulated device shares: CiA 301 on top of canopen's ``LocalNode`` (its dictionary and SDO server)."""
+
+from __future__ import annotations
+
+import pathlib
+import struct
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import canopen
+
+from hil.nodes.dictionary import STRUCT_CODES, Abort, check_range, number, refuse
+from hil.nodes.network import RigNetwork
+from hil.nodes.pdo import Address, TransmitPdo, check_cob_id_write, check_mapping_write
+from hil.plant import Plant
+from rigctl.devices import objects
+from rigctl.devices.objects import NmtState
+
+ERROR_FIELD = 0x1003
+ERROR_FIELD_LENGTH = 8
+GENERIC_ERROR = 0x01  # bits of the error register 0x1001
+COMMUNICATION_ERROR = 0x10
+_EMCY = struct.Struct("<HB5x")
+_SDO_SIZE = 8
+_SEGMENT_REQUESTS = frozenset({0x00, 0x60})  # client command specifiers that continue a transfer
+_BLOCK_DOWNLOAD = 0xC0
+_MULTIPLEXER = struct.Struct("<HB")
+_COMMUNICATION_AREA = range(0x1000, 0x2000)
+_MAPPINGS = frozenset({objects.RPDO1_MAPPING, objects.TPDO1_MAPPING})
+_COMMUNICATIONS = frozenset({objects.RPDO1_COMMUNICATION, objects.TPDO1_COMMUNICATION})
+
+
+class _Device(canopen.LocalNode):  # type: ignore[misc]
+    """canopen's node, which also tells when a value has been stored (its write callbacks come before)."""
+
+    def __init__(self, node_id: int, eds: str, on_stored: Callable[[int], None]) -> None:
+        super().__init__(node_id, eds)
+        self._on_stored = on_stored
+
+    def set_data(self, index: int, subindex: int, data: bytes, check_writable: bool = False) -> None:
+        super().set_data(index, subindex, data, check_writable)
+        self._on_stored(index)
+
+
+class Node:
+    """A device on the bus.
+
+    Time is the plant's: the rig advances it before any frame or request is handed over. A subclass registers its live
+    objects in ``readers`` and ``writers`` and overrides the ``on_...`` methods.
+
+    Args:
+        network: the wire.
+        node_id: 1 to 127.
+        eds: electronic data sheet.
+        plant: what the device measures or drives.
+        serial: serial number in the identity object.
+    """
+
+    def __init__(self, network: RigNetwork, node_id: int, eds: pathlib.Path, plant: Plant, serial: int) -> None:
+        self.id = node_id
+        self.plant = plant
+        self.network = network
+        self.nmt_state = NmtState.BOOT_UP
+        self.device = _Device(node_id, str(eds), self._on_stored)
+        self.readers: dict[Address, Callable[[], int]] = {
+            (objects.ERROR_REGISTER, 0): self._error_register,
+            (objects.IDENTITY, 4): lambda: serial,
+            (ERROR_FIELD, 0): lambda: len(self._history),
+            **{(ERROR_FIELD, i + 1): self._history_reader(i) for i in range(ERROR_FIELD_LENGTH)},
+        }
+        self.writers: dict[Address, Callable[[int], None]] = {
+            (objects.PRODUCER_HEARTBEAT, 0): self._set_heartbeat,
+            (ERROR_FIELD, 0): self._clear_history,
+        }
+        self._errors: dict[int, int] = {}
+        self._history: deque[int] = deque(maxlen=ERROR_FIELD_LENGTH)
+        self._heartbeat_ns = 0
+        self._heartbeat_due_ns = 0
+        self._tpdo: TransmitPdo | None = None
+        self._has_tpdo = objects.TPDO1_MAPPING in self.device.object_dictionary
+        self._commands: dict[int, Callable[[], None]] = {
+            0x01: lambda: self._enter(NmtState.OPERATIONAL),
+            0x02: lambda: self._enter(NmtState.STOPPED),
+            0x80: lambda: self._enter(NmtState.PRE_OPERATIONAL),
+            0x81: self.reset_node,
+            0x82: self.reset_communication,
+        }
+        network.add_node(self.device)
+        network.unsubscribe(objects.NMT_COB, self.device.nmt.on_command)
+        network.unsubscribe(self.device.sdo.rx_cobid, self.device.sdo.on_request)
+        network.subscribe(objects.NMT_COB, self._on_nmt)
+        network.subscribe(self.device.sdo.rx_cobid, self._on_sdo)
+        self.device.sdo._index = self.device.sdo._subindex = 0
+        self.device.add_read_callback(self._on_read)
+        self.device.add_write_callback(self._on_write)
+
+    # -- what a device does ------------------------------------------------------------------------------------
+
+    def on_sample(self) -> None:
+        """Take a new measurement of the plant, before values are read."""
+
+    def on_state(self, before: NmtState, now: NmtState) -> None:
+        """The NMT state has changed."""
+
+    def on_node_reset(self) -> None:
+        """Application objects are back at their defaults: start afresh."""
+
+    def on_communication_reset(self) -> None:
+        """Communication objects are back at their defaults: take them over."""
+
+    def on_pdo_change(self) -> None:
+        """PDO parameters or mappings have changed."""
+        self._tpdo = None
+
+    # -- NMT ---------------------------------------------------------------------------------------------------
+
+    def reset_node(self) -> None:
+        """NMT reset node: every object back to its default, then reset communication."""
+        self.device.data_store.clear()
+        self._errors.clear()
+        self.on_node_reset()
+        self.reset_communication()
+
+    def reset_communication(self) -> None:
+        """NMT reset communication: the communication objects back to their defaults, then boot up."""
+        for index in [i for i in self.device.data_store if i in _COMMUNICATION_AREA]:
+            del self.device.data_store[index]
+        self._enter(NmtState.BOOT_UP)
+        self.on_communication_reset()
+        self.on_pdo_change()
+        self.network.send_message(objects.HEARTBEAT_BASE + self.id, bytes([NmtState.BOOT_UP]))
+        self._set_heartbeat(number(self.device, objects.PRODUCER_HEARTBEAT))
+        self._enter(NmtState.PRE_OPERATIONAL)
+
+    def supervise(self, t_ns: int, elapsed_ns: int) -> None:  # noqa: ARG002 - for devices that watch others
+        """Produce the heartbeat when it is due. ``elapsed_ns``: time that counts as silence since the last call."""
+        if self._heartbeat_ns and t_ns >= self._heartbeat_due_ns:
+            missed = (t_ns - self._heartbeat_due_ns) // self._heartbeat_ns
+            self._heartbeat_due_ns += (missed + 1) * self._heartbeat_ns
+            self.network.send_message(objects.HEARTBEAT_BASE + self.id, bytes([self.nmt_state]))
+
+    def _on_nmt(self, _: int, data: bytes, __: float) -> None:
+        if len(data) >= 2 and data[1] in (self.id, 0):
+            command = self._commands.get(data[0])
+            if command is not None:
+                command()
+
+    def _enter(self, state: NmtState) -> None:
+        before, self.nmt_state = self.nmt_state, state
+        if before is not state:
+            self._tpdo = None  # SYNCs are counted from the start
+            self.on_state(before, state)
+
+    def _set_heartbeat(self, period_ms: int) -> None:
+        self._heartbeat_ns = period_ms * 1_000_000
+        self._heartbeat_due_ns = self.plant.t_ns + self._heartbeat_ns
+
+    # -- SYNC and PDO ------------------------------------------------------------------------------------------
+
+    def on_sync(self) -> None:
+        """Send the TPDO if this SYNC is its turn."""
+        if self.nmt_state is not NmtState.OPERATIONAL or not self._has_tpdo:
+            return
+        if self._tpdo is None:
+            self._tpdo = TransmitPdo(self.device, self.readers)
+        self.on_sample()
+        frame = self._tpdo.frame()
+        if frame is not None:
+            self.network.send_frame(frame)
+
+    # -- SDO ---------------------------------------------------------------------------------------------------
+
+    def _on_sdo(self, can_id: int, data: bytes, timestamp: float) -> None:
+        if self.nmt_state is NmtState.STOPPED or len(data) != _SDO_SIZE:
+            return
+        server = self.device.sdo
+        specifier = data[0] & 0xE0
+        if specifier == _BLOCK_DOWNLOAD or (specifier in _SEGMENT_REQUESTS and server._buffer is None):
+            server._index, server._subindex = _MULTIPLEXER.unpack_from(data, 1)
+            server.abort(Abort.COMMAND)  # not supported, or continues a transfer that was never begun
+            return
+        server.on_request(can_id, data, timestamp)
+
+    def _on_read(self, index: int, subindex: int, od: Any) -> int | None:  # noqa: ARG002 - canopen's signature
+        reader = self.readers.get((index, subindex))
+        if reader is None:
+            return None
+        self.on_sample()
+        return reader()
+
+    def _on_write(self, index: int, subindex: int, od: Any, data: bytes) -> None:
+        if od.data_type not in STRUCT_CODES:
+            return
+        value = int(od.decode_raw(data))
+        check_range(od, value)
+        if index in _MAPPINGS:
+            check_mapping_write(self.device, index, subindex, value)
+        elif index in _COMMUNICATIONS and subindex == 1:
+            check_cob_id_write(self.device, index, value)
+        writer = self.writers.get((index, subindex))
+        if writer is not None:
+            writer(value)
+
+    def _on_stored(self, index: int) -> None:
+        if index in _MAPPINGS or index in _COMMUNICATIONS:
+            self.on_pdo_change()
+
+    # -- errors ------------------------------------------------------------------------------------------------
+
+    def raise_error(self, code: int, register: int) -> None:
+        """An error has appeared: emergency message, error register, history; once until it is cleared."""
+        if code not in self._errors:
+            self._errors[code] = register | GENERIC_ERROR
+            self._history.appendleft(code)
+            self._send_emergency(code)
+
+    def clear_error(self, code: int) -> None:
+        """An error is gone; the emergency message says "no error" when it was the last one."""
+        if self._errors.pop(code, None) is not None:
+            self._send_emergency(objects.EmcyCode.NO_ERROR)
+
+    @property
+    def errors(self) -> tuple[int, ...]:
+        """Emergency codes of the errors present, oldest first."""
+        return tuple(self._errors)
+
+    def _send_emergency(self, code: int) -> None:
+        if self.nmt_state in (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL):
+            self.network.send_message(objects.EMCY_BASE + self.id, _EMCY.pack(code, self._error_register()))
+
+    def _error_register(self) -> int:
+        register = 0
+        for bits in self._errors.values():
+            register |= bits
+        return register
+
+    def _history_reader(self, place: int) -> Callable[[], int]:
+        def read() -> int:
+            if place >= len(self._history):
+                raise refuse(Abort.NO_DATA)
+            return self._history[place]
+
+        return read
+
+    def _clear_history(self, value: int) -> None:
+        if value != 0:
+            raise refuse(Abort.VALUE_RANGE)
+        self._history.clear()

@@ -1,0 +1,82 @@
+"""Motor and brake of the cylinder: the load is always carried by one of them, or by both."""
+
+from __future__ import annotations
+
+import math
+from enum import Enum, auto
+
+STANDSTILL_MM_S = 0.05
+"""The brake closes below this speed."""
+
+
+class Phase(Enum):
+    """Who carries the load."""
+
+    BRAKED = auto()  # brake closed, motor off
+    OPENING = auto()  # motor holds, brake opens
+    DRIVING = auto()  # motor follows the command
+    STOPPING = auto()  # motor ramps down to standstill
+    CLOSING = auto()  # motor holds, brake closes
+
+
+class PowerStage:
+    """Phases in time; velocities in mm/s.
+
+    Args:
+        brake_ns: time the brake takes to open or to close.
+    """
+
+    __slots__ = ("_brake_ns", "_deceleration", "_since_ns", "_start_velocity", "phase", "velocity_mm_s")
+
+    def __init__(self, brake_ns: int) -> None:
+        self._brake_ns = brake_ns
+        self._since_ns = 0
+        self._start_velocity = 0.0
+        self._deceleration = math.inf
+        self.phase = Phase.BRAKED
+        self.velocity_mm_s = 0.0
+
+    @property
+    def braked(self) -> bool:
+        """Whether the brake alone holds the load, or still does."""
+        return self.phase in (Phase.BRAKED, Phase.OPENING)
+
+    def start(self, t_ns: int) -> None:
+        """Have the motor take over; it drives once the brake is open."""
+        if self.phase in (Phase.BRAKED, Phase.CLOSING):
+            self._change(Phase.OPENING, t_ns)
+        elif self.phase is Phase.STOPPING:
+            self._change(Phase.DRIVING, t_ns)
+
+    def follow(self, velocity_mm_s: float) -> None:
+        """Velocity command; counts while driving."""
+        if self.phase is Phase.DRIVING:
+            self.velocity_mm_s = velocity_mm_s
+
+    def stop(self, t_ns: int, deceleration_mm_s2: float) -> None:
+        """Ramp down, then close the brake, then take power off; again while stopping changes nothing."""
+        if self.phase is Phase.DRIVING:
+            self._start_velocity = self.velocity_mm_s
+            self._deceleration = deceleration_mm_s2
+            self._change(Phase.STOPPING, t_ns)
+        elif self.phase is Phase.OPENING:
+            self._change(Phase.CLOSING, t_ns)
+
+    def advance(self, t_ns: int, speed_mm_s: float) -> None:
+        """Go on to ``t_ns``; ``speed_mm_s`` is the cylinder's actual speed."""
+        passed_ns = t_ns - self._since_ns
+        if self.phase is Phase.STOPPING:
+            left = abs(self._start_velocity) - self._deceleration * passed_ns * 1e-9 if passed_ns > 0 else math.inf
+            left = min(max(left, 0.0), abs(self._start_velocity))
+            self.velocity_mm_s = math.copysign(left, self._start_velocity)
+            if left == 0.0 and abs(speed_mm_s) < STANDSTILL_MM_S:
+                self.velocity_mm_s = 0.0
+                self._change(Phase.CLOSING, t_ns)
+        elif self.phase is Phase.OPENING and passed_ns >= self._brake_ns:
+            self._change(Phase.DRIVING, t_ns)
+        elif self.phase is Phase.CLOSING and passed_ns >= self._brake_ns:
+            self._change(Phase.BRAKED, t_ns)
+
+    def _change(self, phase: Phase, t_ns: int) -> None:
+        self.phase = phase
+        self._since_ns = t_ns

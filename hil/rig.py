@@ -1,0 +1,106 @@
+"""The simulated rig: plant and devices behind one port of the bus. It knows no clock, no socket and no thread."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from hil.motion import OutAndBack
+from hil.nodes.cylinder_drive import CylinderDrive
+from hil.nodes.inclinometer import Inclinometer
+from hil.nodes.network import RigNetwork
+from hil.nodes.node import Node
+from hil.nodes.simulator import Simulator
+from hil.nodes.tension_amplifier import TensionAmplifier
+from hil.plant import Plant
+from hil.truth import Truth, TruthLog
+from rigctl.config import RigSettings
+from rigctl.devices import objects
+
+GRID_NS = 1_000_000
+"""Drive ramps, brake, inclinometer and truth log go on this grid, however ``advance`` is called."""
+
+
+class SimulatedRig:
+    """Lockstep and real time use it alike: ``advance``, then ``receive`` what has come, then ``supervise``.
+
+    Args:
+        settings: a rig file with a ``simulation`` section.
+        start_ns: time at which the rig is switched on.
+        send: puts a 16-byte frame on the bus; called from within ``receive`` and ``supervise``.
+        longest_silence_ns: most that one gap between ``supervise`` calls counts as silence of the controller; set it
+            where this process may be held up itself, so that its own pause is not blamed on the controller.
+        truth_log: receives the truth once per ``GRID_NS``.
+
+    Raises:
+        ValueError: no ``simulation`` section.
+        OSError: an EDS file cannot be read.
+    """
+
+    def __init__(
+        self,
+        settings: RigSettings,
+        start_ns: int,
+        send: Callable[[bytes], None],
+        *,
+        longest_silence_ns: int | None = None,
+        truth_log: TruthLog | None = None,
+    ) -> None:
+        self.plant = Plant(settings, start_ns)
+        simulation = settings.simulation
+        assert simulation is not None  # Plant has refused it
+        self._demo = settings.demo
+        self._grid_ns = start_ns
+        self._supervised_ns = start_ns
+        self._longest_silence_ns = longest_silence_ns
+        self._truth_log = truth_log
+        self._network = network = RigNetwork(send)
+        self.cell = TensionAmplifier(network, settings, simulation, self.plant)
+        self.drive = CylinderDrive(network, settings, simulation, self.plant)
+        self.inclinometer = Inclinometer(network, settings, simulation, self.plant, GRID_NS)
+        devices: tuple[Node, ...] = (self.cell, self.drive, self.inclinometer)
+        eds = settings.file(settings.cylinder.eds).with_name("simulator.eds")
+        self.simulator = Simulator(network, eds, self.plant, self.start_motion)
+        self.nodes = (*devices, self.simulator)
+        self.receive = network.receive
+        network.subscribe(objects.SYNC_COB, self._on_sync)
+        for node in self.nodes:
+            node.reset_node()
+
+    @property
+    def truth(self) -> Truth:
+        """The plant's true state now."""
+        return self.plant.truth
+
+    def advance(self, t_ns: int) -> None:
+        """Let the plant and the devices' own clocks go on to ``t_ns``."""
+        plant = self.plant
+        while self._grid_ns + GRID_NS <= t_ns:
+            self._grid_ns += GRID_NS
+            plant.advance(self._grid_ns)
+            self.drive.advance(self._grid_ns)
+            self.inclinometer.advance(self._grid_ns)
+            if self._truth_log is not None:
+                self._truth_log.append(plant.truth)
+        plant.advance(t_ns)
+
+    def supervise(self, t_ns: int) -> None:
+        """Send the heartbeats that are due and judge the controller's silence, once all frames are taken in."""
+        elapsed_ns = t_ns - self._supervised_ns
+        self._supervised_ns = t_ns
+        if self._longest_silence_ns is not None:
+            elapsed_ns = min(elapsed_ns, self._longest_silence_ns)
+        for node in self.nodes:
+            node.supervise(t_ns, elapsed_ns)
+
+    def start_motion(self) -> bool:
+        """Start the move of the ``demo`` section; False while one is under way or without that section."""
+        if self._demo is None or self.plant.moving:
+            return False
+        angles = (self._demo.angle_deg, self._demo.speed_deg_s, self._demo.acceleration_deg_s2)
+        self.plant.start_motion(OutAndBack(*map(math.radians, angles)), self.plant.t_ns)
+        return True
+
+    def _on_sync(self, _: int, __: bytes, ___: float) -> None:
+        for node in self.nodes:
+            node.on_sync()

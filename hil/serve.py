@@ -1,0 +1,174 @@
+"""``python -m hil serve``: the simulated rig in real time, in a process of its own, on the bus the rig file names."""
+
+from __future__ import annotations
+
+import gc
+import os
+import pathlib
+import signal
+from collections.abc import Callable
+from time import monotonic_ns
+from typing import Protocol
+
+import can
+
+from hil.bus_link import BusLink
+from hil.hub import Hub
+from hil.hub_server import HubServer
+from hil.rig import SimulatedRig
+from hil.truth import TruthLog
+from rigctl import config
+from rigctl.config import RigSettings
+from rigctl.control import realtime
+
+WAIT_S = 0.001
+"""Longest sleep: the rig's own clocks, heartbeats and time-outs go on at this pace without traffic."""
+
+LONGEST_SILENCE_NS = 5_000_000
+"""A gap between two turns of our loop counts at most this much as silence of the controller."""
+
+
+PRIORITY_BELOW_LOOP = 10
+
+
+class ServeError(Exception):
+    """The rig cannot be served; ``str()`` is one line or one per finding, ``exit_code`` says whose fault it is."""
+
+    def __init__(self, message: str, exit_code: int) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
+
+
+class Line(Protocol):
+    """The rig's way to the bus: ``HubServer`` or ``BusLink``."""
+
+    received: int
+    delivered: int
+    lost: int
+    malformed: int
+
+    def poll(self, timeout_s: float) -> None:
+        """Wait for frames and hand over what has come."""
+
+    def close(self) -> None:
+        """Leave the bus."""
+
+
+class Service:
+    """A rig joined to its line.
+
+    Args:
+        settings: a rig file with a ``simulation`` section.
+        truth: file for the truth log, or None.
+
+    Raises:
+        ServeError: bad settings (2), or the bus is not there or taken (1).
+    """
+
+    def __init__(self, settings: RigSettings, truth: pathlib.Path | None = None) -> None:
+        self._settings = settings
+        self._stopping = False
+        self._truth_log: TruthLog | None = None
+        self.line, send = self._join()
+        try:
+            self._truth_log = TruthLog(truth) if truth else None
+            self.rig = SimulatedRig(
+                settings,
+                monotonic_ns(),
+                send,
+                longest_silence_ns=LONGEST_SILENCE_NS,
+                truth_log=self._truth_log,
+            )
+        except (OSError, ValueError) as error:
+            self.close()
+            raise ServeError(str(error), 2) from None
+
+    @property
+    def ready(self) -> str:
+        """One line for the operator, once frames are answered."""
+        s = self._settings
+        devices = f"tension cell {s.tension_cell.node}, inclinometer {s.inclinometer.node}, cylinder {s.cylinder.node}"
+        return f"serving {s.rig} on {s.can.interface}:{s.can.channel}: {devices}"
+
+    @property
+    def summary(self) -> str:
+        """One line for the operator, at the end."""
+        line = self.line
+        text = f"served: {line.received} frames in, {line.delivered} out, {line.lost} lost, {line.malformed} malformed"
+        if isinstance(line, HubServer):
+            return f"{text}, {line.clients_seen} clients"
+        return f"{text}, {line.errors} bus errors" if isinstance(line, BusLink) else text
+
+    def stop(self) -> None:
+        """End ``run`` at its next turn; safe in a signal handler."""
+        self._stopping = True
+
+    def run(self) -> None:
+        """Serve until ``stop``. Every frame meets the plant at its own moment of arrival."""
+        line, rig = self.line, self.rig
+        while not self._stopping:
+            line.poll(WAIT_S)
+            now_ns = monotonic_ns()
+            rig.advance(now_ns)
+            rig.supervise(now_ns)
+
+    def close(self) -> None:
+        """Leave the bus and close the truth log."""
+        self.line.close()
+        if self._truth_log is not None:
+            self._truth_log.close()
+
+    def _join(self) -> tuple[Line, Callable[[bytes], None]]:
+        bus = self._settings.can
+        try:
+            if bus.interface == "rigsim":
+                hub = Hub()
+                return HubServer(bus.channel, hub), hub.attach(self._on_frame).send
+            link = BusLink(bus.interface, bus.channel, bus.bitrate_bit_s, self._on_frame)
+            return link, link.send
+        except (can.CanError, OSError, ValueError) as error:
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            where = "" if str(bus.channel) in reason else f"{bus.interface}:{bus.channel}: "
+            raise ServeError(f"{where}{reason}", 1) from None
+
+    def _on_frame(self, frame: bytes) -> None:
+        self.rig.advance(monotonic_ns())
+        self.rig.receive(frame)
+
+
+def serve(file: pathlib.Path, truth: pathlib.Path | None, announce: Callable[[str], None]) -> None:
+    """Serve the rig of ``file`` until SIGTERM or SIGINT.
+
+    Raises:
+        ServeError: with what the operator should read, and the exit code.
+    """
+    try:
+        settings = config.load(file)
+    except config.ConfigError as error:
+        raise ServeError(str(error), 2) from None
+    if settings.simulation is None:
+        raise ServeError(f"{file}: simulation: found nothing, allowed a section (it says what rig to simulate)", 2)
+    service = Service(settings, truth)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: service.stop())
+    try:
+        _prepare_process(settings)
+        announce(service.ready)
+        service.run()
+    finally:
+        service.close()
+    announce(service.summary)
+
+
+def _prepare_process(settings: RigSettings) -> None:
+    """Real time as the loop has it, one rung below and on the other processors; refused settings are done without.
+
+    A real rig never waits for the PC's scheduler: a simulated one that does would look like a broken bus.
+    """
+    others = os.sched_getaffinity(0) - {settings.loop.cpu}
+    if others:
+        os.sched_setaffinity(0, others)
+    priority = max(0, settings.loop.priority - PRIORITY_BELOW_LOOP)
+    realtime.apply(settings.loop.model_copy(update={"cpu": None, "priority": priority}))
+    gc.collect()
+    gc.freeze()

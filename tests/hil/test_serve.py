@@ -1,0 +1,177 @@
+"""``python -m hil serve`` as its users meet it: real processes, real sockets."""
+
+from __future__ import annotations
+
+import pathlib
+import re
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import can
+import canopen
+import pytest
+
+from hil.truth import read
+
+Start = Callable[..., "subprocess.Popen[str]"]
+Finish = Callable[["subprocess.Popen[str]"], tuple[int, str, str]]
+SYNC = can.Message(arbitration_id=0x80, is_extended_id=False)
+START_ALL = can.Message(arbitration_id=0, data=[1, 0], is_extended_id=False)
+
+
+def syncs_answered(bus: can.BusABC, count: int) -> int:
+    """Cell TPDOs received for ``count`` SYNCs, each awaited."""
+    answers = 0
+    for _ in range(count):
+        bus.send(SYNC)
+        deadline = time.monotonic() + 10.0
+        while time.monotonic() < deadline:
+            message = bus.recv(10.0)
+            if message is not None and message.arbitration_id == 0x182:
+                answers += 1
+                break
+    return answers
+
+
+def test_it_says_when_it_is_ready_and_what_it_did(
+    served: subprocess.Popen[str], channel: str, rig_file: pathlib.Path, finish: Finish
+) -> None:
+    with can.Bus(interface="rigsim", channel=channel) as bus:
+        bus.send(START_ALL)
+        assert syncs_answered(bus, 20) == 20
+    code, out, err = finish(served)
+    assert (code, err) == (0, "")
+    summary = re.fullmatch(r"served: (\d+) frames in, (\d+) out, 0 lost, 0 malformed, 1 clients\n", out)
+    assert summary is not None, out
+    assert int(summary[1]) == 21
+    assert int(summary[2]) >= 40
+    assert not pathlib.Path(channel).exists()
+    truth = read(rig_file.with_name("truth.bin"))
+    assert len(truth) > 0
+    assert set(truth["t_ns"][1:] - truth["t_ns"][:-1]) == {1_000_000}
+
+
+def test_sigint_ends_it_as_cleanly(served: subprocess.Popen[str]) -> None:
+    served.send_signal(2)
+    assert served.communicate(timeout=20)[1] == ""
+    assert served.returncode == 0
+
+
+def test_a_second_rig_on_one_socket_is_refused_and_the_first_lives_on(
+    served: subprocess.Popen[str], rig_file: pathlib.Path, channel: str, start: Start
+) -> None:
+    second = start("hil", "serve", rig_file)
+    out, err = second.communicate(timeout=30)
+    assert (second.returncode, out) == (1, "")
+    assert err == f"{channel}: another simulated rig is being served here\n"
+    assert served.poll() is None
+    with can.Bus(interface="rigsim", channel=channel) as bus:
+        bus.send(START_ALL)
+        assert syncs_answered(bus, 3) == 3
+
+
+def test_after_sigkill_the_next_one_takes_the_socket_over(
+    served: subprocess.Popen[str], rig_file: pathlib.Path, channel: str, start: Start
+) -> None:
+    served.kill()
+    served.wait()
+    assert pathlib.Path(channel).is_socket()
+    again = start("hil", "serve", rig_file)
+    assert again.stdout is not None
+    assert again.stdout.readline().startswith("serving")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code", "reason"),
+    [
+        (r"(?s)\nsimulation:.*", "\n", 2, "simulation: found nothing"),
+        (r"rate_hz: 1000", "rate_hz: 1e3", 2, "loop.rate_hz"),
+        (r"channel: \S+", "channel: /nowhere/rig.sock", 1, "/nowhere/rig.sock: cannot be served"),
+        (r"interface: rigsim", "interface: socketcan", 1, "rig.sock"),
+        (r"interface: rigsim", "interface: nonsense", 1, 'Unknown interface type "nonsense"'),
+    ],
+)
+def test_what_cannot_be_served_is_one_line(
+    rig_file: pathlib.Path, start: Start, old: str, new: str, code: int, reason: str
+) -> None:
+    text, replaced = re.subn(old, new, rig_file.read_text(), count=1)
+    assert replaced == 1
+    rig_file.write_text(text)
+    process = start("hil", "serve", rig_file)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out) == (code, "")
+    assert reason in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [["serve"], ["nonsense"], [], ["serve", "/nowhere.yaml"], ["serve", "--x", "y"]])
+def test_wrong_usage_is_one_line(arguments: list[str], start: Start) -> None:
+    process = start("hil", *arguments)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out, err.count("\n")) == (2, "", 1), err
+
+
+def test_python_cans_logger_records_while_the_rig_runs(
+    served: subprocess.Popen[str], channel: str, tmp_path: pathlib.Path, start: Start
+) -> None:
+    log = tmp_path / "rig.asc"
+    with can.Bus(interface="rigsim", channel=channel) as bus:
+        logger = start("can.logger", "-i", "rigsim", "-c", channel, "-f", log)
+        assert logger.stdout is not None
+        while "Can Logger" not in logger.stdout.readline():
+            assert logger.poll() is None
+        bus.send(START_ALL)
+        assert syncs_answered(bus, 100) == 100
+        deadline = time.monotonic() + 20.0
+        # It writes in order, but in blocks: push until a later frame is in the file.
+        while not log.exists() or "7F0" not in log.read_text():
+            assert time.monotonic() < deadline
+            bus.send(can.Message(arbitration_id=0x7F0, data=bytes(8), is_extended_id=False))
+            time.sleep(0.001)
+        logger.send_signal(2)
+        logger.communicate(timeout=20)
+    recorded = [message.arbitration_id for message in can.LogReader(log)]
+    assert [recorded.count(can_id) for can_id in (0x80, 0x182, 0x183, 0x184)] == [100, 100, 10, 100]
+    assert served.poll() is None
+
+
+def test_a_killed_client_and_a_stalled_one_disturb_nobody(
+    served: subprocess.Popen[str], channel: str, finish: Finish
+) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as stalled:
+        stalled.connect(channel)
+        client = (
+            f"import can; b = can.Bus(interface='rigsim', channel={channel!r}); print(flush=True)\nwhile 1: b.recv()"
+        )
+        killed = subprocess.Popen([sys.executable, "-c", client], stdout=subprocess.PIPE)
+        assert killed.stdout is not None
+        killed.stdout.readline()
+        with can.Bus(interface="rigsim", channel=channel) as bus:
+            bus.send(START_ALL)
+            assert syncs_answered(bus, 50) == 50
+            killed.kill()
+            killed.communicate()
+            assert syncs_answered(bus, 5000) == 5000  # more than any socket buffer holds
+    code, out, _ = finish(served)
+    assert code == 0
+    lost = re.search(r"(\d+) lost, 0 malformed, 3 clients", out)
+    assert lost is not None, out
+    assert int(lost[1]) > 0
+
+
+def test_devices_go_on_when_the_last_client_has_gone(served: subprocess.Popen[str], channel: str) -> None:
+    for _ in range(3):
+        with can.Bus(interface="rigsim", channel=channel) as bus:
+            bus.send(START_ALL)
+            assert syncs_answered(bus, 3) == 3
+    assert served.poll() is None
+
+
+def test_canopen_notifier_and_plain_client_share_the_bus(network: canopen.Network, channel: str) -> None:
+    with can.Bus(interface="rigsim", channel=channel) as bus:
+        network.nmt.state = "OPERATIONAL"
+        assert syncs_answered(bus, 10) == 10
+        assert network[2].sdo[0x1008].raw == "Tension amplifier"
