@@ -1,0 +1,105 @@
+"""The controller as the loop runs it, as one linear system, and closed around a plant.
+
+Tick n reads the sample latched in tick n - 1, corrects the state of tick n - 1, predicts it to tick n and ahead to
+the instant the command acts, and sends ``u = -w - K_T T - K_v (v + w) - I`` (set-point zero, no limits). With the
+filter at its steady gain that is linear; the margins are of this system, and a test holds it against the objects.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rigctl.control.estimator import Array, FilterModel
+from rigctl.control.tension import Gains
+from rigctl.design.plant_family import ComplexArray, Member
+
+_STATE, _SAMPLE, _SENT = slice(0, 3), slice(3, 5), 5  # positions in the controller's state; the integral is last
+
+
+@dataclass(frozen=True)
+class Controller:
+    """``x' = a x + b y``, ``u = c x`` from the samples y = (tension N, speed mm/s) to the command u mm/s.
+
+    State: filter state carried to the last tick (3), last tick's sample (2), commands sent u(n - 1 - d) to
+    u(n - 1) (d + 1), integral (1). Shapes (m, m), (m, 2), (m,) with m = 7 + d.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+
+    def response(self, z: ComplexArray) -> ComplexArray:
+        """Command per tension (mm/s per N) and per speed (1), shape (2, len(z)).
+
+        The commands already sent are delays of u itself; without them six states are left to solve for, however
+        long the transport delay.
+        """
+        size = len(self.a)
+        sent = np.arange(_SENT, size - 1)
+        kept = np.array([0, 1, 2, 3, 4, size - 1])
+        pencil = z[:, None, None] * np.eye(len(kept)) - self.a[np.ix_(kept, kept)]
+        row = np.broadcast_to(self.c[kept].astype(np.complex128)[:, None], (len(z), len(kept), 1))
+        through = np.linalg.solve(pencil.transpose(0, 2, 1), row)[:, :, 0]  # c (zI - a)^-1
+        late = z[:, None] ** -(size - 1.0 - sent)
+        again = late @ self.c[sent] + np.einsum("fi,ij,fj->f", through, self.a[np.ix_(kept, sent)], late)
+        response: ComplexArray = (through @ self.b[kept]).T / (1.0 - again)
+        return response
+
+
+def controller(model: FilterModel, gains: Gains, filter_gain: Array) -> Controller:
+    """What ``TensionFilter`` and ``TensionLaw`` do in a tick, with the filter's gain settled (shape (3, 2))."""
+    delay = model.delay_ticks
+    size = 7 + delay
+    corrected = np.zeros((3, size))
+    corrected[:, _STATE] = np.eye(3) - filter_gain @ np.eye(2, 3)
+    corrected[:, _SAMPLE] = filter_gain
+    predicted = model.f @ corrected
+    predicted[:, _SENT] += model.b[:, 0]
+    ahead = predicted
+    for tick in range(delay):
+        ahead = model.f @ ahead
+        ahead[:, _SENT + 1 + tick] += model.b[:, 0]
+    command = -np.array([gains.k_tension, gains.k_speed, 1.0 + gains.k_speed]) @ ahead
+    command[-1] -= 1.0
+    a, b = np.zeros((size, size)), np.zeros((size, 2))
+    a[_STATE] = predicted
+    b[_SAMPLE] = np.eye(2)
+    a[_SENT : size - 2, _SENT + 1 : size - 1] = np.eye(delay)
+    a[size - 2] = command
+    a[-1] = gains.k_integral * model.period_s * ahead[0]
+    a[-1, -1] += 1.0
+    return Controller(a, b, command)
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """``x' = a x + b e``: e is (cell noise N, speed noise mm/s, disturbance speed mm/s), state (plant, sent, law)."""
+
+    a: Array
+    b: Array
+    command: Array  # row that gives the command, mm/s; the true tension is state 0
+
+    @property
+    def spectral_radius(self) -> float:
+        """Largest modulus of an eigenvalue; below 1 the loop is stable."""
+        return float(np.abs(np.linalg.eigvals(self.a)).max())
+
+
+def closed_loop(plant: Member, law: Controller) -> ClosedLoop:
+    """The plant, its transport delay and the controller, joined."""
+    n, d, m = len(plant.a), plant.delay_ticks, len(law.a)
+    size = n + d + m
+    a, b = np.zeros((size, size)), np.zeros((size, 3))
+    command = np.concatenate([np.zeros(n + d), law.c])
+    a[:n, :n] = plant.a
+    a[:n] += np.outer(plant.b_command, np.eye(size)[n] if d else command)  # oldest command under way, or this one
+    if d:
+        a[n : n + d - 1, n + 1 : n + d] = np.eye(d - 1)
+        a[n + d - 1] = command
+    a[n + d :, :2] = law.b
+    a[n + d :, n + d :] = law.a
+    b[:n, 2] = plant.b_disturbance
+    b[n + d :, :2] = law.b
+    return ClosedLoop(a, b, command)

@@ -1,0 +1,97 @@
+"""The family of plants a design is judged over, in discrete time at the loop's period.
+
+From the speed of the rope's upper end to tension, the mechanism being a mass on a spring of its own:
+
+    dT/dt = k (v + w - p'),   m p'' = T - c p' - K_m p,   tau dv/dt = u(t - Td) - v
+
+which is ``P(s) = (k/s) (m s^2 + c s + K_m) / (m s^2 + c s + K_m + k) e^{-s Td} / (tau s + 1)`` from the command u to
+the tension T; w is the speed of the disturbance (the upper point's level, the payload's height). Without K_m the
+mechanism carries its own height (the paper's case) and p = 0. Family: domain notes, "Control facts worth knowing".
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import expm
+
+from rigctl.config import RigSettings
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+STIFFNESSES_N_MM: tuple[float | None, ...] = (None, 1000.0, 60.0, 20.0, 6.0)  # K_m; None = rigid
+REPORTED_N_MM = 2.0  # shown beside the family, not part of the verdict
+K_SCALES = (0.8, 1.0, 1.2)
+DELAY_SCALES = (1, 2)
+MECHANISM_DAMPING = 0.02  # of critical, for the mechanism on its own stiffness
+KG_PER_N_S2_MM = 1000.0  # 1 N s^2/mm is 1000 kg
+
+
+@dataclass(frozen=True)
+class Member:
+    """One plant of the family, sampled: ``x' = a x + b_command u(n - delay_ticks) + b_disturbance w(n)``.
+
+    States: tension N, cylinder speed mm/s, and with a flexible mechanism its deflection mm and speed mm/s.
+    The measured signals are the first two states. Shapes (n, n), (n,), (n,) with n = 2 or 4.
+    """
+
+    k_m: float | None  # N/mm, None = rigid
+    k_scale: float
+    delay_scale: int
+    a: Array
+    b_command: Array
+    b_disturbance: Array
+    delay_ticks: int
+    resonances_hz: tuple[float, ...]  # of the mechanism: without and with the rope
+
+    def response(self, z: ComplexArray) -> ComplexArray:
+        """Tension and speed per command (N s/mm, 1), and tension per disturbance speed (N s/mm); shape (3, len(z))."""
+        inputs = np.stack([self.b_command, self.b_disturbance], axis=1).astype(np.complex128)
+        pencil = z[:, None, None] * np.eye(len(self.a)) - self.a
+        states = np.linalg.solve(pencil, np.broadcast_to(inputs, (len(z), *inputs.shape)))
+        late = z**-self.delay_ticks
+        return np.stack([states[:, 0, 0] * late, states[:, 1, 0] * late, states[:, 0, 1]])
+
+
+def member(settings: RigSettings, k_m: float | None, k_scale: float = 1.0, delay_scale: int = 1) -> Member:
+    """One plant of the family, inputs held over each period (exact: matrix exponential).
+
+    ``k_m`` in N/mm, ``None`` for a rigid mechanism; the delay is rounded to whole ticks, as the estimator does.
+    """
+    plant, dt = settings.plant, 1.0 / settings.loop.rate_hz
+    k, mass = k_scale * plant.stiffness_n_mm, plant.payload_kg / KG_PER_N_S2_MM
+    lag = 1.0 / plant.cylinder_lag_s
+    resonances: tuple[float, ...] = ()
+    if k_m is None:
+        a = np.array([[0.0, k], [0.0, -lag]])
+    else:
+        c = 2.0 * MECHANISM_DAMPING * math.sqrt(k_m * mass)
+        a = np.array(
+            [[0.0, k, 0.0, -k], [0.0, -lag, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [1 / mass, 0.0, -k_m / mass, -c / mass]]
+        )
+        resonances = tuple(math.sqrt(stiffness / mass) / (2 * math.pi) for stiffness in (k_m, k_m + k))
+    n = len(a)
+    inputs = np.zeros((n, 2))
+    inputs[1, 0] = lag
+    inputs[0, 1] = k
+    held = expm(np.block([[a, inputs], [np.zeros((2, n + 2))]]) * dt)
+    delay_ticks = round(delay_scale * plant.command_delay_s / dt)
+    return Member(k_m, k_scale, delay_scale, held[:n, :n], held[:n, n], held[:n, n + 1], delay_ticks, tuple(resonances))
+
+
+def family(settings: RigSettings) -> list[Member]:
+    """Every member the verdict rests on; the stiffness in the file is one of them even where the list has it not."""
+    stiffnesses = list(STIFFNESSES_N_MM)
+    if settings.plant.mechanism_n_mm not in stiffnesses:
+        stiffnesses.append(settings.plant.mechanism_n_mm)
+    return [member(settings, *scales) for scales in product(stiffnesses, K_SCALES, DELAY_SCALES)]
+
+
+def reported(settings: RigSettings) -> list[Member]:
+    """Members shown beside the family: a mechanism so soft that the rope's spring hardly moves it."""
+    return [member(settings, REPORTED_N_MM, k_scale, delay) for k_scale, delay in product(K_SCALES, DELAY_SCALES)]
