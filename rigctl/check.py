@@ -1,0 +1,65 @@
+"""``rigctl check FILE``: the rig as the daemon would see it, and the worst-case load of its bus."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from rigctl import config
+from rigctl.config import RigSettings
+from rigctl.devices import busload
+
+
+def as_dict(settings: RigSettings) -> dict[str, Any]:
+    """Resolved rig and bus load, for JSON."""
+    load = busload.bus_load(settings)
+    return {
+        "rig": settings.model_dump(mode="json", exclude={"directory"}),
+        "bus_load_pct": None if load is None else round(load * 100, 2),
+        "bus_load_limit_pct": busload.LIMIT * 100,
+        "accepted": accepted(settings),
+    }
+
+
+def accepted(settings: RigSettings) -> bool:
+    """The bus can carry it."""
+    load = busload.bus_load(settings)
+    return load is None or load <= busload.LIMIT
+
+
+def verdict(settings: RigSettings) -> str:
+    """Bus load in one line."""
+    load = busload.bus_load(settings)
+    if load is None:
+        return "bus load: not judged, this bus has no bit rate"
+    words = "within" if load <= busload.LIMIT else "REFUSED: above"
+    return (
+        f"bus load: {load:.1%} of {settings.can.bitrate_bit_s} bit/s at worst, {words} the limit of {busload.LIMIT:.0%}"
+    )
+
+
+def show(settings: RigSettings, console: Console) -> None:
+    """Print the resolved rig, then the frames that load its bus."""
+    rig = Table(title=f"rig {settings.rig}", title_justify="left", box=None)
+    rig.add_column("key", no_wrap=True)
+    rig.add_column("value", overflow="fold")
+    rig.add_column("unit", no_wrap=True)
+    rig.add_column("meaning")
+    for section in type(settings).model_fields:
+        value = getattr(settings, section)
+        if isinstance(value, config.Settings):
+            rig.add_row(f"[bold]{section}[/]")
+            for key, info in type(value).model_fields.items():
+                found = getattr(value, key)
+                text = "-" if found is None else f"{found:g}" if isinstance(found, float) else str(found)
+                rig.add_row(f"  {key}", text, config.unit_of(key), info.description or "")
+        elif value is None:
+            rig.add_row(f"[bold]{section}[/]", "not in the file")
+    console.print(rig)
+    frames = Table("frame", "bytes", "per second", "bit/s at worst", title="bus", title_justify="left", box=None)
+    for item in busload.traffic(settings):
+        frames.add_row(item.name, str(item.size), f"{item.rate_hz:g}", f"{item.bit_s:.0f}")
+    console.print(frames)
+    console.print(verdict(settings), highlight=False)

@@ -1,0 +1,50 @@
+"""The ``rigctl`` command: registers the commands, and turns wrong usage into one line."""
+
+from __future__ import annotations
+
+import sys
+from typing import cast
+
+import typer
+
+from rigctl import daemon
+from rigctl.operator import status, verbs, watch
+
+app = typer.Typer(
+    name="rigctl",
+    help="Active suspension rig: run it, watch it, command it.",
+    add_completion=False,
+    no_args_is_help=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+for command in (daemon.run, daemon.demo, daemon.check):
+    app.command()(command)
+app.command()(status.status)
+app.command()(watch.watch)
+for verb in (verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset):
+    app.command()(verb)
+# A negative number is a number here, not an option.
+app.command(context_settings={"ignore_unknown_options": True})(verbs.target)
+
+# click's own class, wherever this version of typer keeps its click.
+_UsageError = cast("type[typer.BadParameter]", typer.BadParameter.__bases__[0])
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one command and exit: 0 done, 1 refused or no daemon, 2 wrong usage."""
+    try:
+        code = app(args=arguments, standalone_mode=False)
+    except _UsageError as error:
+        text = " ".join(error.format_message().split()).rstrip(".")
+        sys.stderr.write(f"rigctl: {text} (see rigctl --help)\n")
+        code = 2
+    except (KeyboardInterrupt, typer.Abort):
+        sys.stderr.write("rigctl: interrupted; the rig goes on by itself\n")
+        code = 1
+    raise SystemExit(code)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,87 @@
+"""The commands that take a rig file: ``run``, ``check``, ``demo``."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import time
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rigctl.operator.options import BAD, DONE, USAGE, Json, end, say, say_json
+
+if TYPE_CHECKING:
+    from rigctl.config import RigSettings
+
+DEMO_FILE = pathlib.Path("config/paper_rig.yaml")
+File = Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.")]
+
+
+def _load(file: pathlib.Path) -> RigSettings:
+    from rigctl import config
+
+    try:
+        return config.load(file)
+    except config.ConfigError as error:
+        end(USAGE, "\nrigctl: ".join(error.findings))
+
+
+def check(file: File, json: Json = False) -> None:
+    """Validate a rig file; show the resolved rig and the worst-case load of its bus."""
+    settings = _load(file)
+    from rich.console import Console
+
+    from rigctl import check as checking
+
+    if json:
+        say_json(checking.as_dict(settings))
+    else:
+        checking.show(settings, Console())
+    if not checking.accepted(settings):
+        end(BAD, f"{file}: {checking.verdict(settings)}")
+
+
+def run(file: File) -> None:
+    """Run the daemon until SIGTERM or Ctrl-C; it ends with the stroke held."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    settings = _load(file)
+    from rigctl.check import accepted, verdict
+    from rigctl.supervisor import CannotRunError, Supervisor
+
+    if not accepted(settings):
+        end(BAD, f"{file}: {verdict(settings)}")
+    try:
+        code = Supervisor(settings, lambda text: say(f"{time.strftime('%H:%M:%S')} {text}")).run()
+    except CannotRunError as error:
+        end(BAD, str(error))
+    raise typer.Exit(code)
+
+
+def demo(
+    file: File = DEMO_FILE,
+    json: Annotated[pathlib.Path | None, typer.Option(metavar="FILE", help="Write the figures here.")] = None,
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="Play in simulated time.")] = False,
+) -> None:
+    """Play the paper's move on the simulated rig and judge it by the rig file's own limits."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    settings = _load(file)
+    for section in ("demo", "simulation"):
+        if getattr(settings, section) is None:
+            end(USAGE, f"{file}: {section}: found nothing, allowed a section (the demo needs it)")
+    import msgspec
+    from rich.console import Console
+
+    from rigctl.demo.command import run as play
+    from rigctl.demo.script import DemoError
+
+    assert settings.demo is not None
+    if json is not None and not json.parent.is_dir():
+        end(USAGE, f"--json: {json}: there is no folder {json.parent}")
+    try:
+        summary = play(settings, settings.demo, Console(), lockstep=lockstep)
+    except DemoError as error:
+        end(BAD, f"demo: {error}")
+    if json is not None:
+        json.write_bytes(msgspec.json.format(msgspec.json.encode(summary.as_dict()), indent=2) + b"\n")
+    raise typer.Exit(DONE if summary.passed else BAD)

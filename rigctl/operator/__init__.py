@@ -1,0 +1,1 @@
+"""What an operator types: the daemon's clients on the command line."""

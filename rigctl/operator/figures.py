@@ -1,0 +1,91 @@
+"""Values of the state as an operator reads them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+MODE_STYLE = {
+    "DISARMED": "black on white",
+    "HOLD": "bold white on blue",
+    "TENSIONING": "bold black on yellow",
+    "COMPENSATING": "bold black on green",
+    "RELEASING": "bold black on yellow",
+    "FAULT": "bold white on red",
+}
+NOTHING = "-"
+
+
+def number(value: Any, digits: int, unit: str = "", *, sign: bool = False) -> str:
+    """A number with its unit; a dash where there is none."""
+    if not isinstance(value, int | float):
+        return NOTHING
+    text = f"{value:+.{digits}f}" if sign else f"{value:.{digits}f}"
+    if float(text) == 0:
+        text = text.replace("-", "+" if sign else "")
+    return f"{text} {unit}".rstrip()
+
+
+def mode(state: dict[str, Any]) -> str:
+    """The mode; without a running loop, that."""
+    if state.get("mode_name") is None:
+        return "NO LOOP"
+    return str(state["mode_name"]) if state["loop_alive"] else "LOOP STOPPED"
+
+
+def mode_style(state: dict[str, Any]) -> str:
+    """Colours of the mode."""
+    return MODE_STYLE.get(mode(state), "bold white on red")
+
+
+def why(state: dict[str, Any]) -> str:
+    """What is wrong, in one line; empty when nothing is."""
+    if state.get("mode_name") is None:
+        return "the control process has written no record yet"
+    if not state["loop_alive"]:
+        return f"no record from the loop for {state['age_ms'] / 1000:.1f} s"
+    return f"{state['fault_name']}: {state['fault_text']}" if state["fault"] else ""
+
+
+def error(state: dict[str, Any]) -> str:
+    """Vertical error in newtons and percent, while COMPENSATING."""
+    if state.get("error_n") is None:
+        return f"{NOTHING} (not COMPENSATING)"
+    return f"{number(state['error_n'], 3, 'N', sign=True)} ({number(state['error_pct'], 3, '%')})"
+
+
+def inclination(state: dict[str, Any]) -> str:
+    """Both angles, and what is wrong with them."""
+    quality = state["quality"]["inclination"]
+    flaw = "" if quality == "good" else f"  {quality.upper()}"
+    tangential, normal = (number(state[f"{axis}_deg"], 2, "deg", sign=True) for axis in ("tangential", "normal"))
+    return f"tangential {tangential}  normal {normal}{flaw}"
+
+
+def percentiles(figures: dict[str, float] | None) -> str:
+    """p50, p99, p99.9, max of the last second in microseconds."""
+    if figures is None:
+        return NOTHING
+    return "  ".join(f"{name} {figures[key]:.0f}" for name, key in _PERCENTILES) + "  us"
+
+
+_PERCENTILES = (("p50", "p50"), ("p99", "p99"), ("p99.9", "p999"), ("max", "max"))
+
+
+def flaws(state: dict[str, Any]) -> str:
+    """Signals that are not good beside the inclination, which says so itself; empty when all are."""
+    quality = {name: words for name, words in state["quality"].items() if name != "inclination"}
+    return ", ".join(f"{name} {words}" for name, words in quality.items() if words != "good")
+
+
+def counters(state: dict[str, Any]) -> str:
+    """What has gone wrong on the bus so far."""
+    frames = f"frames lost {state['frames_lost']}, refused {state['frames_refused']}, unsent {state['send_failures']}"
+    return f"{frames}, error frames {state['error_frames']}"
+
+
+def clock(wall_ns: int) -> str:
+    """Local wall-clock time to the tenth of a second."""
+    import datetime
+
+    moment = datetime.datetime.fromtimestamp(wall_ns / 1e9).astimezone()
+    return f"{moment:%H:%M:%S}.{moment.microsecond // 100_000}"

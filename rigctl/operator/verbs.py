@@ -1,0 +1,127 @@
+"""The commands that move the rig: one line each says what happened, or why not."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rigctl.operator.options import BAD, DONE, Connect, Json, Operator, Rig, Wait, daemon, end, operator_name, say
+from rigctl.operator.options import say_json as put_json
+
+if TYPE_CHECKING:
+    from rigctl.telemetry.client import Client, Feed
+
+SILENCE_S = 5.0
+
+
+def newtons_of(text: str) -> float:
+    """A finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise typer.BadParameter(f"found {text!r}, allowed a number of newtons")
+    return value
+
+
+Newtons = Annotated[float, typer.Argument(metavar="NEWTONS", parser=newtons_of, help="Vertical tension to hold.")]
+
+# Mode a command ends in, and the one it passes through on the way.
+_ENDS = {"tension": ("COMPENSATING", "TENSIONING"), "release": ("HOLD", "RELEASING")}
+
+
+def arm(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
+    """Drive on, brake open, stroke held: DISARMED to HOLD."""
+    _give("arm", json, connect, rig, operator)
+
+
+def tension(
+    wait: Wait = False, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
+) -> None:
+    """Ramp to the target and hold it: TENSIONING, then COMPENSATING."""
+    _give("tension", json, connect, rig, operator, wait=wait)
+
+
+def release(
+    wait: Wait = False, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
+) -> None:
+    """Ramp to a slack rope, then HOLD."""
+    _give("release", json, connect, rig, operator, wait=wait)
+
+
+def hold(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
+    """Stop and hold the stroke where it is."""
+    _give("hold", json, connect, rig, operator)
+
+
+def disarm(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
+    """Drive off, brake closed."""
+    _give("disarm", json, connect, rig, operator)
+
+
+def reset(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
+    """Acknowledge a fault whose cause is gone."""
+    _give("reset", json, connect, rig, operator)
+
+
+def target(
+    newtons: Newtons, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
+) -> None:
+    """Set the vertical tension to hold."""
+    _give("target", json, connect, rig, operator, newtons)
+
+
+def _give(
+    verb: str,
+    json: bool,
+    connect: str | None,
+    rig: str | None,
+    operator: str | None,
+    value: float | None = None,
+    *,
+    wait: bool = False,
+) -> None:
+    with daemon(connect, rig) as client:
+        states = client.follow(client.keys.state) if wait else None
+        answer = client.command(verb, operator_name(operator), value)
+        accepted = bool(answer.get("accepted"))
+        if accepted and states is not None:
+            if not json:
+                say(str(answer["text"]))
+            answer = _finish(client, verb, answer, states)
+            accepted = bool(answer["accepted"])
+    if json:
+        put_json(answer)
+    elif accepted:
+        say(str(answer["text"]))
+    else:
+        end(BAD, str(answer.get("text", answer)))
+    end(DONE if accepted else BAD)
+
+
+def _finish(client: Client, verb: str, answer: dict[str, Any], states: Feed) -> dict[str, Any]:
+    """Follow the state until the command has ended, one way or the other."""
+    goal, passing = _ENDS[verb]
+    heard = time.monotonic()
+    while True:
+        state = states.wait(0.2)
+        if state is None:
+            if time.monotonic() - heard > SILENCE_S:
+                text = f"{verb.upper()}: no data for {SILENCE_S:.0f} s from {client.endpoint}, outcome unknown"
+                return {**answer, "accepted": False, "reason": "no_data", "text": text}
+            continue
+        heard = time.monotonic()
+        mode = state.get("mode_name")
+        if state.get("t_ns", 0) < answer["t_ns"] or mode in (passing, None):
+            continue
+        about = {"mode": mode, "value": state["tension_n"]}
+        if mode == goal:
+            text = f"{verb.upper()}: {goal}, tension {state['tension_n']:.1f} N, stroke {state['stroke_mm']:.2f} mm"
+            return {**answer, **about, "text": text}
+        why = f" {state['fault_name']}: {state['fault_text']}" if mode == "FAULT" else ""
+        text = f"{verb.upper()} failed: ended in {mode}{why}"
+        return {**answer, **about, "accepted": False, "reason": "ended_otherwise", "text": text}

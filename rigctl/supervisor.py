@@ -1,0 +1,250 @@
+"""``rigctl run``: validates, designs, spawns control and gateway, watches them, tells the service manager.
+
+The control process comes up while the gains are designed; a gateway that dies is replaced, a control process that
+dies is replaced and comes up DISARMED: drive off, brake closed, the load carried.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import FrameType
+from typing import IO, Any
+
+import msgspec
+
+from rigctl import __version__
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode
+from rigctl.devices import busload
+from rigctl.telemetry.events import worded
+from rigctl.telemetry.ring import RingReader
+from rigctl.telemetry.runtime import AlreadyRunningError, Runtime
+
+POLL_S = 0.05
+START_LIMIT_S = 20.0
+STOP_LIMIT_S = 5.0
+BACKOFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
+STABLE_S = 10.0
+WATCHDOG_STALE_S = 1.0
+
+
+class CannotRunError(RuntimeError):
+    """The daemon cannot run; ``str()`` is one line."""
+
+
+@dataclass
+class Child:
+    """A process that is kept alive."""
+
+    name: str
+    command: list[str]
+    process: subprocess.Popen[bytes]
+    started: float
+    failures: int = 0
+    retry_at: float | None = None
+
+
+class Supervisor:
+    """One rig's daemon: its runtime folder and its processes."""
+
+    def __init__(self, settings: RigSettings, say: Callable[[str], None]) -> None:
+        """``say`` takes the daemon's log, a line at a time."""
+        self.settings = settings
+        self._say = say
+        self._runtime = Runtime.of(settings.rig)
+        self._gains_line = b""
+        self._stopping = False
+        self._children: dict[str, Child] = {}
+        self._active: dict[str, Any] = {}
+
+    def run(self) -> int:
+        """Run until SIGTERM or SIGINT; returns the exit code.
+
+        Raises:
+            CannotRunError: nothing was left running.
+        """
+        try:
+            lock = self._runtime.claim()
+        except AlreadyRunningError as error:
+            raise CannotRunError(f"{self.settings.rig}: {error}") from None
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._on_signal)
+        try:
+            self._runtime.make_rings(self.settings)
+            events = self._runtime.event_reader()
+            records = self._runtime.record_reader()
+            self._start(records)
+            while not self._stopping:
+                self._watch()
+                self._tell(events)
+                if self._loop_alive(records):
+                    _notify("WATCHDOG=1")
+                time.sleep(POLL_S)
+            return self._stop(events)
+        finally:
+            self._kill_all()
+            self._runtime.remove()
+            os.close(lock)
+
+    # -- start ----------------------------------------------------------------------------------------------
+    def _start(self, records: RingReader) -> None:
+        settings = self.settings
+        self._active = {
+            "settings": settings.model_dump(mode="json"),
+            "version": __version__,
+            "started_wall_ns": time.time_ns(),
+            "pid": os.getpid(),
+            "bus_load": busload.bus_load(settings),
+        }
+        self._runtime.write_json("active.json", self._active)
+        self._spawn("control", "rigctl.control")
+        self._spawn("gateway", "rigctl.telemetry.gateway")
+        self._design()
+        self._send_gains()
+        until = time.monotonic() + START_LIMIT_S
+        while records.head == 0 and not self._stopping:
+            for child in self._children.values():
+                if child.process.poll() is not None:
+                    raise CannotRunError(f"{settings.rig}: {child.name} could not start (see above)")
+            if time.monotonic() > until:
+                raise CannotRunError(f"{settings.rig}: the loop did not start within {START_LIMIT_S:.0f} s")
+            time.sleep(0.005)
+        for applied in self._runtime.read_json("control.json").get("realtime", []):
+            mark = "" if applied["ok"] else f" - WARNING: {applied['warning']}"
+            self._say(f"real time: {applied['name']}: {applied['in_force']}{mark}")
+        channel = f"{settings.can.interface}:{settings.can.channel}"
+        self._say(
+            f"{settings.rig}: DISARMED, {settings.loop.rate_hz} Hz on {channel}, answering at "
+            f"{settings.telemetry.listen}"
+        )
+        _notify("READY=1")
+
+    def _design(self) -> None:
+        from rigctl.design.margins import design_and_check  # imports python-control: slow, beside the children's own
+
+        design = design_and_check(self.settings)
+        self._active["design"] = design.as_dict()
+        if not design.accepted:
+            raise CannotRunError(
+                f"{self.settings.rig}: design refused: Ms {design.ms_max:.2f} over the family of plants, allowed "
+                f"{design.limit:g} (or a design.waiver in words)"
+            )
+        waived = f" - WARNING: waived: {design.waiver}" if design.waiver else ""
+        self._say(f"design: Ms {design.ms_max:.2f} over the family of plants (limit {design.limit:g}){waived}")
+        self._runtime.write_json("active.json", self._active)
+        self._gains_line = msgspec.json.encode(design.gains) + b"\n"
+
+    def _spawn(self, name: str, module: str) -> None:
+        command = [sys.executable, "-m", module, str(self._runtime.directory)]
+        stdin = subprocess.PIPE if name == "control" else subprocess.DEVNULL
+        process = subprocess.Popen(command, stdin=stdin, start_new_session=True)
+        failures = self._children[name].failures if name in self._children else 0
+        self._children[name] = Child(name, command, process, time.monotonic(), failures)
+
+    def _send_gains(self) -> None:
+        stdin: IO[bytes] | None = self._children["control"].process.stdin
+        if stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                stdin.write(self._gains_line)
+                stdin.flush()
+
+    # -- watch ----------------------------------------------------------------------------------------------
+    def _watch(self) -> None:
+        now = time.monotonic()
+        for child in list(self._children.values()):
+            code = child.process.poll()
+            if code is None:
+                if child.failures and now - child.started > STABLE_S:
+                    child.failures = 0
+            elif child.retry_at is None:
+                wait = BACKOFF_S[min(child.failures, len(BACKOFF_S) - 1)]
+                child.failures += 1
+                child.retry_at = now + wait
+                how = f"killed by signal {-code}" if code < 0 else f"ended with code {code}"
+                comes = "comes back DISARMED" if child.name == "control" else "comes back, the loop is unaffected"
+                self._say(f"WARNING: {child.name} process {how}; {comes} in {wait:g} s")
+            elif now >= child.retry_at:
+                module = "rigctl.control" if child.name == "control" else "rigctl.telemetry.gateway"
+                self._spawn(child.name, module)
+                if child.name == "control":
+                    self._send_gains()
+
+    def _tell(self, events: RingReader) -> None:
+        for slot in events.read():
+            kind, a, b, value, limit, text = (slot[n].item() for n in ("kind", "a", "b", "value", "limit", "text"))
+            event = worded(kind, a, b, value, limit, text.decode(errors="replace"))
+            prefix = "" if event.severity == "info" else f"{event.severity.upper()}: "
+            self._say(prefix + event.text)
+
+    def _loop_alive(self, records: RingReader) -> bool:
+        slot = records.latest()
+        return slot is not None and time.monotonic_ns() - int(slot["t_ns"]) < WATCHDOG_STALE_S * 1e9
+
+    # -- stop -----------------------------------------------------------------------------------------------
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        self._stopping = True
+
+    def _stop(self, events: RingReader) -> int:
+        """Control first: it holds the stroke and closes the brake; the gateway tells of it, then ends too."""
+        _notify("STOPPING=1")
+        records = self._runtime.record_reader()
+        clean = self._end("control")
+        self._tell(events)
+        last = records.latest()
+        time.sleep(2.0 / self.settings.telemetry.rate_hz)
+        self._end("gateway")
+        if last is None or not clean:
+            self._say("WARNING: the loop did not stop by itself; the drive holds by its own supervision")
+            return 1
+        mode = Mode(int(last["mode"])).name
+        self._say(
+            f"stopped in {mode}: stroke {last['stroke_mm']:.2f} mm, tension {last['tension_n']:.1f} N, brake closed"
+        )
+        return 0
+
+    def _end(self, name: str) -> bool:
+        process = self._children[name].process
+        with contextlib.suppress(ProcessLookupError):
+            process.send_signal(signal.SIGTERM)
+        try:
+            return process.wait(STOP_LIMIT_S) == 0
+        except subprocess.TimeoutExpired:
+            return False
+
+    def _kill_all(self) -> None:
+        for child in self._children.values():
+            if child.process.poll() is None:
+                child.process.terminate()
+        for child in self._children.values():
+            try:
+                child.process.wait(STOP_LIMIT_S)
+            except subprocess.TimeoutExpired:
+                child.process.kill()
+                child.process.wait()
+
+
+def _notify(state: str) -> None:
+    """Tell the service manager (sd_notify protocol), if there is one."""
+    address = os.environ.get("NOTIFY_SOCKET")
+    if address:
+        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+            sock.connect("\0" + address[1:] if address.startswith("@") else address)
+            sock.send(state.encode())
+
+
+def refuse_bus_load(settings: RigSettings) -> None:
+    """Raise `CannotRunError` when the worst-case load of the bus is above its limit."""
+    load = busload.bus_load(settings)
+    if load is not None and load > busload.LIMIT:
+        raise CannotRunError(
+            f"bus load {load:.0%} at {settings.can.bitrate_bit_s} bit/s and {settings.loop.rate_hz} Hz, "
+            f"allowed {busload.LIMIT:.0%}"
+        )

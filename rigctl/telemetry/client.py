@@ -1,0 +1,197 @@
+"""A synchronous client of the daemon: what the operator's commands are made of.
+
+Zenoh in client mode: once connected it comes back by itself when the gateway was restarted.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import threading
+import time
+from types import TracebackType
+from typing import Any, Self
+
+import msgspec
+import zenoh
+
+from rigctl.telemetry import keys
+from rigctl.telemetry.keys import Keys
+from rigctl.telemetry.session import SessionError, close, open_client
+
+OPEN_S = 2.0
+ASK_S = 2.0
+COMMAND_S = 6.0  # the gateway answers within 4 s, arm included
+_POLL_S = 0.01
+
+
+class NoDaemonError(RuntimeError):
+    """Nobody answers; ``str()`` is one line."""
+
+
+class ChoiceError(ValueError):
+    """Endpoint or rig is not one, or several rigs answer; ``str()`` is one line."""
+
+
+def _open(endpoint: str) -> zenoh.Session:
+    """Open a session, giving up after ``OPEN_S`` whatever the network does."""
+    opened: list[zenoh.Session] = []
+
+    def attempt() -> None:
+        try:
+            opened.append(open_client(endpoint))
+        except SessionError:
+            return
+
+    thread = threading.Thread(target=attempt, name="connect", daemon=True)
+    thread.start()
+    thread.join(OPEN_S)
+    if not opened:
+        raise NoDaemonError(f"no daemon answers at {endpoint} (absent, or not allowed)")
+    return opened[0]
+
+
+class Client:
+    """Connection to the daemon of one rig."""
+
+    def __init__(self, connect: str | None = None, rig: str | None = None) -> None:
+        """``connect``: endpoint, else ``RIGCTL_CONNECT``; ``rig``: name, else ``RIGCTL_RIG``, else the one there is.
+
+        Raises:
+            NoDaemonError: nobody there, or not allowed.
+            ChoiceError: not an endpoint, not a name, or several rigs and none chosen.
+        """
+        self.endpoint = connect or os.environ.get("RIGCTL_CONNECT") or keys.DEFAULT_ENDPOINT
+        if not re.fullmatch(r"[a-z-]+/\S+", self.endpoint):
+            raise ChoiceError(f"found endpoint {self.endpoint!r}, allowed e.g. {keys.DEFAULT_ENDPOINT}")
+        wanted = rig or os.environ.get("RIGCTL_RIG") or None
+        if wanted is not None and not re.fullmatch(r"[a-z][a-z0-9_]{0,31}", wanted):
+            raise ChoiceError(f"found rig {wanted!r}, allowed a rig's name, e.g. paper_rig")
+        self.session = _open(self.endpoint)
+        try:
+            self.keys = Keys(self._choose(wanted))
+        except (NoDaemonError, ChoiceError):
+            close(self.session)
+            raise
+
+    def _choose(self, wanted: str | None) -> str:
+        tokens = self.session.liveliness().get(keys.ANY_DAEMON, timeout=ASK_S)
+        rigs = sorted({keys.rig_of(str(reply.ok.key_expr)) for reply in tokens if reply.ok is not None})
+        if wanted is not None and rigs and wanted not in rigs:
+            raise NoDaemonError(f"no daemon of {wanted} answers at {self.endpoint}, only of {', '.join(rigs)}")
+        if not rigs:
+            raise self._nobody()
+        if wanted is None and len(rigs) > 1:
+            raise ChoiceError(f"several rigs answer at {self.endpoint}: {', '.join(rigs)}; choose one with --rig")
+        return wanted or rigs[0]
+
+    def _nobody(self) -> NoDaemonError:
+        return NoDaemonError(f"no daemon answers at {self.endpoint} (absent, or not allowed)")
+
+    @property
+    def rig(self) -> str:
+        """Name of the rig."""
+        return self.keys.rig
+
+    def ask(self, selector: str, payload: bytes | None = None, timeout_s: float = ASK_S) -> tuple[bool, bytes]:
+        """One query; whether it was answered (else refused), and the answer's bytes.
+
+        Raises:
+            NoDaemonError: no answer.
+        """
+        # The answer travels as the query did: never waited for, and beside the published data.
+        replies = self.session.get(
+            selector,
+            payload=payload,
+            timeout=timeout_s,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.DATA_LOW if payload is None else zenoh.Priority.DATA_HIGH,
+        )
+        for reply in replies:
+            if reply.ok is not None:
+                return True, bytes(reply.ok.payload)
+            if reply.err is not None and (refusal := bytes(reply.err.payload)).startswith(b"{"):
+                return False, refusal
+        raise self._nobody()  # nothing, or Zenoh's own word for a time-out
+
+    def _json(self, selector: str) -> Any:
+        answered, payload = self.ask(selector)
+        if not answered:
+            raise NoDaemonError(f"{selector}: {payload.decode(errors='replace')}")
+        return msgspec.json.decode(payload)
+
+    def state(self) -> dict[str, Any]:
+        """The newest state."""
+        return dict(self._json(self.keys.state))
+
+    def active(self) -> dict[str, Any]:
+        """What runs: settings, design, versions, and what the control process read back."""
+        return dict(self._json(self.keys.active))
+
+    def schema(self) -> dict[str, Any]:
+        """What the fast stream means."""
+        return dict(self._json(self.keys.schema))
+
+    def past_events(self, after: int = 0) -> list[dict[str, Any]]:
+        """Events after a sequence number that are still held, oldest first."""
+        return list(self._json(f"{self.keys.events_past}?after={after}"))
+
+    def command(self, verb: str, operator: str, value: float | None = None) -> dict[str, Any]:
+        """Give a command; the answer, whose ``accepted`` and ``text`` say what happened.
+
+        Raises:
+            NoDaemonError: no answer; whether the command was carried out is not known.
+        """
+        body: dict[str, Any] = {"operator": operator} | ({} if value is None else {"value": value})
+        _, payload = self.ask(self.keys.command(verb), msgspec.json.encode(body), COMMAND_S)
+        return dict(msgspec.json.decode(payload))
+
+    def follow(self, key: str, depth: int = 64) -> Feed:
+        """JSON messages published on ``key`` from now on; the oldest go when more than ``depth`` wait."""
+        return Feed(self.session, key, depth)
+
+    def close(self) -> None:
+        """End the session."""
+        close(self.session)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class Feed:
+    """Messages of a subscription, taken one by one."""
+
+    def __init__(self, session: zenoh.Session, key: str, depth: int) -> None:
+        self._subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(depth))
+
+    def take(self) -> dict[str, Any] | None:
+        """The next message that has come, or None."""
+        while (sample := self._subscriber.try_recv()) is not None:
+            try:
+                message = msgspec.json.decode(bytes(sample.payload))
+            except msgspec.MsgspecError:
+                continue  # not from our gateway
+            if isinstance(message, dict):
+                return message
+        return None
+
+    def newest(self) -> dict[str, Any] | None:
+        """The last message that has come, or None; those before it are left out."""
+        last = None
+        while (message := self.take()) is not None:
+            last = message
+        return last
+
+    def wait(self, timeout_s: float) -> dict[str, Any] | None:
+        """The next message, or None after ``timeout_s``."""
+        until = time.monotonic() + timeout_s
+        while (message := self.take()) is None:
+            if time.monotonic() >= until:
+                return None
+            time.sleep(_POLL_S)
+        return message

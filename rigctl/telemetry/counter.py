@@ -1,0 +1,68 @@
+"""``python -m rigctl.telemetry.counter``: an independent subscriber that counts the fast stream.
+
+Says ``{"ready": true}`` with the first block, and its figures in one JSON line when it is told to end (SIGTERM,
+SIGINT) or has received ``--records``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import signal
+import sys
+import threading
+import time
+from typing import Any
+
+import msgspec
+
+from rigctl.telemetry.client import ChoiceError, Client, NoDaemonError
+from rigctl.telemetry.fast import FastReader
+
+_PERIOD_S = 0.02
+_LAST_S = 0.1  # blocks on their way when told to end
+
+
+def _say(message: dict[str, Any]) -> None:
+    sys.stdout.write(msgspec.json.encode(message).decode() + "\n")
+    sys.stdout.flush()
+
+
+def count(client: Client, stop: threading.Event, records: int | None) -> dict[str, Any]:
+    """Count until ``stop`` or until ``records`` were received."""
+    reader = FastReader(client)
+    ready = False
+    ends = None
+    while ends is None or time.monotonic() < ends:
+        for _ in reader.read():
+            if not ready:
+                ready = True
+                _say({"ready": True, "first_seq": reader.count.first_seq})
+        if ends is None and (stop.is_set() or (records is not None and reader.count.received >= records)):
+            ends = time.monotonic() + _LAST_S
+        time.sleep(_PERIOD_S)
+    return dataclasses.asdict(reader.count)
+
+
+def main() -> int:
+    """Count; exit code 0, 1 without a daemon, 2 on wrong usage."""
+    parser = argparse.ArgumentParser(prog="python -m rigctl.telemetry.counter", description=__doc__)
+    parser.add_argument("--connect", help="endpoint of the daemon")
+    parser.add_argument("--rig", help="name of the rig")
+    parser.add_argument("--records", type=int, help="end after so many")
+    options = parser.parse_args()
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda _number, _frame: stop.set())
+    try:
+        with Client(options.connect, options.rig) as client:
+            figures = count(client, stop, options.records)
+    except (NoDaemonError, ChoiceError) as error:
+        sys.stderr.write(f"{error}\n")
+        return 1 if isinstance(error, NoDaemonError) else 2
+    _say(figures)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,216 @@
+"""Gateway process: ``python -m rigctl.telemetry.gateway RUNTIME_DIR``. Rings in, Zenoh out; commands the other way.
+
+May be killed at any time: the loop does not notice, and the next gateway goes on where this one stopped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import pathlib
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import zenoh
+from pydantic import ValidationError
+
+from rigctl.config import RigSettings
+from rigctl.telemetry.commands import Desk, sight_of
+from rigctl.telemetry.cursor import Cursor
+from rigctl.telemetry.keys import Keys
+from rigctl.telemetry.ring import RingError
+from rigctl.telemetry.runtime import Runtime
+from rigctl.telemetry.schema import schema
+from rigctl.telemetry.session import SessionError, close, finish, open_client, open_router
+from rigctl.telemetry.state import Recent, Trip, state_of, warnings_of
+from rigctl.telemetry.streams import EventStream, FastStream, event_message, event_publishers, past_block
+
+_JSON = zenoh.Encoding.APPLICATION_JSON
+_DROP = zenoh.CongestionControl.DROP
+_LOOK_NS = 500_000_000  # how often control.json is looked at
+_PR_SET_PDEATHSIG = 1
+
+
+class StateView:
+    """The state message of this instant."""
+
+    def __init__(self, runtime: Runtime, settings: RigSettings) -> None:
+        self._runtime, self._rig = runtime, settings.rig
+        self._records, self._events = runtime.record_reader(), runtime.event_reader(from_start=True)
+        self._records.cursor = max(0, self._records.head - settings.loop.rate_hz)
+        self._recent, self._trip = Recent(), Trip()
+        self._warnings: list[str] = []
+        self._look_ns = 0
+        self._started_wall_ns = time.time_ns()
+        self.newest = b"{}"
+
+    def make(self, now_ns: int, samples_lost: int) -> bytes:
+        """Read what is new and encode it."""
+        self._recent.add(self._records.read())
+        self._trip.note(self._events.read())
+        if now_ns >= self._look_ns:
+            self._warnings, self._look_ns = warnings_of(control_of(self._runtime)), now_ns + _LOOK_NS
+        state = state_of(self._records.latest(), self._trip, self._recent, now_ns, time.time_ns())
+        own = {
+            "rig": self._rig,
+            "samples_lost": samples_lost,
+            "warnings": self._warnings,
+            "gateway_wall_ns": self._started_wall_ns,
+        }
+        self.newest = msgspec.json.encode({**own, **state})
+        return self.newest
+
+
+def control_of(runtime: Runtime) -> dict[str, Any]:
+    """What the control process wrote down; nothing while it is unreadable."""
+    try:
+        return runtime.read_json("control.json")
+    except (OSError, msgspec.MsgspecError):
+        return {}
+
+
+def _answering(answer: Callable[[zenoh.Query], tuple[str, bytes]]) -> Callable[[zenoh.Query], None]:
+    """A queryable's callback from a function that gives key and payload; its failure is an error reply."""
+
+    def take(query: zenoh.Query) -> None:
+        try:
+            key, payload = answer(query)
+            query.reply(key, payload)
+        except (ValueError, KeyError, OSError, msgspec.MsgspecError, zenoh.ZError) as error:
+            with contextlib.suppress(zenoh.ZError):
+                query.reply_err(msgspec.json.encode({"text": str(error)}), encoding=_JSON)
+        finish(query)
+
+    return take
+
+
+def _after(query: zenoh.Query) -> int:
+    """The ``after=SEQ`` of a query."""
+    text = query.parameters.get("after", "0") or "0"
+    if not text.isascii() or not text.isdigit() or len(text) > 19:
+        raise ValueError(f"found after={text[:40]!r}, allowed a sequence number")
+    return int(text)
+
+
+def _declare_queryables(
+    session: zenoh.Session, keys: Keys, runtime: Runtime, settings: RigSettings, view: StateView, stream: int
+) -> None:
+    known = msgspec.json.encode(schema(settings.rig))
+    records, events = runtime.record_reader(), runtime.event_reader()
+
+    def past_events(query: zenoh.Query) -> tuple[str, bytes]:
+        events.cursor = min(_after(query), events.head)
+        offset = time.time_ns() - time.monotonic_ns()
+        return keys.events_past, msgspec.json.encode([event_message(event, offset)[1] for event in events.read()])
+
+    def active(_query: zenoh.Query) -> tuple[str, bytes]:
+        message = {**runtime.read_json("active.json"), "control": control_of(runtime)}
+        return keys.active, msgspec.json.encode(message)
+
+    for key, answer in (
+        (keys.state, lambda _query: (keys.state, view.newest)),
+        (keys.schema, lambda _query: (keys.schema, known)),
+        (keys.active, active),
+        (keys.fast, lambda query: (keys.fast, past_block(records, _after(query), stream))),
+        (keys.events_past, past_events),
+    ):
+        session.declare_queryable(key, _answering(answer))
+
+
+class Gateway:
+    """Sessions, streams and desk of one rig."""
+
+    def __init__(self, runtime: Runtime, settings: RigSettings) -> None:
+        """Open everything.
+
+        Raises:
+            SessionError: the endpoint is in use or is none.
+        """
+        keys, now = Keys(settings.rig), time.monotonic_ns()
+        socket = f"unixsock-stream/{runtime.gateway_socket}"
+        self._session = open_router([settings.telemetry.listen, socket])
+        # Commands have a session of their own: nothing that happens to the data can hold one up.
+        self._command_session = open_client(socket)
+        self._period_ns = 1_000_000_000 // settings.telemetry.rate_hz
+        self._per_call = max(1, settings.loop.rate_hz // settings.telemetry.rate_hz)
+
+        records = runtime.record_reader(from_start=True)
+        self._cursor = Cursor(runtime.gateway_cursor, runtime.records, records.head)
+        self._view = StateView(runtime, settings)
+        self._state = self._session.declare_publisher(keys.state, encoding=_JSON, congestion_control=_DROP)
+        fast = self._session.declare_publisher(keys.fast, congestion_control=_DROP)
+        self._fast = FastStream(fast, records, self._cursor, now)
+        publishers = event_publishers(self._session, keys)
+        self._events = EventStream(publishers, runtime.event_reader(from_start=True), self._cursor, now)
+
+        limits_n = (settings.tension.target_min_n, settings.tension.target_max_n)
+        newest = runtime.record_reader()
+        self._desk = Desk(keys, runtime.command_writer(), runtime.reply_reader(), lambda: sight_of(newest), limits_n)
+        self._view.make(now, 0)
+        _declare_queryables(self._session, keys, runtime, settings, self._view, self._cursor.stream)
+        self._desk.open(self._command_session)
+        self._token = self._session.liveliness().declare_token(keys.daemon)
+
+    def publish(self) -> None:
+        """One period's worth of everything."""
+        now = time.monotonic_ns()
+        self._fast.publish(self._per_call, now)
+        self._events.publish(time.time_ns() - now, now)
+        self._state.put(self._view.make(now, self._fast.lost))
+
+    def run(self, stop: threading.Event) -> None:
+        """Publish on an absolute grid until ``stop``; periods that were missed are left out."""
+        due = time.monotonic_ns()
+        while not stop.is_set():
+            self.publish()
+            now = time.monotonic_ns()
+            due += self._period_ns * max(1, -((due - now) // self._period_ns))
+            stop.wait((due - time.monotonic_ns()) / 1e9)
+
+    def close(self) -> None:
+        """Publish what is left and end the sessions."""
+        self._desk.close()
+        self.publish()
+        close(self._command_session)
+        close(self._session)
+        self._cursor.close()
+
+
+def die_with_parent() -> None:
+    """Be told to end (SIGTERM) when the process that started this one ends."""
+    parent = os.getppid()
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:  # it ended in between
+        raise SystemExit(0)
+
+
+def main(arguments: list[str]) -> int:
+    """Run the gateway of the runtime folder named; exit code."""
+    if len(arguments) != 1:
+        sys.stderr.write("usage: python -m rigctl.telemetry.gateway RUNTIME_DIR\n")
+        return 2
+    stop = threading.Event()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda _number, _frame: stop.set())
+    die_with_parent()
+    runtime = Runtime(pathlib.Path(arguments[0]))
+    try:
+        settings = RigSettings.model_validate(runtime.read_json("active.json").get("settings"))
+        gateway = Gateway(runtime, settings)
+    except (OSError, ValidationError, msgspec.MsgspecError, RingError, SessionError) as error:
+        reason = "active.json holds no valid settings" if isinstance(error, ValidationError) else error
+        sys.stderr.write(f"gateway: {reason}\n")
+        return 1
+    gateway.run(stop)
+    gateway.close()
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,63 @@
+"""Zenoh keys of a rig: ``rigctl/<rig>/...``. One place, so that gateway, client and access control agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+ROOT = "rigctl"
+ANY_DAEMON = f"{ROOT}/*/live/daemon"
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+SEVERITIES = ("info", "warning", "error")
+
+
+@dataclass(frozen=True)
+class Keys:
+    """Keys of one rig."""
+
+    rig: str
+
+    def _key(self, tail: str) -> str:
+        return f"{ROOT}/{self.rig}/{tail}"
+
+    @property
+    def state(self) -> str:
+        """Newest record and what is derived from it, JSON; published, and answered when asked."""
+        return self._key("tele/state")
+
+    @property
+    def fast(self) -> str:
+        """Every record in packed blocks; asked with ``after=SEQ`` it gives the records after that one again."""
+        return self._key("tele/fast")
+
+    def event(self, severity: str) -> str:
+        """Events of one severity, JSON; ``*`` for all."""
+        return self._key(f"event/{severity}")
+
+    @property
+    def events_past(self) -> str:
+        """Asked with ``after=SEQ``: the events still held after that one, a JSON list."""
+        return self._key("events/past")
+
+    @property
+    def schema(self) -> str:
+        """What the fast stream and the enumerations mean, JSON."""
+        return self._key("meta/schema")
+
+    @property
+    def active(self) -> str:
+        """What runs: settings, design, versions, devices, real-time report, JSON."""
+        return self._key("cfg/active")
+
+    @property
+    def daemon(self) -> str:
+        """Liveliness token."""
+        return self._key("live/daemon")
+
+    def command(self, verb: str) -> str:
+        """Command of one verb; ``*`` is what the gateway declares."""
+        return self._key(f"cmd/{verb}")
+
+
+def rig_of(key: str) -> str:
+    """Rig a key belongs to."""
+    return key.split("/")[1]

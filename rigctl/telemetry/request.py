@@ -1,0 +1,136 @@
+"""Commands on the wire: what a query must carry, and what the answer says. Pure functions of bytes and values."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.safety import Fault
+from rigctl.telemetry.events import failed_checks, refusal_text
+
+VERBS = {verb.name.lower(): verb for verb in Verb}
+_OPERATOR_LENGTH = 64
+_PAYLOAD_BYTES = 4096
+_ALLOWED = '{"operator": "NAME"}'
+_ALLOWED_TARGET = '{"operator": "NAME", "value": NEWTONS}'
+
+
+class RequestError(ValueError):
+    """A command that is not one; ``str()`` says what was found and what is allowed."""
+
+
+class _Payload(msgspec.Struct, forbid_unknown_fields=True):
+    operator: str
+    value: float | None = None
+
+
+@dataclass(frozen=True)
+class Request:
+    """A command as an operator gives it; ``value`` is newtons for TARGET, else NaN."""
+
+    verb: Verb
+    operator: str
+    value: float = math.nan
+
+
+def verb_of(name: str) -> Verb:
+    """The verb a key ends in.
+
+    Raises:
+        RequestError: naming the verbs there are.
+    """
+    verb = VERBS.get(name)
+    if verb is None:
+        raise RequestError(f"found the command {name[:40]!r}, allowed {', '.join(VERBS)}")
+    return verb
+
+
+def parse(verb: Verb, payload: bytes | None) -> Request:
+    """Read a command's payload.
+
+    Raises:
+        RequestError: bad JSON, an unknown key, a missing or non-finite value, a wrong type.
+    """
+    allowed = _ALLOWED_TARGET if verb is Verb.TARGET else _ALLOWED
+    if not payload:
+        raise RequestError(f"found no payload, allowed {allowed}")
+    if len(payload) > _PAYLOAD_BYTES:
+        raise RequestError(f"found {len(payload)} bytes, allowed {allowed}")
+    try:
+        found = msgspec.json.decode(payload, type=_Payload)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise RequestError(f"{error}, allowed {allowed}".replace("\n", " ")) from None
+    operator = found.operator.strip()
+    if not operator or len(operator) > _OPERATOR_LENGTH or not operator.isprintable():
+        raise RequestError(f"found operator {found.operator[:80]!r}, allowed 1 to {_OPERATOR_LENGTH} printable letters")
+    if verb is not Verb.TARGET:
+        if found.value is not None:
+            raise RequestError(f"found a value, allowed {allowed}")
+        return Request(verb, operator)
+    if found.value is None:
+        raise RequestError(f"found no value, allowed {allowed}")
+    if not math.isfinite(found.value):
+        raise RequestError(f"found value {found.value}, allowed a finite number of newtons")
+    return Request(verb, operator, found.value)
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What an answer may mention: from the newest record."""
+
+    fault: Fault = Fault.NONE
+    stroke_mm: float = math.nan
+    tension_n: float = math.nan
+    target_n: float = math.nan
+
+
+def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
+    match verb:
+        case Verb.ARM:
+            return f"armed, {mode.name}, stroke {sight.stroke_mm:.2f} mm, tension {sight.tension_n:.1f} N"
+        case Verb.TENSION:
+            return f"ramping to {sight.target_n:g} N, {mode.name}"
+        case Verb.RELEASE:
+            return f"ramping to slack, {mode.name}"
+        case Verb.HOLD:
+            return f"stroke held at {sight.stroke_mm:.2f} mm, tension {sight.tension_n:.1f} N"
+        case Verb.DISARM:
+            latched = ", the fault stays latched" if mode is Mode.FAULT else ""
+            return f"drive off, brake closed, {mode.name}{latched}"
+        case Verb.RESET:
+            return f"fault cleared, {mode.name}"
+        case Verb.TARGET:
+            return f"{value:g} N, {mode.name}"
+
+
+def refused(name: str, operator: str, reason: str, text: str, **more: Any) -> dict[str, Any]:
+    """The answer to a command that was not carried out."""
+    verb = name.upper() if name in VERBS else "COMMAND"
+    return {
+        "accepted": False, "verb": name, "operator": operator, "reason": reason,
+        "text": f"{verb} refused: {text}", **more,
+    }  # fmt: skip
+
+
+def silent(name: str, operator: str) -> dict[str, Any]:
+    """The answer when the loop gives none: the command may have been carried out, or not."""
+    text = "the control loop does not answer"
+    return {**refused(name, operator, "no_answer", text), "text": f"{name.upper()}: {text}"}
+
+
+def answer(request: Request, reply: Any, sight: Sight, limits_n: tuple[float, float]) -> dict[str, Any]:
+    """A ``REPLY`` slot as the answer to ``request``; ``limits_n`` are the lowest and highest target."""
+    verb, mode, value = request.verb, Mode(int(reply["mode"])), float(reply["value"])
+    name = verb.name.lower()
+    about = {"mode": mode.name, "t_ns": int(reply["t_ns"]), "value": value if math.isfinite(value) else None}
+    if reply["accepted"]:
+        text = f"{verb.name}: {_done(verb, mode, value, sight)}"
+        return {"accepted": True, "verb": name, "operator": request.operator, "text": text, **about}
+    refusal, checks = Refusal(int(reply["reason"])), int(reply["checks"])
+    text = refusal_text(refusal, verb, mode, checks, sight.fault, limits_n)
+    more = {"checks": failed_checks(checks)} if refusal is Refusal.PREFLIGHT else {}
+    return refused(name, request.operator, refusal.name.lower(), text, **about, **more)

@@ -1,0 +1,88 @@
+"""Zenoh sessions as this project opens them, and their errors in one line."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import zenoh
+
+_BATCHES = 16  # of 64 KB per client and priority before DROP drops: rides out 1 s of a busy client at 4 kHz
+
+
+class SessionError(RuntimeError):
+    """A session that could not be opened; ``str()`` is one line."""
+
+
+def _config(mode: str, listen: list[str], connect: list[str]) -> zenoh.Config:
+    tree: dict[str, Any] = {
+        "mode": mode,
+        "listen": {"endpoints": listen, "timeout_ms": 0, "exit_on_failure": True},
+        "connect": {
+            "endpoints": connect,
+            "timeout_ms": 0,
+            "exit_on_failure": True,
+            # A killed gateway is back within a second: look for it often.
+            "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+        },
+        "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "transport": {
+            "shared_memory": {"enabled": False},  # loses messages over 3 KB without a word
+            "unicast": {"open_timeout": 1500, "accept_timeout": 1500},
+            "link": {
+                "tx": {
+                    "queue": {
+                        "size": {"data_high": _BATCHES, "data": _BATCHES, "data_low": _BATCHES},
+                        "congestion_control": {
+                            "drop": {"wait_before_drop": 0},
+                            # An answer blocks if the asker chose so: one who does not read is cut off (microseconds).
+                            "block": {"wait_before_close": 200_000},
+                        },
+                    }
+                }
+            },
+        },
+    }
+    return zenoh.Config.from_json5(json.dumps(tree))
+
+
+def _reason(error: Exception) -> str:
+    """Zenoh's message without its source locations."""
+    text = re.sub(r"\s+at /\S+\.rs:\d+\.?", "", str(error))
+    inner = re.search(r"\[\S+: (.*?) \(os error \d+\)", text)
+    return (inner.group(1) if inner else text.splitlines()[0]).strip(" .")
+
+
+def close(session: zenoh.Session) -> None:
+    """End a session. (zenoh's stub leaves this untyped.)"""
+    session.close()  # type: ignore[no-untyped-call]
+
+
+def finish(query: zenoh.Query) -> None:
+    """Tell the asker that no more answers come. (zenoh's stub leaves this untyped.)"""
+    query.drop()  # type: ignore[no-untyped-call]
+
+
+def open_router(listen: list[str]) -> zenoh.Session:
+    """The gateway's session: clients connect here and are relayed.
+
+    Raises:
+        SessionError: naming the endpoint and why.
+    """
+    try:
+        return zenoh.open(_config("router", listen, []))
+    except zenoh.ZError as error:
+        raise SessionError(f"cannot listen on {listen[0]}: {_reason(error)}") from None
+
+
+def open_client(endpoint: str) -> zenoh.Session:
+    """A client of the router at ``endpoint``; once open it reconnects by itself.
+
+    Raises:
+        SessionError: nobody there, or not an endpoint.
+    """
+    try:
+        return zenoh.open(_config("client", [], [endpoint]))
+    except zenoh.ZError as error:
+        raise SessionError(f"cannot connect to {endpoint}: {_reason(error)}") from None

@@ -1,0 +1,143 @@
+"""The state message: the newest record, and what a person or a program would work out from it first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rigctl.control.modes import Mode
+from rigctl.control.safety import Fault
+from rigctl.telemetry.events import Kind, fault_text
+from rigctl.telemetry.record import RECORD, Flag, Quality
+
+ALIVE_NS = 250_000_000  # a loop whose newest record is older than this does not run
+WINDOW_NS = 1_000_000_000
+_PERCENTILES = (("p50", 0.5), ("p99", 0.99), ("p999", 0.999), ("max", 1.0))
+
+
+def percentiles_us(values_ns: npt.NDArray[np.int64]) -> dict[str, float] | None:
+    """p50, p99, p99.9 and maximum in microseconds (nearest rank); None of nothing."""
+    if not len(values_ns):
+        return None
+    ordered = np.sort(values_ns)
+    last = len(ordered) - 1
+    return {name: round(float(ordered[math.ceil(q * last)]) / 1000.0, 1) for name, q in _PERCENTILES}
+
+
+def quality_words(bits: int) -> str:
+    """``good``, or what is wrong with a signal."""
+    return "+".join(q.name.lower() for q in Quality if bits & q and q.name) or "good"
+
+
+def _name(kind: type[Mode | Fault], number: int) -> str:
+    try:
+        return kind(number).name
+    except ValueError:
+        return f"UNKNOWN_{number}"
+
+
+class Recent:
+    """Lateness and work of the ticks of the last second."""
+
+    def __init__(self) -> None:
+        self._parts: list[npt.NDArray[Any]] = []
+
+    def add(self, records: npt.NDArray[Any]) -> None:
+        """Take new records; forget those older than a second."""
+        if not len(records):
+            return
+        self._parts.append(records[["t_ns", "lateness_ns", "work_ns"]].copy())
+        oldest = int(records["t_ns"][-1]) - WINDOW_NS
+        while int(self._parts[0]["t_ns"][-1]) < oldest:
+            del self._parts[0]
+
+    def figures(self) -> dict[str, Any]:
+        """``lateness_us`` and ``work_us``, percentiles over what is held."""
+        names = (("lateness_us", "lateness_ns"), ("work_us", "work_ns"))
+        if not self._parts:
+            return {name: None for name, _ in names}
+        return {name: percentiles_us(np.concatenate([part[field] for part in self._parts])) for name, field in names}
+
+
+class Trip:
+    """Value and limit of the trip that is latched, remembered from the events."""
+
+    def __init__(self) -> None:
+        self._fault, self._value, self._limit = 0, math.nan, math.nan
+
+    def note(self, events: npt.NDArray[Any]) -> None:
+        """Look for a newer trip."""
+        for event in events[events["kind"] == Kind.TRIP]:
+            self._fault, self._value, self._limit = int(event["a"]), float(event["value"]), float(event["limit"])
+
+    def text(self, fault: int) -> str:
+        """The latched fault in words."""
+        try:
+            known = Fault(fault)
+        except ValueError:
+            return f"unknown fault {fault}"
+        if known is Fault.NONE:
+            return ""
+        if self._fault != fault:  # its event is not in the ring any more
+            return known.name.lower().replace("_", " ")
+        return fault_text(known, self._value, self._limit)
+
+
+def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wall_ns: int) -> dict[str, Any]:
+    """State from the newest record; ``now_ns`` and ``wall_ns`` are the same instant on the two clocks."""
+    if record is None:
+        return {"loop_alive": False, "age_ms": None, "wall_ns": wall_ns, "mode": None, "mode_name": None}
+    values: dict[str, Any] = {name: record[name].item() for name in record.dtype.names or ()}
+    age_ns = now_ns - values["t_ns"]
+    compensating = values["mode"] == Mode.COMPENSATING and values["target_n"] > 0
+    error_n = values["vertical_n"] - values["target_n"] if compensating else None
+    return {
+        **values,
+        "wall_ns": wall_ns - age_ns,
+        "age_ms": round(age_ns / 1e6, 3),
+        "loop_alive": age_ns < ALIVE_NS,
+        "mode_name": _name(Mode, values["mode"]),
+        "fault_name": _name(Fault, values["fault"]),
+        "fault_text": trip.text(values["fault"]),
+        "flag_names": [f.name.lower() for f in Flag if values["flags"] & f and f.name],
+        "error_n": error_n,
+        "error_pct": None if error_n is None else 100.0 * abs(error_n) / values["target_n"],
+        "tangential_deg": math.degrees(values["tangential_rad"]),
+        "normal_deg": math.degrees(values["normal_rad"]),
+        "quality": {name: quality_words(values[f"{name}_quality"]) for name in ("tension", "inclination", "drive")},
+        **recent.figures(),
+    }
+
+
+def warnings_of(control: dict[str, Any]) -> list[str]:
+    """Warnings the control process wrote down, whatever it wrote."""
+    found = control.get("warnings")
+    return [str(item) for item in found] if isinstance(found, Sequence) and not isinstance(found, str) else []
+
+
+DERIVED: tuple[tuple[str, str, str], ...] = (
+    ("rig", "", "name of the rig"),
+    ("wall_ns", "ns", "t_ns on the wall clock, since 1970 UTC"),
+    ("age_ms", "ms", "age of this record when the message was made"),
+    ("loop_alive", "", f"the record is younger than {ALIVE_NS // 1_000_000} ms"),
+    ("mode_name", "", "mode in words"),
+    ("fault_name", "", "latched fault's name, NONE without one"),
+    ("fault_text", "", "why it tripped, in words; empty without a fault"),
+    ("flag_names", "", "flags in words"),
+    ("error_n", "N", "vertical_n - target_n while COMPENSATING, else null"),
+    ("error_pct", "%", "its magnitude over the target, while COMPENSATING, else null"),
+    ("tangential_deg", "deg", "tangential_rad for people"),
+    ("normal_deg", "deg", "normal_rad for people"),
+    ("quality", "", "tension, inclination, drive: good, or what is wrong"),
+    ("lateness_us", "us", "p50, p99, p999 and max over the last second"),
+    ("work_us", "us", "p50, p99, p999 and max over the last second"),
+    ("samples_lost", "", "records overwritten before a gateway could publish them, so far"),
+    ("warnings", "", "what the operator should know, e.g. real-time settings that were refused"),
+    ("gateway_wall_ns", "ns", "when this gateway started; changes when it was restarted"),
+)
+
+STATE_FIELDS = tuple(field.name for field in RECORD.fields)

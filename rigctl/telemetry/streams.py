@@ -1,0 +1,155 @@
+"""The fast stream and the events: what is due to be published now, going on where the previous gateway stopped."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import zenoh
+
+from rigctl.telemetry import block
+from rigctl.telemetry.cursor import Cursor
+from rigctl.telemetry.events import Kind, Worded, worded
+from rigctl.telemetry.keys import SEVERITIES, Keys
+from rigctl.telemetry.record import RECORD
+from rigctl.telemetry.ring import RingReader
+
+BLOCK_RECORDS = 60_000 // RECORD.dtype.itemsize  # a block fits one Zenoh batch (64 KB)
+HISTORY_RECORDS = 1000  # in one answer
+BACKLOG_SPEED = 8  # a backlog goes out at so many times the rate it was made
+PATIENCE_NS = 5_000_000_000  # after a restart, so long for the subscribers to come back
+
+
+def blocks_of(records: npt.NDArray[Any], reader: RingReader, lost: int, stream: int) -> list[bytes]:
+    """Records as blocks, none longer than ``BLOCK_RECORDS``, a new one after every gap."""
+    if not len(records):
+        return []
+    gaps = np.flatnonzero(np.diff(records["seq"].astype(np.int64)) != 1) + 1
+    result = []
+    for run in np.split(records, gaps):
+        for start in range(0, len(run), BLOCK_RECORDS):
+            part = run[start : start + BLOCK_RECORDS]
+            first = int(part["seq"][0])
+            result.append(
+                block.encode(
+                    part.tobytes(), part.dtype.itemsize, first_seq=first, lost=lost, stream=stream, head_seq=reader.head
+                )
+            )
+    return result
+
+
+def past_block(reader: RingReader, after: int, stream: int) -> bytes:
+    """One block with the records after ``after`` that are still held, at most ``HISTORY_RECORDS``."""
+    head = reader.head
+    reader.cursor = min(max(after, 0), head)
+    records = reader.read(HISTORY_RECORDS)
+    if len(records):
+        gap = np.flatnonzero(np.diff(records["seq"].astype(np.int64)) != 1)
+        records = records[: gap[0] + 1] if len(gap) else records
+    first = int(records["seq"][0]) if len(records) else head + 1
+    return block.encode(
+        records.tobytes(), records.dtype.itemsize, first_seq=first, lost=0, stream=stream, head_seq=head
+    )
+
+
+def has_subscriber(publisher: zenoh.Publisher) -> bool:
+    """Whether anyone listens. (zenoh 1.10's stub says bool; it is an object, and always true.)"""
+    return bool(getattr(publisher.matching_status, "matching", publisher.matching_status))
+
+
+class Resumption:
+    """After a restart, waits until those who listened before are back, but not for ever."""
+
+    def __init__(self, listened: bool, now_ns: int) -> None:
+        """``listened``: whether anyone did when the previous gateway ended."""
+        self._waiting = listened
+        self._until_ns = now_ns + PATIENCE_NS
+
+    def waits(self, publishers: list[zenoh.Publisher], now_ns: int) -> bool:
+        """Whether to hold the stream back for now."""
+        if self._waiting and (now_ns > self._until_ns or any(map(has_subscriber, publishers))):
+            self._waiting = False
+        return self._waiting
+
+
+class FastStream:
+    """Every record, in blocks."""
+
+    def __init__(self, publisher: zenoh.Publisher, reader: RingReader, cursor: Cursor, now_ns: int) -> None:
+        """``reader`` begins with the oldest record held; a cursor of the previous gateway moves it on."""
+        self._publisher, self._reader, self._cursor = publisher, reader, cursor
+        self._lost_before = cursor.fast_lost
+        self._resumption = Resumption(cursor.fast_listened, now_ns)
+        if cursor.resumed:
+            reader.cursor = cursor.fast_seq
+
+    @property
+    def lost(self) -> int:
+        """Records overwritten before a gateway could publish them."""
+        return self._lost_before + self._reader.lost
+
+    def publish(self, per_call: int, now_ns: int) -> None:
+        """Publish what is new; ``per_call`` records are made between two calls."""
+        cursor, publisher = self._cursor, self._publisher
+        if self._resumption.waits([publisher], now_ns):
+            return
+        cursor.fast_listened = has_subscriber(publisher)
+        records = self._reader.read(BACKLOG_SPEED * per_call)
+        for payload in blocks_of(records, self._reader, self.lost, cursor.stream):
+            publisher.put(payload)
+        cursor.fast_seq, cursor.fast_lost = self._reader.cursor, self.lost
+        cursor.save()
+
+
+def event_message(event: np.void, wall_offset_ns: int) -> tuple[str, dict[str, Any]]:
+    """Severity, and an event as the JSON object subscribers get; a slot nobody can word is still passed on."""
+    kind, a, b = int(event["kind"]), int(event["a"]), int(event["b"])
+    value, limit = float(event["value"]), float(event["limit"])
+    text = bytes(event["text"]).decode(errors="replace")
+    name = str(kind)
+    words = Worded("warning", f"event {kind} (a {a}, b {b}, value {value:g}, limit {limit:g}) {text}".rstrip())
+    with contextlib.suppress(ValueError, KeyError, OverflowError):
+        name = Kind(kind).name
+        words = worded(kind, a, b, value, limit, text)
+    t_ns = int(event["t_ns"])
+    return words.severity, {
+        "seq": int(event["seq"]), "t_ns": t_ns, "wall_ns": t_ns + wall_offset_ns, "severity": words.severity,
+        "kind": name, "text": words.text, "a": a, "b": b, "value": value, "limit": limit,
+    }  # fmt: skip
+
+
+class EventStream:
+    """Every event, on the key of its severity."""
+
+    def __init__(self, publishers: dict[str, zenoh.Publisher], reader: RingReader, cursor: Cursor, now_ns: int) -> None:
+        self._publishers, self._reader, self._cursor = publishers, reader, cursor
+        self._resumption = Resumption(cursor.events_listened, now_ns)
+        if cursor.resumed:
+            reader.cursor = cursor.event_seq
+
+    def publish(self, wall_offset_ns: int, now_ns: int) -> None:
+        """Publish what is new."""
+        if self._resumption.waits(list(self._publishers.values()), now_ns):
+            return
+        self._cursor.events_listened = any(map(has_subscriber, self._publishers.values()))
+        for event in self._reader.read():
+            severity, message = event_message(event, wall_offset_ns)
+            self._publishers[severity].put(msgspec.json.encode(message))
+        self._cursor.event_seq = self._reader.cursor
+        self._cursor.save()
+
+
+def event_publishers(session: zenoh.Session, keys: Keys) -> dict[str, zenoh.Publisher]:
+    """One per severity, ahead of the data streams."""
+    return {
+        severity: session.declare_publisher(
+            keys.event(severity),
+            encoding=zenoh.Encoding.APPLICATION_JSON,
+            priority=zenoh.Priority.DATA_HIGH,
+            congestion_control=zenoh.CongestionControl.DROP,
+        )
+        for severity in SEVERITIES
+    }

@@ -1,0 +1,115 @@
+"""A daemon in miniature: the real gateway on real rings, fed by a stand-in for the loop. Each in its own process."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from typing import IO, Any
+
+from rigctl import config
+from rigctl.telemetry.client import Client
+from rigctl.telemetry.runtime import Runtime
+
+ROOT = pathlib.Path(__file__).parents[2]
+PATIENCE_S = 15.0  # far above anything expected: only a hang fails
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def until(true: Callable[[], Any], what: str) -> Any:
+    """Wait for a truthy value."""
+    end = time.monotonic() + PATIENCE_S
+    while not (value := true()):
+        assert time.monotonic() < end, f"waited {PATIENCE_S:.0f} s for {what}"
+        time.sleep(0.02)
+    return value
+
+
+class Daemon:
+    """Processes and runtime folder of one rig."""
+
+    def __init__(self, rig: str = "paper_rig", port: int | None = None) -> None:
+        self.runtime = Runtime(tempfile.mkdtemp(prefix="rigctl-test-", dir="/dev/shm"))
+        self.endpoint = f"tcp/127.0.0.1:{port or free_port()}"
+        settings = config.load(ROOT / "config" / "paper_rig.yaml")
+        telemetry = settings.telemetry.model_copy(update={"listen": self.endpoint})
+        self.settings = settings.model_copy(update={"rig": rig, "telemetry": telemetry})
+        self.runtime.make_rings(self.settings)
+        self.runtime.write_json("active.json", {"settings": self.settings.model_dump(mode="json"), "design": {"ms": 1}})
+        self.processes: list[subprocess.Popen[str]] = []
+        self.gateway: subprocess.Popen[str] | None = None
+
+    def spawn(self, *arguments: str, stderr: int | IO[str] | None = None) -> subprocess.Popen[str]:
+        command = [sys.executable, *arguments]
+        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=stderr, text=True)
+        self.processes.append(process)
+        return process
+
+    def start_loop(self, *options: str) -> subprocess.Popen[str]:
+        records = self.runtime.record_reader()
+        loop = self.spawn("tests/telemetry/stand_in.py", str(self.runtime.directory), *options)
+        until(lambda: records.head, "the first record")
+        return loop
+
+    def start_gateway(self) -> None:
+        self.gateway = self.spawn("-m", "rigctl.telemetry.gateway", str(self.runtime.directory))
+
+    def kill_gateway(self) -> None:
+        assert self.gateway is not None
+        self.gateway.kill()
+        self.gateway.wait()
+
+    def client(self) -> Client:
+        until(self._reachable, f"the gateway at {self.endpoint}")
+        return Client(self.endpoint, self.settings.rig)
+
+    def _reachable(self) -> bool:
+        host, port = self.endpoint.removeprefix("tcp/").split(":")
+        with socket.socket() as probe:
+            if probe.connect_ex((host, int(port))):
+                return False
+        try:
+            Client(self.endpoint, self.settings.rig).close()
+        except RuntimeError:
+            return False
+        return True
+
+    def cli(self, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "rigctl.cli", *arguments],
+            cwd=ROOT,
+            env={**os.environ, "RIGCTL_CONNECT": self.endpoint, "COLUMNS": "80", **environment},
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE_S * 2,
+            check=False,
+        )
+
+    def close(self) -> None:
+        for process in self.processes:
+            if process.poll() is None:
+                process.send_signal(signal.SIGKILL)
+            process.communicate()
+        shutil.rmtree(self.runtime.directory, ignore_errors=True)
+
+
+def running(*options: str) -> Iterator[Daemon]:
+    found = Daemon()
+    try:
+        found.start_loop(*options)
+        found.start_gateway()
+        yield found
+    finally:
+        found.close()

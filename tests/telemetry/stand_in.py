@@ -1,0 +1,123 @@
+"""A stand-in for the control process: writes records at 1 kHz and events, answers commands. Not the real loop.
+
+``python stand_in.py RUNTIME_DIR`` runs until SIGTERM. ``arm`` takes 0.3 s, like a drive.
+A target of 111 N is never answered, one of 222 N trips.
+"""
+
+from __future__ import annotations
+
+import math
+import pathlib
+import signal
+import sys
+import time
+from typing import Any
+
+from rigctl.control.modes import TRANSITIONS, Decision, Event, Mode, Refusal, Situation, Verb, decide, next_mode
+from rigctl.control.safety import Check, Fault
+from rigctl.telemetry.events import Kind
+from rigctl.telemetry.record import RECORD
+from rigctl.telemetry.runtime import Runtime
+
+PERIOD_NS = 1_000_000
+ARM_NS = 300_000_000
+SILENT_N, TRIP_N = 111.0, 222.0
+
+
+class StandIn:
+    """Modes and a tension that follows them."""
+
+    def __init__(self, runtime: Runtime) -> None:
+        self.records, self.events = runtime.record_writer(), runtime.event_writer()
+        self.replies, self.commands = runtime.reply_writer(), runtime.command_reader()
+        self.mode, self.fault, self.target, self.tension, self.stroke = Mode.DISARMED, Fault.NONE, 300.0, 0.0, 0.0
+        self.arming: tuple[int, int] | None = None
+        self.failed = 0
+
+    def event(self, now: int, kind: Kind, a: int = 0, b: int = 0, value: float = 0.0, limit: float = 0.0) -> None:
+        self.events.write(now, int(kind), a, b, value, limit, b"")
+
+    def move(self, now: int, event: Event) -> None:
+        before, self.mode = self.mode, next_mode(self.mode, event)
+        if before is not self.mode:
+            self.event(now, Kind.MODE, before, self.mode, float(event))
+
+    def reply(self, now: int, number: int, decision: Decision, checks: int = 0) -> None:
+        accepted = decision.refusal is Refusal.NONE
+        self.replies.write(now, number, accepted, int(decision.refusal), checks, int(self.mode), self.target)
+
+    def take(self, now: int, command: Any) -> None:
+        verb, value, number = Verb(int(command["verb"])), float(command["value"]), int(command["id"])
+        if verb is Verb.TARGET and value == SILENT_N:
+            return
+        situation = Situation(
+            self.failed,
+            drive_enabled=self.mode is not Mode.DISARMED,
+            slack=self.tension < 5,
+            target_min_n=50.0,
+            target_max_n=350.0,
+        )
+        decision = decide(self.mode, verb, value, situation)
+        if decision.refusal is Refusal.NONE and verb is Verb.ARM:
+            self.arming = (number, now + ARM_NS)
+            return
+        if decision.event is not None and (self.mode, decision.event) in TRANSITIONS:
+            self.move(now, decision.event)
+        if decision.refusal is Refusal.NONE and verb is Verb.TARGET:
+            self.target = value
+        if decision.refusal is Refusal.NONE and verb is Verb.RESET:
+            self.event(now, Kind.RESET, self.fault)
+            self.fault = Fault.NONE
+        self.reply(now, number, decision, self.failed if decision.refusal is Refusal.PREFLIGHT else 0)
+        if verb is Verb.TARGET and value == TRIP_N:
+            self.fault = Fault.TENSION_HIGH
+            self.event(now, Kind.TRIP, self.fault, 0, 412.0, 400.0)
+            self.move(now, Event.TRIP)
+
+    def tick(self, now: int, tick: int, late: int) -> None:
+        for command in self.commands.read():
+            self.take(now, command)
+        if self.arming and now >= self.arming[1]:
+            self.move(now, Event.ENABLED)
+            self.reply(now, self.arming[0], Decision())
+            self.arming = None
+        step = {Mode.TENSIONING: 0.6, Mode.RELEASING: -0.6}.get(self.mode, 0.0)
+        self.tension = max(0.0, self.tension + step)
+        self.stroke = self.tension / 6.0
+        if self.mode is Mode.TENSIONING and self.tension >= self.target:
+            self.tension = self.target
+            self.move(now, Event.TENSIONED)
+        if self.mode is Mode.RELEASING and self.tension <= 5.0:
+            self.move(now, Event.SLACK)
+        wobble = 0.1 * math.sin(now / 1e9) if self.mode is Mode.COMPENSATING else 0.0
+        vertical = self.tension + wobble
+        values: dict[str, Any] = dict.fromkeys((field.name for field in RECORD.fields), 0) | {
+            "t_ns": now, "tick": tick, "lateness_ns": late, "work_ns": 80_000 + tick % 1000, "mode": int(self.mode),
+            "fault": int(self.fault), "tension_n": vertical, "vertical_n": vertical, "target_n": self.target,
+            "stroke_mm": self.stroke, "tangential_rad": 0.1 * math.sin(now / 5e9), "normal_rad": math.nan,
+            "inclination_quality": 1, "frames_sent": tick,
+        }  # fmt: skip
+        self.records.write(*values.values())
+
+
+def main() -> None:
+    runtime = Runtime(pathlib.Path(sys.argv[1]))
+    stop = []
+    signal.signal(signal.SIGTERM, lambda *_: stop.append(1))
+    loop = StandIn(runtime)
+    if "--fail-preflight" in sys.argv:
+        loop.failed = int(Check.CELL_STALE | Check.STROKE_RANGE)
+    runtime.write_json("control.json", {"warnings": ["SCHED_FIFO 80 refused: not permitted"], "realtime": {}})
+    start = due = time.monotonic_ns()
+    loop.event(start, Kind.STARTED)
+    while not stop:
+        now = time.monotonic_ns()
+        if now < due:
+            time.sleep((due - now) / 1e9)
+        while due <= time.monotonic_ns():  # no tick left out: the tests count them
+            loop.tick(due, (due - start) // PERIOD_NS, time.monotonic_ns() - due)
+            due += PERIOD_NS
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""Commands over real sessions: carried out, refused with the reason, and several at once."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+import pytest
+
+from rigctl.telemetry.client import Client
+from tests.telemetry.miniature import Daemon, running, until
+
+
+@pytest.fixture(scope="module")
+def refusing() -> Iterator[Daemon]:
+    yield from running("--fail-preflight")
+
+
+def test_a_session_with_the_rig(own: Daemon) -> None:
+    with own.client() as client:
+        refused = client.command("tension", "kim")
+        assert refused["accepted"] is False
+        assert refused["reason"] == "wrong_mode"
+        assert refused["text"] == "TENSION refused: tension is not possible in DISARMED: arm first"
+        armed = client.command("arm", "kim")
+        assert armed["accepted"] is True
+        assert armed["text"] == "ARM: armed, HOLD, stroke 0.00 mm, tension 0.0 N"
+        assert (armed["mode"], armed["operator"]) == ("HOLD", "kim")
+        assert client.command("target", "kim", 400.0)["text"] == "TARGET refused: target must be 50 to 350 N"
+        assert client.command("target", "kim", 250)["text"] == "TARGET: 250 N, HOLD"
+        assert client.command("tension", "kim")["accepted"]
+        state = until(lambda: (s := client.state()) and s["error_n"] is not None and s, "COMPENSATING")
+        assert state["mode_name"] == "COMPENSATING"
+        assert abs(state["error_n"]) <= 0.11  # the stand-in's wobble
+        assert state["error_pct"] == pytest.approx(100 * abs(state["error_n"]) / 250)
+        assert client.command("tension", "kim")["text"] == "TENSION refused: already COMPENSATING"
+
+
+def test_a_trip_is_worded_in_state_and_events(own: Daemon) -> None:
+    with own.client() as client:
+        events = client.follow(client.keys.event("error"))
+        client.command("target", "kim", 222.0)  # the stand-in trips
+        state = until(lambda: (s := client.state()) and s["fault"] and s, "the fault")
+        assert (state["mode_name"], state["fault_name"]) == ("FAULT", "TENSION_HIGH")
+        assert state["fault_text"] == "tension 412.0 N above 400.0 N"
+        trip, change = until(events.take, "the trip"), until(events.take, "the change of mode")
+        assert trip["text"] == "trip TENSION_HIGH: tension 412.0 N above 400.0 N"
+        assert (trip["kind"], trip["severity"], trip["value"], trip["limit"]) == ("TRIP", "error", 412.0, 400.0)
+        assert change["text"] == "DISARMED -> FAULT: trip"
+        assert [event["kind"] for event in client.past_events()] == ["STARTED", "TRIP", "MODE"]
+        assert client.past_events(after=trip["seq"]) == [
+            {**change, "wall_ns": pytest.approx(change["wall_ns"], abs=1e9)}
+        ]
+
+
+def test_preflight_refusal_lists_the_checks(refusing: Daemon) -> None:
+    with refusing.client() as client:
+        refused = client.command("arm", "kim")
+    assert refused["reason"] == "preflight"
+    assert refused["checks"] == ["no fresh tension sample", "stroke outside its limits"]
+    assert refused["text"] == "ARM refused: no fresh tension sample; stroke outside its limits"
+
+
+def test_two_at_once(own: Daemon) -> None:
+    """Arming takes a while; a command given meanwhile is answered meanwhile, each to who gave it."""
+    answers: list[tuple[str, dict[str, Any]]] = []
+    own.client().close()
+
+    def give(verb: str, operator: str, value: float | None = None) -> None:
+        with Client(own.endpoint) as client:
+            answers.append((operator, client.command(verb, operator, value)))
+
+    threads = [threading.Thread(target=give, args=("arm", "slow"))]
+    threads += [threading.Thread(target=give, args=("target", f"op{n}", 100.0 + n)) for n in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(answers) == 9
+    for operator, answer in answers:
+        assert answer["accepted"]
+        assert answer["operator"] == operator
+        if operator != "slow":
+            assert answer["value"] == 100.0 + int(operator[2:])
+    assert sorted(operator for operator, _ in answers)[-1] == "slow"
+
+
+def test_a_silent_loop_is_said_so(shared: Daemon) -> None:
+    with shared.client() as client:
+        answer = client.command("target", "kim", 111.0)  # the stand-in does not answer this one
+        assert client.command("target", "kim", 300.0)["accepted"]
+    assert answer["reason"] == "no_answer"
+    assert answer["text"] == "TARGET: the control loop does not answer"
+
+
+MALFORMED = [
+    (b"", "no payload"),
+    (b"{", "truncated"),
+    (b"\xff\xfe", "malformed"),
+    (b"[1]", "Expected `object`"),
+    (b'{"value": 300}', "operator"),
+    (b'{"operator": "kim"}', "no value"),
+    (b'{"operator": "kim", "value": null}', "no value"),
+    (b'{"operator": "kim", "value": "300"}', "Expected `float"),
+    (b'{"operator": "kim", "value": true}', "Expected `float"),
+    (b'{"operator": "kim", "value": NaN}', "malformed"),
+    (b'{"operator": "kim", "value": 1e999}', "out of range"),
+    (b'{"operator": "kim", "value": 300, "force": 1}', "force"),
+    (b'{"operator": 7, "value": 300}', "Expected `str`"),
+    (b'{"operator": "", "value": 300}', "operator"),
+    (b'{"operator": "a\\nb", "value": 300}', "operator"),
+    (b"[" * 4000, "Expected `object`"),
+    (b" " * 10_000, "10000 bytes"),
+]
+
+
+@pytest.mark.parametrize(("payload", "says"), MALFORMED)
+def test_malformed_is_refused_and_survived(shared: Daemon, payload: bytes, says: str) -> None:
+    with shared.client() as client:
+        answered, raw = client.ask(client.keys.command("target"), payload)
+        answer = msgspec.json.decode(raw)
+        assert not answered
+        assert answer["reason"] == "bad_request"
+        assert answer["accepted"] is False
+        assert "allowed" in answer["text"]
+        assert says in answer["text"]
+        assert client.state()["target_n"] == 300.0
+
+
+@pytest.mark.parametrize("verb", ["fly", "*", "**", "arm/now"])
+def test_no_command_by_another_key(shared: Daemon, verb: str) -> None:
+    """A wildcard would give every command at once."""
+    with shared.client() as client:
+        replies = list(client.session.get(client.keys.command(verb), payload=b'{"operator": "kim"}', timeout=2))
+        assert all(reply.ok is None for reply in replies)
+        assert client.state()["mode_name"] == "DISARMED"

@@ -1,0 +1,151 @@
+"""Blocks of the fast stream, and the reader that puts them in order."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rigctl.telemetry import block
+from rigctl.telemetry.client import Client, NoDaemonError
+from rigctl.telemetry.fast import FastReader
+from rigctl.telemetry.keys import Keys
+from rigctl.telemetry.record import RECORD
+from rigctl.telemetry.schema import schema
+
+
+def made(first: int, last: int, stream: int = 1) -> bytes:
+    data = b"".join(struct.pack("<QQ", seq, seq * 7) for seq in range(first, last + 1))
+    return block.encode(data, 16, first_seq=first, lost=0, stream=stream, head_seq=last)
+
+
+def test_block_comes_back() -> None:
+    found = block.decode(made(5, 8))
+    assert (found.first_seq, found.last_seq, found.count, found.record_size) == (5, 8, 4, 16)
+    part = found.part(6, 7)
+    assert struct.unpack("<QQQQ", part.data) == (6, 42, 7, 49)
+    assert found.part(9, 20).count == 0
+    assert len(found.part(9, 20).data) == 0
+
+
+@given(st.binary(max_size=200) | st.binary(max_size=100).map(lambda tail: made(1, 3)[:-1] + tail))
+def test_other_bytes_are_refused(payload: bytes) -> None:
+    try:
+        found = block.decode(payload)
+    except block.BlockError:
+        return
+    assert len(found.data) == found.count * found.record_size
+
+
+def test_schema_describes_the_record() -> None:
+    found = schema("paper_rig")["fast"]
+    assert struct.calcsize(found["record"]["struct"]) == found["record"]["size"] == RECORD.dtype.itemsize
+    names = [field["name"] for field in found["record"]["fields"]]
+    assert names == list(RECORD.dtype.names or ())
+    values = np.zeros(1, RECORD.dtype)
+    for number, name in enumerate(names):
+        values[name] = number + 1
+    assert struct.unpack(found["record"]["struct"], values.tobytes()) == tuple(range(1, len(names) + 1))
+    assert found["header"]["size"] == struct.calcsize(found["header"]["struct"]) == block.HEADER.size
+    assert all(field["description"] for field in found["record"]["fields"] + found["header"]["fields"])
+
+
+class Gateway:
+    """Holds records ``held`` and answers for what was missed; publishes what it is told to."""
+
+    def __init__(self, held: range, stream: int = 1) -> None:
+        self.held, self.stream, self.asked, self.silent = held, stream, 0, False
+        self.waiting: list[bytes] = []
+        self.keys = Keys("paper_rig")
+        self.session = self
+
+    def declare_subscriber(self, _key: str, _handler: object) -> Gateway:
+        return self
+
+    def try_recv(self) -> Any:
+        return SimpleNamespace(payload=self.waiting.pop(0)) if self.waiting else None
+
+    def ask(self, selector: str) -> tuple[bool, bytes]:
+        self.asked += 1
+        if self.silent:
+            raise NoDaemonError("gone")
+        after = int(selector.split("after=")[1])
+        first = max(after + 1, self.held.start)
+        return True, made(first, min(first + 9, self.held.stop - 1), self.stream)
+
+    def publish(self, *spans: tuple[int, int]) -> None:
+        self.waiting += [made(first, last, self.stream) for first, last in spans]
+
+
+def reading(gateway: Gateway, *, recover: bool = True) -> FastReader:
+    return FastReader(cast("Client", gateway), recover=recover)
+
+
+def numbers(blocks: Iterator[block.Block]) -> list[int]:
+    return [seq for found in blocks for seq in range(found.first_seq, found.last_seq + 1)]
+
+
+def test_missed_records_are_asked_for_again() -> None:
+    gateway = Gateway(range(1, 100))
+    reader = reading(gateway)
+    gateway.publish((11, 20), (46, 50), (51, 60))
+    assert numbers(reader.read()) == list(range(11, 61))
+    assert (reader.count.recovered, reader.count.lost, reader.count.produced) == (25, 0, 50)
+
+
+def test_repeated_records_come_once() -> None:
+    gateway = Gateway(range(1, 100))
+    reader = reading(gateway)
+    gateway.publish((1, 10), (1, 10), (8, 12))
+    assert numbers(reader.read()) == list(range(1, 13))
+    assert (reader.count.repeated, reader.count.received, reader.count.produced) == (13, 12, 12)
+
+
+def test_what_the_ring_no_longer_holds_is_lost() -> None:
+    gateway = Gateway(range(31, 100))
+    reader = reading(gateway)
+    gateway.publish((1, 10), (46, 50))
+    assert numbers(reader.read()) == [*range(1, 11), *range(31, 51)]
+    assert (reader.count.lost, reader.count.produced, reader.count.received) == (20, 50, 30)
+
+
+@pytest.mark.parametrize("silent", [True, False])
+def test_a_gap_nobody_can_fill_is_lost(silent: bool) -> None:
+    gateway = Gateway(range(1, 100))
+    gateway.silent = silent
+    reader = reading(gateway, recover=silent)
+    gateway.publish((1, 10), (21, 30))
+    assert numbers(reader.read()) == [*range(1, 11), *range(21, 31)]
+    assert (reader.count.lost, reader.count.produced) == (10, 30)
+    assert gateway.asked == (3 if silent else 0)
+
+
+def test_a_new_daemon_counts_from_one_again() -> None:
+    gateway = Gateway(range(1, 2000))
+    reader = reading(gateway)
+    gateway.publish((1001, 1010))
+    gateway.stream = 2
+    gateway.publish((1, 5))
+    gateway.waiting.insert(1, b"garbage")
+    assert numbers(reader.read()) == [*range(1001, 1011), *range(1, 6)]
+    assert (reader.count.streams, reader.count.lost, reader.count.malformed, reader.count.produced) == (2, 0, 1, 15)
+
+
+@given(st.lists(st.tuples(st.integers(1, 60), st.integers(0, 20)), max_size=12), st.integers(1, 30))
+def test_whatever_comes_the_count_adds_up(spans: list[tuple[int, int]], oldest: int) -> None:
+    gateway = Gateway(range(oldest, 100))
+    reader = reading(gateway)
+    gateway.publish(*((first, first + length) for first, length in spans))
+    seen = numbers(reader.read())
+    count = reader.count
+    assert seen == sorted(set(seen))
+    assert count.received == len(seen)
+    assert count.received + count.lost == count.produced
+    if seen:
+        assert count.produced == count.last_seq - count.first_seq + 1

@@ -1,0 +1,85 @@
+"""Commands on the wire: whatever arrives is a command or a refusal in words, never anything else."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.safety import Check, Fault
+from rigctl.telemetry.request import Request, RequestError, Sight, answer, parse, verb_of
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=8,
+)
+LIMITS = (50.0, 350.0)
+
+
+def is_command(verb: Verb, payload: bytes) -> bool:
+    try:
+        found = parse(verb, payload)
+    except RequestError as error:
+        assert "\n" not in str(error)
+        return False
+    assert isinstance(found, Request)
+    assert 1 <= len(found.operator) <= 64
+    assert found.operator.isprintable()
+    assert math.isfinite(found.value) == (verb is Verb.TARGET)
+    return True
+
+
+@given(verb=st.sampled_from(Verb), payload=st.binary(max_size=200))
+def test_any_bytes(verb: Verb, payload: bytes) -> None:
+    is_command(verb, payload)
+
+
+@given(verb=st.sampled_from(Verb), value=JSON)
+def test_any_json(verb: Verb, value: Any) -> None:
+    is_command(verb, msgspec.json.encode(value))
+
+
+@given(verb=st.sampled_from(Verb), operator=JSON, value=JSON)
+def test_any_values_under_the_right_keys(verb: Verb, operator: Any, value: Any) -> None:
+    payload = msgspec.json.encode({"operator": operator, "value": value})
+    well = isinstance(operator, str) and 1 <= len(operator.strip()) <= 64 and operator.strip().isprintable()
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    assert is_command(verb, payload) == (well and (number if verb is Verb.TARGET else value is None))
+
+
+@given(operator=st.text("abc xyz-", min_size=1).filter(str.strip), value=st.floats(-1e6, 1e6))
+def test_a_proper_command_is_read(operator: str, value: float) -> None:
+    name = operator.strip()[:64]
+    found = parse(Verb.TARGET, msgspec.json.encode({"operator": name, "value": value}))
+    assert (found.operator, found.value) == (name.strip(), value)
+    assert parse(Verb.ARM, msgspec.json.encode({"operator": name})).verb is Verb.ARM
+
+
+def test_verbs_are_the_modes_verbs() -> None:
+    assert [verb_of(verb.name.lower()) for verb in Verb] == list(Verb)
+    for name in ("ARM", "", "*", "fly"):
+        with pytest.raises(RequestError, match="allowed arm, tension"):
+            verb_of(name)
+
+
+@pytest.mark.parametrize("verb", Verb)
+@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("refusal", Refusal)
+def test_every_answer_has_one_line(verb: Verb, mode: Mode, refusal: Refusal) -> None:
+    reply = {
+        "accepted": refusal is Refusal.NONE, "reason": int(refusal), "checks": int(Check.CELL_STALE),
+        "mode": int(mode), "value": math.nan, "t_ns": 5,
+    }  # fmt: skip
+    found = answer(Request(verb, "kim"), reply, Sight(Fault.TENSION_HIGH, 1.0, 2.0, 300.0), LIMITS)
+    assert found["accepted"] is (refusal is Refusal.NONE)
+    assert found["text"].startswith(f"{verb.name}: " if found["accepted"] else f"{verb.name} refused: ")
+    assert "\n" not in found["text"]
+    assert (found["operator"], found["verb"], found["mode"]) == ("kim", verb.name.lower(), mode.name)
+    assert found.get("checks") == (["no fresh tension sample"] if refusal is Refusal.PREFLIGHT else None)
+    msgspec.json.encode(found)
