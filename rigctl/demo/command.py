@@ -1,0 +1,55 @@
+"""What ``rigctl demo`` prints: a line a second for a person, then the summary."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.table import Table
+
+from rigctl.config import DemoSettings, RigSettings
+from rigctl.control.modes import Mode
+from rigctl.demo.script import Moment
+from rigctl.demo.summary import Summary, rows
+
+
+def run(settings: RigSettings, demo: DemoSettings, console: Console, *, lockstep: bool) -> Summary:
+    """Play the demo and print it.
+
+    Raises:
+        DemoError: it could not be played to its end.
+    """
+    how = "simulated time" if lockstep else "real time"
+    console.print(
+        f"[bold]{settings.rig}[/]: arm, tension to {settings.tension.target_n:g} N, {demo.angle_deg:g} deg out and "
+        f"back at {demo.speed_deg_s:g} deg/s, release, disarm ({how})",
+        highlight=False,
+    )
+
+    def show(moment: Moment, step: str) -> None:
+        console.print(_line(moment, step), highlight=False, soft_wrap=True)
+
+    if lockstep:
+        from rigctl.demo.lockstep import play_lockstep as play
+    else:
+        from rigctl.demo.live import play_live as play
+    summary = play(settings, demo, show)
+    _print_summary(summary, demo, console)
+    return summary
+
+
+def _line(moment: Moment, step: str) -> str:
+    error = (moment.vertical_n - moment.target_n) / moment.target_n * 100.0
+    shown = f"{error:+8.4f} %" if moment.mode is Mode.COMPENSATING else "         -"
+    late = f"  late p99 {moment.lateness_p99_us:4.0f} us" if moment.lateness_p99_us else ""
+    return (
+        f"{moment.t_s:6.1f} s  {moment.mode.name:<12}  {moment.vertical_n:7.2f} N  {shown}  "
+        f"stroke {moment.stroke_mm:6.2f} mm  lag {moment.tangential_deg:+5.2f} deg{late}  {step}"
+    )
+
+
+def _print_summary(summary: Summary, demo: DemoSettings, console: Console) -> None:
+    table = Table("", "measured", "limit", "", title=f"demo, {summary.duration_s:g} s", title_justify="left", box=None)
+    for name, measured, limit, met in rows(summary, demo):
+        mark = "" if met is None else "[green]met[/]" if met else "[bold red]NOT MET[/]"
+        table.add_row(name, measured, limit, mark)
+    console.print(table, highlight=False)
+    console.print("[bold green]passed[/]" if summary.passed else "[bold red]FAILED[/]")

@@ -1,0 +1,209 @@
+"""The demo in real time: simulated rig, daemon and an independent subscriber, each in processes of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import pathlib
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import can
+import canopen
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from hil import truth as truth_log
+from rigctl.config import DemoSettings, RigSettings
+from rigctl.control.modes import Mode, Verb
+from rigctl.demo.script import DemoError, Moment, Show, play
+from rigctl.demo.summary import Summary, Telemetry, summarise
+from rigctl.devices import objects as od
+from rigctl.telemetry.client import Client, NoDaemonError
+from rigctl.telemetry.ring import RingReader
+from rigctl.telemetry.runtime import Runtime
+
+OPERATOR = "demo"
+START_LIMIT_S = 20.0
+STOP_LIMIT_S = 10.0
+STATE_LIMIT_S = 2.0
+_POLL_S = 0.02
+
+
+class LiveStage:
+    """`Stage` on real processes: commands over Zenoh, the move by SDO to the simulator's own node."""
+
+    def __init__(self, client: Client, records: RingReader, simulator: canopen.RemoteNode) -> None:
+        self._client = client
+        self._states = client.follow(client.keys.state)
+        self._reader = records
+        self._simulator = simulator
+        self._start_ns = time.monotonic_ns()
+        self._moment: Moment | None = None
+        self._fresh_ns = 0
+        self.records: list[npt.NDArray[Any]] = []
+
+    def command(self, verb: Verb) -> None:
+        """See `Stage`."""
+        try:
+            answer = self._client.command(verb.name.lower(), OPERATOR)
+        except NoDaemonError as error:
+            raise DemoError(str(error)) from None
+        if not answer["accepted"]:
+            raise DemoError(answer["text"])
+
+    def start_move(self) -> None:
+        """See `Stage`."""
+        try:
+            self._simulator.sdo[od.SIM_MOTION_START].raw = 1
+        except canopen.SdoError as error:
+            raise DemoError(f"the simulated mechanism did not start: {error}") from None
+
+    def moving(self) -> bool:
+        """See `Stage`."""
+        try:
+            return bool(self._simulator.sdo[od.SIM_MOTION_STATE].raw)
+        except canopen.SdoError as error:
+            raise DemoError(f"the simulated rig does not answer: {error}") from None
+
+    def moment(self) -> Moment:
+        """See `Stage`."""
+        state = self._states.newest()
+        if state is None and self._moment is not None and time.monotonic_ns() - self._fresh_ns < STATE_LIMIT_S * 1e9:
+            return self._moment
+        if state is None:
+            state = self._states.wait(STATE_LIMIT_S)
+        if state is None:
+            raise DemoError(f"no state from the daemon for {STATE_LIMIT_S:.0f} s")
+        self._fresh_ns = time.monotonic_ns()
+        self._moment = Moment(
+            (int(state["t_ns"]) - self._start_ns) * 1e-9,
+            Mode[state["mode_name"]],
+            float(state["vertical_n"]),
+            float(state["target_n"]),
+            float(state["stroke_mm"]),
+            math.degrees(float(state["tangential_rad"])),
+            float(state["lateness_us"]["p99"]),
+        )
+        return self._moment
+
+    def pass_time(self, seconds: float) -> None:
+        """See `Stage`; also takes the records out of the ring before they are overwritten."""
+        time.sleep(seconds)
+        self.records.append(self._reader.read())
+
+
+@contextlib.contextmanager
+def _process(*arguments: str, **options: Any) -> Iterator[subprocess.Popen[bytes]]:
+    """A process that is told to end, and then made to."""
+    process = subprocess.Popen([sys.executable, "-m", *arguments], **options)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(STOP_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], settings: RigSettings) -> Client:
+    """The operator's connection, once the loop runs."""
+    until = time.monotonic() + START_LIMIT_S
+    while time.monotonic() < until:
+        if rig.poll() is not None:
+            raise DemoError("the simulated rig could not start (see above)")
+        if daemon.poll() is not None:
+            raise DemoError("the daemon could not start (see above)")
+        with contextlib.suppress(NoDaemonError):
+            client = Client(settings.telemetry.listen, settings.rig)
+            with contextlib.suppress(NoDaemonError):
+                if client.state().get("mode_name") == Mode.DISARMED.name:
+                    return client
+            client.close()
+        time.sleep(_POLL_S)
+    raise DemoError(f"the daemon did not answer within {START_LIMIT_S:.0f} s")
+
+
+@contextlib.contextmanager
+def _simulator(settings: RigSettings) -> Iterator[canopen.RemoteNode]:
+    """The simulator's own node, on the same bus."""
+    network = canopen.Network()
+    network.NOTIFIER_CYCLE = 0.02
+    network.connect(interface=settings.can.interface, channel=settings.can.channel)
+    eds = settings.file(settings.cylinder.eds).with_name("simulator.eds")
+    try:
+        yield network.add_node(canopen.RemoteNode(od.SIMULATOR_NODE, str(eds)))
+    finally:
+        network.disconnect()
+
+
+def _count(counter: subprocess.Popen[bytes]) -> Telemetry:
+    counter.send_signal(signal.SIGTERM)
+    out, _ = counter.communicate(timeout=STOP_LIMIT_S)
+    lines = out.splitlines()
+    if not lines:
+        raise DemoError("the telemetry subscriber counted nothing")
+    counted = msgspec.json.decode(lines[-1])
+    return Telemetry(int(counted["produced"]), int(counted["received"]))
+
+
+def _rig_file(settings: RigSettings, folder: pathlib.Path) -> pathlib.Path:
+    """The rig file as this demo runs it: a bus socket of its own, device files by their whole path."""
+    data = settings.model_dump(mode="json", exclude={"directory"}, exclude_none=False)
+    for device in ("tension_cell", "inclinometer", "cylinder"):
+        data[device]["eds"] = str(settings.file(data[device]["eds"]))
+    file = folder / "rig.yaml"
+    file.write_text(yaml.safe_dump(data))
+    return file
+
+
+def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
+    """Play the demo in real time.
+
+    Raises:
+        DemoError: a process did not start or answer, or the script could not be played to its end.
+    """
+    if settings.can.interface != "rigsim":
+        raise DemoError(
+            f"the demo plays on the simulated bus only (can.interface rigsim, not {settings.can.interface})"
+        )
+    with tempfile.TemporaryDirectory(prefix="rigctl-demo-") as folder, contextlib.ExitStack() as stack:
+        truth_file = pathlib.Path(folder) / "truth"
+        settings = settings.model_copy(
+            update={"can": settings.can.model_copy(update={"channel": str(pathlib.Path(folder) / "bus.sock")})}
+        )
+        file = str(_rig_file(settings, pathlib.Path(folder)))
+        rig = stack.enter_context(_process("hil", "serve", file, "--truth", str(truth_file), stdout=subprocess.PIPE))
+        assert rig.stdout is not None
+        rig.stdout.readline()  # it serves, or it has ended and said why
+        daemon = stack.enter_context(_process("rigctl", "run", file))
+        client = stack.enter_context(_connect(daemon, rig, settings))
+        where = ("--connect", settings.telemetry.listen, "--rig", settings.rig)
+        counter = stack.enter_context(_process("rigctl.telemetry.counter", *where, stdout=subprocess.PIPE))
+        records = Runtime.of(settings.rig).record_reader(from_start=True)
+        try:
+            with _simulator(settings) as simulator:
+                stage = LiveStage(client, records, simulator)
+                play(stage, demo, show)
+                telemetry = _count(counter)
+                stage.pass_time(0.0)
+        except can.CanError as error:
+            raise DemoError(f"the simulated rig has gone: {error}") from None
+        _end(daemon)
+        _end(rig)  # closes the truth log
+        return summarise(np.concatenate(stage.records), truth_log.read(truth_file), telemetry, demo)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.send_signal(signal.SIGTERM)
+    process.wait(STOP_LIMIT_S)

@@ -1,0 +1,128 @@
+"""What the demo measured, held against the limits in the rig file."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rigctl.config import DemoSettings
+from rigctl.control.modes import Mode
+from rigctl.report import metrics
+
+Array = npt.NDArray[Any]
+IN_FLIGHT_TICKS = 200  # answers to the last SYNCs may still be on their way: the least missing of these is lost
+
+
+@dataclass(frozen=True)
+class Frames:
+    """CAN frames of the loop."""
+
+    sent: int
+    received: int
+    lost: int
+
+
+@dataclass(frozen=True)
+class Telemetry:
+    """Samples on the fast stream, as counted by an independent subscriber."""
+
+    produced: int
+    received: int
+
+    @property
+    def lost(self) -> int:
+        """Samples that did not reach the subscriber."""
+        return self.produced - self.received
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The demo's figures; names are those of the JSON."""
+
+    eta_true_max_pct: float
+    eta_true_rms_pct: float
+    eta_cell_max_pct: float
+    skipped_ticks: int
+    ticks: int
+    lateness_us: dict[str, float] | None  # None in lockstep: nothing is late in simulated time
+    work_us: dict[str, float] | None
+    frames: Frames
+    telemetry: Telemetry | None  # None in lockstep: there is no subscriber
+    duration_s: float
+    tripped: bool
+    passed: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON; a figure that could not be taken is null."""
+        values = asdict(self)
+        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
+
+
+def summarise(records: Array, truth: Array, telemetry: Telemetry | None, demo: DemoSettings) -> Summary:
+    """Figures of the records of the whole demo, and of the truth over the same time.
+
+    Args:
+        records: ``record.RECORD`` slots.
+        truth: a structured array with ``t_ns`` and ``vertical_n`` from the plant.
+        telemetry: what the subscriber counted; None in simulated time, where neither it nor lateness exists.
+        demo: the limits.
+    """
+    spans = metrics.compensating_windows(records, demo.settle_s)
+    target_n = float(records["target_n"][-1])
+    true_max, true_rms = metrics.eta_pct(truth["vertical_n"][metrics.within(truth["t_ns"], spans)], target_n)
+    cell_max, _ = metrics.eta_pct(records["vertical_n"][metrics.within(records["t_ns"], spans)], target_n)
+    lost = int(np.min(records["frames_lost"][-IN_FLIGHT_TICKS:])) + int(records["send_failures"][-1])
+    tripped = bool(np.any(records["mode"] == Mode.FAULT))
+    passed = (
+        true_max <= demo.eta_max_pct
+        and true_rms <= demo.eta_rms_pct
+        and lost <= demo.frames_lost_max
+        and (telemetry is None or telemetry.lost <= demo.samples_lost_max)
+        and not tripped
+    )
+    return Summary(
+        eta_true_max_pct=true_max,
+        eta_true_rms_pct=true_rms,
+        eta_cell_max_pct=cell_max,
+        skipped_ticks=int(records["skipped"][-1]),
+        ticks=len(records),
+        lateness_us=metrics.percentiles_us(records["lateness_ns"]) if telemetry else None,
+        work_us=metrics.percentiles_us(records["work_ns"]) if telemetry else None,
+        frames=Frames(int(records["frames_sent"][-1]), int(records["frames_received"][-1]), lost),
+        telemetry=telemetry,
+        duration_s=round(float(records["t_ns"][-1] - records["t_ns"][0]) * 1e-9, 1),
+        tripped=tripped,
+        passed=passed,
+    )
+
+
+def rows(summary: Summary, demo: DemoSettings) -> list[tuple[str, str, str, bool | None]]:
+    """Table for a person: quantity, measured, limit, met (None: no limit)."""
+    s = summary
+    table: list[tuple[str, str, str, bool | None]] = [
+        ("true vertical error, max", f"{s.eta_true_max_pct:.4f} %", f"{demo.eta_max_pct:g} %",
+         s.eta_true_max_pct <= demo.eta_max_pct),
+        ("true vertical error, rms", f"{s.eta_true_rms_pct:.4f} %", f"{demo.eta_rms_pct:g} %",
+         s.eta_true_rms_pct <= demo.eta_rms_pct),
+        ("error the cell saw, max", f"{s.eta_cell_max_pct:.4f} %", "", None),
+        ("CAN frames lost", f"{s.frames.lost} of {s.frames.sent + s.frames.received}", f"{demo.frames_lost_max}",
+         s.frames.lost <= demo.frames_lost_max),
+        ("trips", "yes" if s.tripped else "none", "none", not s.tripped),
+    ]  # fmt: skip
+    if s.telemetry is not None:
+        met = s.telemetry.lost <= demo.samples_lost_max
+        lost = f"{s.telemetry.lost} of {s.telemetry.produced}"
+        table.append(("telemetry samples lost", lost, f"{demo.samples_lost_max}", met))
+    table.append(("ticks skipped", f"{s.skipped_ticks} of {s.ticks + s.skipped_ticks}", "", None))
+    for name, values in (("lateness", s.lateness_us), ("work", s.work_us)):
+        if values is not None:
+            table.append((f"{name} p50 / p99 / p99.9 / max", _four(values), "", None))
+    return table
+
+
+def _four(values: dict[str, float]) -> str:
+    return " / ".join(f"{values[name]:.0f}" for name in metrics.PERCENTILES) + " us"

@@ -1,0 +1,1 @@
+"""Figures of a run, from its records and the plant's truth."""

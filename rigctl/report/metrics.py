@@ -1,0 +1,49 @@
+"""Figures: percentiles of the loop's timing, and the compensating error of equation (16)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rigctl.control.modes import Mode
+
+Array = npt.NDArray[Any]
+PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
+
+
+def percentiles_us(values_ns: Array) -> dict[str, float]:
+    """p50, p99, p99.9 and maximum of nanoseconds, in microseconds; zeros for none."""
+    if not len(values_ns):
+        return dict.fromkeys(PERCENTILES, 0.0)
+    return {name: round(float(np.percentile(values_ns, q)) / 1000.0, 1) for name, q in PERCENTILES.items()}
+
+
+def compensating_windows(records: Array, settle_s: float) -> list[tuple[int, int]]:
+    """Spans ``(from_ns, to_ns)`` of COMPENSATING, each without its first ``settle_s``."""
+    inside = records["mode"] == Mode.COMPENSATING
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
+    spans = []
+    for first, after in zip(edges[::2], edges[1::2], strict=True):
+        start = int(records["t_ns"][first]) + round(settle_s * 1e9)
+        end = int(records["t_ns"][after - 1])
+        if start < end:
+            spans.append((start, end))
+    return spans
+
+
+def within(t_ns: Array, spans: list[tuple[int, int]]) -> npt.NDArray[np.bool_]:
+    """Which times lie in any of the spans."""
+    inside = np.zeros(len(t_ns), dtype=bool)
+    for start, end in spans:
+        inside |= (t_ns >= start) & (t_ns <= end)
+    return inside
+
+
+def eta_pct(vertical_n: Array, target_n: float) -> tuple[float, float]:
+    """Compensating error ``|Fz - Fd| / Fd`` in percent, equation (16): maximum and rms; NaN for no sample."""
+    if not len(vertical_n):
+        return float("nan"), float("nan")
+    error = (vertical_n - target_n) / target_n * 100.0
+    return float(np.max(np.abs(error))), float(np.sqrt(np.mean(error**2)))

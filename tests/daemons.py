@@ -1,0 +1,122 @@
+"""Real processes for the tests: rig files, the simulated rig, the daemon, and the operator's commands."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pathlib
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import yaml
+
+ROOT = pathlib.Path(__file__).parents[1]
+PAPER = ROOT / "config/paper_rig.yaml"
+START_LIMIT_S = 60.0  # a guest kernel is slow; nothing is judged by it
+STOP_LIMIT_S = 20.0
+
+
+def free_port() -> int:
+    with socket.socket() as sock:
+        sock.bind(("127.0.0.1", 0))
+        return int(sock.getsockname()[1])
+
+
+def rig_file(folder: pathlib.Path, changes: dict[str, dict[str, Any]] | None = None, *, rig: str = "") -> pathlib.Path:
+    """The paper's rig with a bus socket, a name and a port of its own, and ``changes`` by section."""
+    data = yaml.safe_load(PAPER.read_text())
+    data["rig"] = rig or f"test_{os.getpid()}_{abs(hash(str(folder))) % 10**8}"
+    data["can"]["channel"] = str(folder / "bus.sock")
+    data["telemetry"]["listen"] = f"tcp/127.0.0.1:{free_port()}"
+    for device, eds in (("tension_cell", "tension_amplifier"), ("inclinometer",) * 2, ("cylinder", "cylinder_drive")):
+        data[device]["eds"] = str(ROOT / f"config/eds/{eds}.eds")
+    for section, values in (changes or {}).items():
+        data[section].update(values)
+    file = folder / "rig.yaml"
+    file.write_text(yaml.safe_dump(data))
+    return file
+
+
+def endpoint(file: pathlib.Path) -> str:
+    return str(yaml.safe_load(file.read_text())["telemetry"]["listen"])
+
+
+def name_of(file: pathlib.Path) -> str:
+    return str(yaml.safe_load(file.read_text())["rig"])
+
+
+@contextlib.contextmanager
+def process(*arguments: str, log: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
+    """``python -m arguments``, its output in ``log``, ended with SIGTERM (and SIGKILL if that does not do)."""
+    with log.open("ab") as out:
+        child = subprocess.Popen([sys.executable, "-m", *arguments], stdout=out, stderr=subprocess.STDOUT, cwd=ROOT)
+    try:
+        yield child
+    finally:
+        if child.poll() is None:
+            child.send_signal(signal.SIGTERM)
+        try:
+            child.wait(STOP_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+            raise
+
+
+def wait_for(what: Callable[[], Any], limit_s: float = START_LIMIT_S, *, log: pathlib.Path | None = None) -> Any:
+    """Poll until ``what()`` is true; returns it."""
+    until = time.monotonic() + limit_s
+    while time.monotonic() < until:
+        if value := what():
+            return value
+        time.sleep(0.05)
+    said = log.read_text(errors="replace") if log is not None and log.exists() else ""
+    raise AssertionError(f"not within {limit_s} s: {what}\n{said}")
+
+
+@contextlib.contextmanager
+def simulated_rig(file: pathlib.Path, log: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
+    """``python -m hil serve FILE``, once it serves."""
+    with process("hil", "serve", str(file), log=log) as child:
+        wait_for(lambda: child.poll() is not None or b"serving" in log.read_bytes(), log=log)
+        assert child.poll() is None, log.read_text()
+        yield child
+
+
+@contextlib.contextmanager
+def daemon(file: pathlib.Path, log: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
+    """``rigctl run FILE``, once it says DISARMED."""
+    with process("rigctl", "run", str(file), log=log) as child:
+        wait_for(lambda: child.poll() is not None or b": DISARMED," in log.read_bytes(), log=log)
+        assert child.poll() is None, log.read_text()
+        yield child
+
+
+def rigctl(*arguments: str, file: pathlib.Path | None = None) -> subprocess.CompletedProcess[str]:
+    """One ``rigctl`` command, told where the daemon of ``file`` is."""
+    where = ("--connect", endpoint(file), "--rig", name_of(file)) if file is not None else ()
+    return subprocess.run(
+        [sys.executable, "-m", "rigctl", *arguments, *where],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        timeout=120,
+        check=False,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+def state(file: pathlib.Path) -> dict[str, Any]:
+    """The daemon's state, as ``rigctl status --json`` prints it; empty while nobody answers."""
+    answer = rigctl("status", "--json", file=file)
+    return dict(json.loads(answer.stdout)) if answer.returncode == 0 else {}
+
+
+def mode(file: pathlib.Path) -> str:
+    return str(state(file).get("mode_name"))

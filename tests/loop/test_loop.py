@@ -1,0 +1,282 @@
+"""What the loop does, seen through its frames, its records and the plant's truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hil.lockstep import Lockstep, lockstep
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.safety import Fault
+from rigctl.control.tension import Gains
+from rigctl.devices import objects as od
+from rigctl.report import metrics
+from rigctl.telemetry.record import Quality
+
+Enter = Callable[[Mode], None]
+ACTIVE = [Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING]
+
+
+def events(rig: Lockstep) -> list[int]:
+    return [int(slot["kind"]) for slot in rig.events.read()]
+
+
+def test_it_tensions_holds_releases_and_ends_slack(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    rig.run(2.0)
+    truth = [rig.rig.truth.vertical_n for _ in rig.run(1.0)]
+    assert max(metrics.eta_pct(np.array(truth), 300.0)) < 0.05
+    assert rig.command(Verb.RELEASE) is Refusal.NONE
+    rig.run_until(Mode.HOLD, 10.0)
+    assert rig.rig.truth.tension_n == 0.0
+    assert rig.command(Verb.DISARM) is Refusal.NONE
+    rig.run(0.3)
+    records = rig.run(0.1)
+    assert od.drive_state(int(records["statusword"][-1])) is not od.DriveState.OPERATION_ENABLED
+
+
+def test_tensioning_never_overshoots_by_more_than_a_newton(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.TENSIONING)
+    records = rig.run(6.0)
+    assert records["mode"][-1] == Mode.COMPENSATING
+    assert records["tension_n"].max() < 301.0
+    ramp = np.diff(records["tension_n"][:2000:100]) / 0.1
+    assert np.abs(ramp).max() < 1.5 * rig.settings.tension.ramp_n_s
+
+
+def test_a_new_target_is_reached_on_the_ramp(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    assert rig.command(Verb.TARGET, 280.0) is Refusal.NONE
+    rig.run(2.0)
+    assert rig.rig.truth.vertical_n == pytest.approx(280.0, abs=0.2)
+    assert rig.command(Verb.TARGET, 351.0) is Refusal.OUT_OF_RANGE
+    rig.run(0.5)
+    assert rig.rig.truth.vertical_n == pytest.approx(280.0, abs=0.2)
+
+
+def test_mode_changes_are_bumpless(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    rig.run(2.0)
+    for verb in (Verb.HOLD, Verb.TENSION):
+        assert rig.command(verb) is Refusal.NONE
+        records = rig.run(1.0)
+        assert np.abs(records["tension_n"] - 300.0).max() < 0.6
+        steps = np.abs(np.diff(records["command_mm_s"]))
+        assert steps.max() <= rig.settings.tension.acceleration_max_mm_s2 * 1e-3 * (1 + 1e-9)
+
+
+def test_the_error_stays_within_the_demo_limits_while_the_mechanism_moves(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    rig.run(2.0)
+    assert rig.rig.start_motion()
+    truth = []
+    for _ in range(100):
+        rig.run(0.1)
+        truth.append(rig.rig.truth.vertical_n)
+    assert rig.rig.truth.tangential_rad > math.radians(0.45)
+    demo = rig.settings.demo
+    assert demo is not None
+    peak, rms = metrics.eta_pct(np.array(truth), 300.0)
+    assert peak <= demo.eta_max_pct
+    assert rms <= demo.eta_rms_pct
+
+
+def test_two_runs_give_byte_identical_frames(settings: RigSettings, gains: Gains) -> None:
+    def play() -> list[tuple[int, bytes]]:
+        with lockstep(settings, gains, log=True) as rig:
+            rig.run(0.2)
+            rig.command(Verb.ARM)
+            rig.command(Verb.TENSION)
+            rig.rig.start_motion()
+            rig.run(2.0)
+            rig.command(Verb.HOLD)
+            rig.run(0.2)
+            return list(rig.frames)
+
+    first, second = play(), play()
+    assert len(first) > 9000
+    assert first == second
+
+
+# -- losing things -----------------------------------------------------------------------------------------------
+def stop_node(rig: Lockstep, node: int) -> None:
+    rig.rig.receive(nmt(2, node))
+
+
+def nmt(command: int, node: int) -> bytes:
+    return od.NMT_COB.to_bytes(4, "little") + bytes([2, 0, 0, 0, command, node]) + bytes(6)
+
+
+def assert_held(rig: Lockstep, tension_n: float, stroke_mm: float) -> None:
+    """The load is carried: stroke within a millimetre, tension within 3 % or 6 N, and it stays so."""
+    rig.run(1.0)
+    truth = rig.rig.truth
+    assert abs(truth.stroke_mm - stroke_mm) < 1.0
+    assert abs(truth.tension_n - tension_n) < max(0.03 * tension_n, 6.0)
+    assert truth.speed_mm_s == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("mode", ACTIVE)
+@pytest.mark.parametrize(
+    ("device", "fault"),
+    [("tension_cell", Fault.CELL_STALE), ("inclinometer", Fault.INCLINATION_STALE), ("cylinder", Fault.DRIVE_STALE)],
+)
+def test_a_device_that_goes_silent_ends_in_hold_latched(
+    rig: Lockstep, enter: Enter, mode: Mode, device: str, fault: Fault
+) -> None:
+    enter(mode)
+    stop_node(rig, getattr(rig.settings, device).node)
+    limit = rig.settings.safety.inclination_stale_ms if device == "inclinometer" else rig.settings.safety.stale_ms
+    records = rig.run((limit + 25) * 1e-3)
+    assert records["mode"][-1] == Mode.FAULT
+    assert records["fault"][-1] == fault
+    tripped = int(np.argmax(records["mode"] == Mode.FAULT))
+    assert tripped <= limit + (11 if device == "inclinometer" else 2)
+    assert_held(rig, float(records["tension_n"][tripped]), float(records["stroke_mm"][tripped]))
+    assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+    assert rig.command(Verb.TENSION) is Refusal.WRONG_MODE
+
+
+def test_a_fault_is_left_by_a_reset_once_its_cause_is_gone(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    stop_node(rig, rig.settings.tension_cell.node)
+    rig.run(0.1)
+    assert rig.loop.machine.mode == Mode.FAULT
+    rig.rig.receive(nmt(1, rig.settings.tension_cell.node))
+    rig.run(0.5)
+    assert rig.loop.machine.mode == Mode.FAULT
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    assert rig.loop.machine.mode == Mode.HOLD
+    assert rig.command(Verb.TENSION) is Refusal.NONE
+    rig.run_until(Mode.COMPENSATING, 5.0)
+
+
+def test_a_drive_fault_is_latched_and_reset_clears_both(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    before = rig.rig.truth
+    stop_node(rig, rig.settings.cylinder.node)
+    rig.rig.receive(nmt(1, rig.settings.cylinder.node))
+    rig.run(0.2)
+    assert rig.loop.machine.mode == Mode.FAULT
+    assert_held(rig, before.tension_n, before.stroke_mm)
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    rig.run(0.2)
+    assert rig.loop.machine.mode == Mode.DISARMED
+    assert_held(rig, before.tension_n, before.stroke_mm)
+    assert rig.command(Verb.ARM) is Refusal.NONE
+    assert rig.loop.machine.mode == Mode.HOLD
+
+
+def test_overload_of_the_cell_trips_and_keeps_the_fault_until_it_is_over(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    before = rig.rig.truth
+    cell = rig.settings.tension_cell.node
+    stop_node(rig, cell)
+    data = od.CELL_TPDO.codec.pack(500_000, od.AiStatus.POSITIVE_OVERLOAD)
+    overload = (od.TPDO1_BASE + cell).to_bytes(4, "little") + bytes([5, 0, 0, 0]) + data + bytes(3)
+    rig.inject(overload)
+    rig.loop.tick()
+    assert rig.loop.machine.fault is Fault.CELL_INVALID
+    assert rig.loop.inbox.cell_quality == Quality.SATURATED
+    assert_held(rig, before.tension_n, before.stroke_mm)
+    rig.inject(overload)
+    assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+    rig.rig.receive(nmt(1, cell))
+    rig.run(0.1)
+    assert rig.command(Verb.RESET) is Refusal.NONE
+
+
+@pytest.mark.parametrize("device", ["tension_cell", "inclinometer", "cylinder"])
+def test_arming_is_refused_while_a_device_is_silent(rig: Lockstep, device: str) -> None:
+    stop_node(rig, getattr(rig.settings, device).node)
+    rig.run(0.2)
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+    assert rig.loop.machine.mode == Mode.DISARMED
+
+
+def test_an_exception_anywhere_in_the_tick_stops_the_stroke_and_is_latched(
+    rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for target in ("_receive", "_estimate", "_decide", "_speed", "_send"):
+        if rig.loop.machine.mode is Mode.DISARMED:
+            enter(Mode.COMPENSATING)
+        before = rig.rig.truth
+
+        def broken(*_: object, **__: object) -> None:
+            raise ZeroDivisionError("made up")
+
+        rig.events.read()
+        with monkeypatch.context() as patch:
+            patch.setattr(rig.loop, target, broken)
+            records = rig.run(0.02)
+        assert records["mode"][-1] == Mode.FAULT
+        assert records["fault"][-1] == Fault.LOOP_EXCEPTION
+        assert records["command_mm_s"][-1] == 0.0
+        assert events(rig).count(6) == 1
+        assert_held(rig, before.tension_n, before.stroke_mm)
+        assert rig.command(Verb.RESET) is Refusal.NONE
+        assert rig.command(Verb.TENSION) is Refusal.NONE
+        rig.run_until(Mode.COMPENSATING, 5.0)
+
+
+def test_a_burst_of_overruns_trips(rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch) -> None:
+    enter(Mode.COMPENSATING)
+    plain = rig.clock.next_tick
+    limit = rig.settings.safety.overrun_ticks
+    monkeypatch.setattr(rig.clock, "next_tick", lambda: (plain()[0], 10))
+    records = rig.run((limit // 10 + 1) * 1e-3)
+    assert records["fault"][-1] == Fault.OVERRUN
+    assert records["fault"][limit // 10 - 2] == Fault.NONE
+    assert records["skipped"][-1] == 10 * len(records)
+
+
+def test_stopping_in_the_closed_loop_ends_in_hold_with_the_brake_closed(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    before = rig.rig.truth
+    rig.loop.stop_requested = True
+    for _ in range(2500):
+        rig.loop.tick()
+        if rig.loop.finished:
+            break
+    assert rig.loop.finished
+    assert rig.loop.machine.mode == Mode.HOLD
+    assert od.drive_state(rig.loop.inbox.statusword) is not od.DriveState.OPERATION_ENABLED
+    for _ in range(500):
+        rig.clock.next_tick()
+    assert rig.rig.truth.stroke_mm == pytest.approx(before.stroke_mm, abs=0.1)
+    assert rig.rig.truth.tension_n == pytest.approx(before.tension_n, abs=1.0)
+
+
+def test_old_and_unknown_commands_are_not_carried_out(rig: Lockstep) -> None:
+    assert rig.command(Verb.ARM, age_ns=2_000_000_000) is Refusal.EXPIRED
+    assert rig.command(99) is Refusal.UNKNOWN  # type: ignore[arg-type]
+    assert rig.loop.machine.mode == Mode.DISARMED
+
+
+def test_foreign_and_malformed_frames_are_counted_and_change_nothing(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    rig.run(0.5)
+    refused = rig.loop.inbox.refused
+    for can_id, data in ((0x7FF, b"12345678"), (0x182, b"123"), (0x184, b""), (0x183, b"12345678"), (0x84, b"1")):
+        rig.inject(can_id.to_bytes(4, "little") + bytes([len(data), 0, 0, 0]) + data.ljust(8, b"\0"))
+    rig.run(0.5)
+    assert rig.loop.inbox.refused == refused + 4
+    assert rig.loop.machine.mode == Mode.COMPENSATING
+
+
+def test_error_frames_are_seen_and_counted(rig: Lockstep) -> None:
+    rig.inject((0x20000000 | 0x004).to_bytes(4, "little") + bytes([8, 0, 0, 0]) + b"\0\x20" + bytes(6))
+    records = rig.run(0.01)
+    assert records["error_frames"][-1] == 1
+
+
+def test_a_late_or_lost_answer_is_counted_as_missing(rig: Lockstep) -> None:
+    rig.run(0.1)
+    assert rig.run(0.05)["frames_lost"][-1] == 0
+    stop_node(rig, rig.settings.tension_cell.node)
+    records = rig.run(0.05)
+    assert records["frames_lost"][-1] == 49  # the last SYNC's answer is not due yet
