@@ -1,0 +1,99 @@
+"""``python -m tests.bench [--json F] [--seconds S] [--rates R ...]``."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import pathlib
+import sys
+import time
+from typing import Any
+
+import yaml
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from rigctl import config
+from rigctl.demo.lockstep import play_lockstep
+from tests import daemons
+from tests.bench import cyclictest
+from tests.bench.loop import BenchRig, figures
+
+ROUNDS = 4
+
+
+def measure_rate(rate_hz: int, seconds: float, progress: Progress) -> dict[str, Any]:
+    """Loop and cyclictest in turn, so that both see the same machine."""
+    loop = yaml.safe_load(daemons.PAPER.read_text())["loop"]
+    task = progress.add_task(f"{rate_hz} Hz", total=2 * ROUNDS)
+    slices, rounds = [], []
+    for _ in range(ROUNDS):
+        with contextlib.ExitStack() as stack:
+            slices.append(BenchRig(rate_hz, stack).measure(seconds / ROUNDS))
+        progress.advance(task)
+        if cyclictest.available():
+            rounds.append(
+                cyclictest.measure(1_000_000 // rate_hz, seconds / ROUNDS, priority=loop["priority"], cpu=loop["cpu"])
+            )
+        progress.advance(task)
+    result: dict[str, Any] = {"loop": figures(slices)}
+    if rounds:
+        p999 = sum(r["lateness_us"]["p999"] for r in rounds) / len(rounds)
+        result["cyclictest"] = {
+            "lateness_us": {name: max(r["lateness_us"][name] for r in rounds) for name in ("p50", "p99", "max")}
+            | {"p999": p999},
+            "wakeups": sum(r["wakeups"] for r in rounds),
+            "later_than_a_period": sum(r["late"] for r in rounds),
+        }
+        result["lateness_p999_ratio"] = result["loop"]["lateness_us"]["p999"] / max(p999, 1.0)
+    return result
+
+
+def measure_lockstep() -> float:
+    """Speed of the demo in simulated time, start-up and design included, as a multiple of real time."""
+    settings = config.load(daemons.PAPER)
+    assert settings.demo is not None
+    start = time.monotonic()
+    summary = play_lockstep(settings, settings.demo, lambda _moment, _step: None)
+    return summary.duration_s / (time.monotonic() - start)
+
+
+def show(results: dict[str, Any], console: Console) -> None:
+    table = Table("Hz", "lateness us: p50 p99 p99.9 max", "cyclictest", "ratio p99.9", "work us", "skipped", box=None)
+    for rate, result in results["rates"].items():
+        loop, other = result["loop"], result.get("cyclictest")
+        four = [" ".join(f"{v:.0f}" for v in loop[name].values()) for name in ("lateness_us", "work_us")]
+        against = (
+            " ".join(f"{other['lateness_us'][n]:.0f}" for n in ("p50", "p99", "p999", "max")) if other else "missing"
+        )
+        late = f" ({other['later_than_a_period']} wake-ups late)" if other else ""
+        ratio = f"{result['lateness_p999_ratio']:.2f}" if other else "-"
+        table.add_row(rate, four[0], against + late, ratio, four[1], f"{loop['skipped_ticks']} of {loop['ticks']}")
+    console.print(table, highlight=False)
+    console.print(f"lockstep: {results['lockstep_x']:.1f} x real time", highlight=False)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.bench", description=__doc__)
+    parser.add_argument("--json", type=pathlib.Path, help="write the figures here")
+    parser.add_argument("--seconds", type=float, default=40.0, help="of loop per rate, and as much of cyclictest")
+    parser.add_argument("--rates", type=int, nargs="+", default=[1000, 2000, 4000])
+    arguments = parser.parse_args()
+    console = Console()
+    if not cyclictest.available():
+        console.print("cyclictest is not installed (Debian package rt-tests): ratios are left out")
+    results: dict[str, Any] = {"rates": {}}
+    with Progress(console=Console(stderr=True)) as progress:
+        for rate in arguments.rates:
+            results["rates"][str(rate)] = measure_rate(rate, arguments.seconds, progress)
+    results["lockstep_x"] = round(measure_lockstep(), 2)
+    show(results, console)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(results, indent=2) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

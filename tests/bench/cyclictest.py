@@ -1,0 +1,41 @@
+"""cyclictest, at the loop's priority and period, on the loop's processor."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import shutil
+import subprocess
+import tempfile
+from typing import Any
+
+import numpy as np
+
+LONGEST_US = 100_000
+
+
+def available() -> bool:
+    return shutil.which("cyclictest") is not None
+
+
+def measure(period_us: int, seconds: float, *, priority: int, cpu: int | None) -> dict[str, Any]:
+    """Wake-up lateness: percentiles in us, and how many wake-ups came later than one period."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = pathlib.Path(folder) / "cyclictest.json"
+        where = [f"--affinity={cpu}"] if cpu is not None else []
+        subprocess.run(
+            ["cyclictest", "--quiet", "--mlockall", "--threads=1", f"--priority={priority}", f"--interval={period_us}",
+             f"--loops={round(seconds * 1e6 / period_us)}", f"--histogram={LONGEST_US}", f"--json={out}", *where],
+            check=True, capture_output=True,
+        )  # fmt: skip
+        thread = json.loads(out.read_text())["thread"]["0"]
+    late_us = np.array([int(us) for us in thread["histogram"]])
+    count = np.array(list(thread["histogram"].values()))
+    order = np.argsort(late_us)
+    late_us, count = late_us[order], count[order]
+    below = np.cumsum(count) / count.sum()
+    figures = {
+        name: float(late_us[np.searchsorted(below, q)]) for name, q in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999))
+    }
+    figures["max"] = float(thread["max"])
+    return {"lateness_us": figures, "wakeups": int(thread["cycles"]), "late": int(count[late_us > period_us].sum())}

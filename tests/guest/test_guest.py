@@ -1,0 +1,30 @@
+"""Boots a guest kernel with real SocketCAN and runs the tests of ``inside/`` there."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+HERE = pathlib.Path(__file__).parent
+CACHE = pathlib.Path(os.environ.get("XDG_CACHE_HOME", pathlib.Path.home() / ".cache"))
+HOME = pathlib.Path(os.environ.get("GUEST_HOME", CACHE / "rigctl/guest"))
+
+
+@pytest.mark.guest
+@pytest.mark.timeout(400)
+def test_the_daemon_and_the_simulated_rig_on_a_real_kernels_socketcan() -> None:
+    inside = [sys.executable, "-m", "pytest", "-v", "--timeout=150", str(HERE / "inside/socketcan.py")]
+    result = subprocess.run(
+        [str(HERE / "guest-run"), "-t", "380", *inside],
+        env={**os.environ, "GUEST_HOME": str(HOME), "OPENBLAS_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    sys.stdout.write(result.stdout)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert " passed" in result.stdout
