@@ -1,0 +1,25 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rigctl.config import RigSettings, load
+
+CONFIG = Path(__file__).parents[3] / "config"
+Rig = Callable[..., RigSettings]
+
+
+@pytest.fixture(scope="session")
+def rig() -> Rig:
+    """The paper's rig with some values changed: ``rig(plant={"spring_n_mm": 13.0}, ...)``."""
+    paper = load(CONFIG / "paper_rig.yaml")
+
+    def changed(**sections: dict[str, Any]) -> RigSettings:
+        return paper.model_copy(
+            update={name: getattr(paper, name).model_copy(update=values) for name, values in sections.items()}
+        )
+
+    return changed

@@ -1,0 +1,89 @@
+"""The linear controller is the one that runs: the real filter and law, closed around the same sampled plant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from rigctl.config import RigSettings
+from rigctl.control import estimator
+from rigctl.control.estimator import Array, TensionFilter, filter_model
+from rigctl.control.tension import Estimate, TensionLaw
+from rigctl.design.closed_loop import closed_loop, controller
+from rigctl.design.gains import design, filter_gain
+from rigctl.design.plant_family import Member, member
+
+Rig = Callable[..., RigSettings]
+TARGET_N = 300.0
+SMALL = (0.01, 0.01, 0.05)  # N, mm/s, mm/s: small enough that no limit acts
+
+
+def _impulse_of_the_objects(settings: RigSettings, plant: Member, channel: int, ticks: int) -> Array:
+    """Tension deviation N and command mm/s, shape (ticks, 2), as the loop orders its work."""
+    running = TensionFilter(filter_model(settings))
+    law = TensionLaw(settings, design(settings))
+    running.reset(TARGET_N, 0.0)
+    law.start_ramp(TARGET_N, 0.0)
+    for _ in range(max(3000, 2 * settings.loop.rate_hz)):  # at rest on the target: the filter's gain settles
+        running.update(TARGET_N, 0.0)
+        running.predict()
+        running.command(law.compensating(Estimate(*running.ahead(), stroke_mm=50.0), cosine=1.0))
+    kick = np.zeros(3)
+    kick[channel] = SMALL[channel]
+    state, sample = np.zeros(len(plant.a)), np.array([TARGET_N, 0.0])
+    under_way = [0.0] * plant.delay_ticks
+    rows = []
+    for tick in range(ticks):
+        noise = kick if tick == 0 else np.zeros(3)
+        running.update(float(sample[0]), float(sample[1]))
+        running.predict()
+        command = law.compensating(Estimate(*running.ahead(), stroke_mm=50.0), cosine=1.0)
+        running.command(command)
+        assert law.limits == 0
+        rows.append((state[0], command))
+        sample = state[:2] + noise[:2] + [TARGET_N, 0.0]  # latched by the SYNC that follows the command
+        under_way.append(command)
+        state = plant.a @ state + plant.b_command * under_way.pop(0) + plant.b_disturbance * noise[2]
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("channel", [0, 1, 2], ids=["cell noise", "speed noise", "disturbance"])
+@pytest.mark.parametrize(
+    ("rate_hz", "k_m", "k_scale", "delay_scale"),
+    [(1000, None, 1.0, 1), (1000, 6.0, 0.8, 2), (1000, 60.0, 1.2, 1), (200, 60.0, 1.0, 2), (4000, None, 1.2, 2)],
+)
+def test_margins_describe_the_code_that_runs(
+    rig: Rig,
+    monkeypatch: pytest.MonkeyPatch,
+    rate_hz: int,
+    k_m: float | None,
+    k_scale: float,
+    delay_scale: int,
+    channel: int,
+) -> None:
+    # As shipped the filter freezes its gain 1e-6 early, which is 1e-4 of the (tiny) answer to speed noise.
+    monkeypatch.setattr(estimator, "SETTLED_GAIN", 1e-12)
+    settings = rig(loop={"rate_hz": rate_hz})
+    model = filter_model(settings)
+    plant = member(settings, k_m, k_scale, delay_scale)
+    loop = closed_loop(plant, controller(model, design(settings), filter_gain(model)))
+    state = loop.b[:, channel] * SMALL[channel]
+    expected = [(0.0, 0.0)]
+    for _ in range(999):
+        expected.append((float(state[0]), float(loop.command @ state)))
+        state = loop.a @ state
+    real = _impulse_of_the_objects(settings, plant, channel, 1000)
+    # 1e-6 of the largest value: what the filter's gain has still to settle, and rounding beside 300 N.
+    assert np.allclose(real, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max(axis=0))
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.002, 0.02])
+def test_response_equals_the_state_space(rig: Rig, delay_s: float) -> None:
+    settings = rig(plant={"command_delay_s": delay_s})
+    model = filter_model(settings)
+    law = controller(model, design(settings), filter_gain(model))
+    z = np.exp(2j * np.pi * np.array([0.1, 3.0, 40.0, 500.0]) * model.period_s)
+    for at, column in zip(z, law.response(z).T, strict=True):
+        assert np.allclose(column, law.c @ np.linalg.solve(at * np.eye(len(law.a)) - law.a, law.b), rtol=1e-8)

@@ -1,0 +1,112 @@
+"""Gains against closed forms, and against the filter that runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rigctl.config import RigSettings
+from rigctl.control.estimator import TensionFilter, filter_model
+from rigctl.design.gains import DesignError, design, filter_gain
+from rigctl.design.margins import design_and_check
+
+Rig = Callable[..., RigSettings]
+
+
+def test_gain_of_a_pure_integrator_has_its_closed_form(rig: Rig) -> None:
+    # Without lag and (almost) without integral action the plant is x' = x + dt u for the stretch x.
+    dt, q, r = 1e-3, 52.0, 1.0
+    instant = rig(plant={"cylinder_lag_s": 1e-6}, design={"stretch_weight": q, "integral_weight": 1e-9})
+    p = (q + math.sqrt(q**2 + 4 * q * r / dt**2)) / 2
+    gains = design(instant)
+    assert gains.k_tension * instant.plant.stiffness_n_mm == pytest.approx(p * dt / (r + p * dt**2), rel=1e-5)
+    assert gains.k_speed == pytest.approx(0.0, abs=1e-5)  # K_x tau is 7e-6
+
+
+def test_gains_of_a_fast_loop_tend_to_the_continuous_optimum(rig: Rig) -> None:
+    # With x'' tau + x' = u, cost q x^2 + u^2: closed loop tau s^2 + (1 + K_v) s + K_x with K_x = sqrt(q) and
+    # (1 + K_v)^2 = 1 + 2 tau sqrt(q), by spectral factorisation.
+    q, tau = 52.0, 0.02
+    fast = rig(loop={"rate_hz": 4000}, design={"stretch_weight": q, "integral_weight": 1e-9})
+    gains = design(fast)
+    # Sampled control answers half a period late: gains differ by that over the fastest closed-loop mode, 1 %.
+    assert gains.k_tension * fast.plant.stiffness_n_mm == pytest.approx(math.sqrt(q), rel=0.01)
+    assert gains.k_speed == pytest.approx(math.sqrt(1 + 2 * tau * math.sqrt(q)) - 1, rel=0.01)
+
+
+@pytest.mark.parametrize("spring_n_mm", [6.0, 34.0])
+def test_shape_of_the_loop_does_not_depend_on_the_spring(rig: Rig, spring_n_mm: float) -> None:
+    soft, stiff = rig(plant={"spring_n_mm": 3.0}), rig(plant={"spring_n_mm": spring_n_mm})
+    one, other = design(soft), design(stiff)
+    ratio = stiff.plant.stiffness_n_mm / soft.plant.stiffness_n_mm
+    # Two Riccati solutions of differently scaled matrices agree to solver accuracy.
+    assert other.k_tension * ratio == pytest.approx(one.k_tension, rel=1e-6)
+    assert other.k_integral * ratio == pytest.approx(one.k_integral, rel=1e-6)
+    assert other.k_speed == pytest.approx(one.k_speed, rel=1e-6)
+
+
+@pytest.mark.parametrize("rate_hz", [1000, 200])
+def test_filter_settles_at_the_gain_the_margins_use(rig: Rig, rate_hz: int) -> None:
+    model = filter_model(rig(loop={"rate_hz": rate_hz}))
+    columns = []
+    for sample in ((1.0, 0.0), (0.0, 1.0)):
+        running = TensionFilter(model)
+        for _ in range(5000):
+            running.update(0.0, 0.0)
+            running.predict()
+        running.update(*sample)  # a unit innovation: what it adds to the state is the gain
+        columns.append(running.state)
+    # The running filter freezes its gain when it changes by less than 1e-7 in a tick; some ten such changes are left.
+    assert np.allclose(filter_gain(model), np.array(columns).T, rtol=1e-6, atol=5e-6)
+
+
+def _spread(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(math.log10(low), math.log10(high)).map(lambda exponent: 10.0**exponent)
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    rate_hz=st.sampled_from([50, 100, 200, 500, 1000, 4000]),
+    plant=st.fixed_dictionaries(
+        {
+            "spring_n_mm": _spread(0.1, 1e4),
+            "rope_n_mm": _spread(1.0, 1e5),
+            "cylinder_lag_s": _spread(1e-3, 1.0),
+            "command_delay_s": st.floats(0.0, 0.004),
+            "payload_kg": _spread(0.1, 1e3),
+            "mechanism_n_mm": st.none() | _spread(0.1, 1e6),
+        }
+    ),
+    estimator=st.fixed_dictionaries(
+        {
+            "speed_noise_mm_s": _spread(1e-3, 100.0),
+            "tension_walk_n": _spread(1e-3, 1e3),
+            "speed_walk_mm_s": _spread(1e-3, 1e3),
+            "disturbance_walk_mm_s": _spread(1e-3, 1e4),
+        }
+    ),
+    weights=st.fixed_dictionaries({"stretch_weight": _spread(1e-3, 1e6), "integral_weight": _spread(1e-3, 1e6)}),
+)
+def test_any_valid_rig_gets_finite_gains_and_a_verdict_or_a_clear_error(
+    rig: Rig,
+    rate_hz: int,
+    plant: dict[str, float],
+    estimator: dict[str, float],
+    weights: dict[str, float],
+) -> None:
+    settings = rig(loop={"rate_hz": rate_hz}, plant=plant, estimator=estimator, design=weights)
+    try:
+        found = design_and_check(settings)
+    except DesignError as error:
+        assert str(error)
+        assert "\n" not in str(error)
+        return
+    assert all(math.isfinite(g) for g in (found.gains.k_tension, found.gains.k_speed, found.gains.k_integral))
+    assert found.ms_max >= 1.0
+    assert found.accepted == (found.ms_max <= 1.6)
+    assert all(member.stable == math.isfinite(member.ms) for member in found.margins)
