@@ -128,9 +128,13 @@ class Supervisor:
         _notify("READY=1")
 
     def _design(self) -> None:
-        from rigctl.design.margins import design_and_check  # imports python-control: slow, beside the children's own
+        from rigctl.design.gains import DesignError  # imports python-control: slow, beside the children's own start
+        from rigctl.design.margins import design_and_check
 
-        design = design_and_check(self.settings)
+        try:
+            design = design_and_check(self.settings)
+        except DesignError as error:
+            raise CannotRunError(f"{self.settings.rig}: no design: {error}") from None
         self._active["design"] = design.as_dict()
         if not design.accepted:
             raise CannotRunError(

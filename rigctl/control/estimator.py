@@ -23,7 +23,7 @@ from rigctl.config import RigSettings
 
 Array = npt.NDArray[np.float64]
 
-SETTLED_GAIN = 1e-7  # change of the gain in one tick below which it counts as settled
+SETTLED_GAIN = 1e-11  # change of the gain in one tick below which it counts as settled
 MAX_CATCH_UP = 100  # periods predicted after an overrun; longer gaps end in a fault anyway
 
 
@@ -63,6 +63,14 @@ def filter_model(settings: RigSettings) -> FilterModel:
     )
 
 
+@dataclass(frozen=True)
+class _Settled:
+    """Gain (3 rows of 2) that no longer changes, and the covariance before an update that goes with it."""
+
+    gain: list[list[float]]
+    prior: Array
+
+
 def _inverse(s: Array) -> Array:
     """Inverse of a 1 x 1 or 2 x 2 innovation covariance (numpy's costs three times as much)."""
     if s.shape == (1, 1):
@@ -73,7 +81,12 @@ def _inverse(s: Array) -> Array:
 
 
 class TensionFilter:
-    """The filter, with absent samples skipped and non-finite ones refused."""
+    """The filter, with absent samples skipped and non-finite ones refused.
+
+    filterpy carries state and covariance until the gain has settled (a tenth of a second). From then on, while both
+    samples come, the covariance stands still, and the state is carried by the settled gain in plain floats: the same
+    numbers for a tenth of the time. An absent sample or an overrun goes back to filterpy.
+    """
 
     def __init__(self, model: FilterModel) -> None:
         self.model = model
@@ -82,7 +95,10 @@ class TensionFilter:
         kf.H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
         kf.R = np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
         kf.inv = _inverse
-        self._settled_prior: Array | None = None  # covariance before the update, once the gain has settled
+        self._transition = [(*row, b) for row, b in zip(model.f.tolist(), model.b[:, 0].tolist(), strict=True)]
+        self._settled: _Settled | None = None
+        self._x = (0.0, 0.0, 0.0)  # the state, once settled
+        self._prior: Array = np.eye(3)
         self._sent: list[float] = [0.0] * (model.delay_ticks + 1)  # oldest first
         carry, forced = self._lookahead(model)
         self._carry, self._forced = carry.tolist(), forced.tolist()
@@ -106,57 +122,69 @@ class TensionFilter:
         kf = self._kf
         kf.x = np.array([[tension_n], [speed_mm_s], [0.0]])
         kf.P = np.diag([self.model.cell_variance_n2, self.model.speed_variance_mm2_s2, 1.0])
-        self._settled_prior = None
+        self._settled = None
         self.innovation_n = 0.0
 
     def update(self, tension_n: float | None, speed_mm_s: float | None) -> None:
-        """Correct with the newest samples; ``None`` is absent, a non-finite one is counted and left out.
-
-        Once the gain has settled, and while both samples come, the covariance stands still and filterpy's
-        steady-state form gives the same state for a third of the time.
-        """
+        """Correct with the newest samples; ``None`` is absent, a non-finite one is counted and left out."""
         if tension_n is not None and not math.isfinite(tension_n):
             self.refused += 1
             tension_n = None
         if speed_mm_s is not None and not math.isfinite(speed_mm_s):
             self.refused += 1
             speed_mm_s = None
-        kf = self._kf
-        if tension_n is not None and speed_mm_s is not None:
-            z = np.array([[tension_n], [speed_mm_s]])
-            if self._settled_prior is not None:
-                kf.update_steadystate(z)
-            else:
-                before = kf.K
-                kf.update(z)
-                if before.shape == kf.K.shape and np.abs(kf.K - before).max() < SETTLED_GAIN:
-                    self._settled_prior = kf.P_prior
-        else:
+        settled = self._settled
+        if tension_n is None or speed_mm_s is None:
             self._update_one(tension_n, speed_mm_s)
-        if tension_n is not None:
-            self.innovation_n = float(kf.y[0, 0])
-            self.innovation_n2 = float(kf.S[0, 0])
+        elif settled is not None:
+            t, v, w = self._x
+            y0, y1 = tension_n - t, speed_mm_s - v
+            (a, b), (c, d), (e, f) = settled.gain
+            self._x = t + a * y0 + b * y1, v + c * y0 + d * y1, w + e * y0 + f * y1
+            self.innovation_n = y0
+        else:
+            self._update_both(tension_n, speed_mm_s)
+
+    def _update_both(self, tension_n: float, speed_mm_s: float) -> None:
+        kf = self._kf
+        before = kf.K
+        kf.update(np.array([[tension_n], [speed_mm_s]]))
+        self.innovation_n, self.innovation_n2 = float(kf.y[0, 0]), float(kf.S[0, 0])
+        if before.shape == kf.K.shape and np.abs(kf.K - before).max() < SETTLED_GAIN:
+            self._x = self.state
+            self._settled = _Settled(kf.K.tolist(), kf.P_prior)
 
     def _update_one(self, tension_n: float | None, speed_mm_s: float | None) -> None:
         kf = self._kf
-        if self._settled_prior is not None:
-            kf.P, self._settled_prior = self._settled_prior, None
+        if self._settled is not None:
+            self._unsettle()
+            kf.P = self._prior
         if tension_n is not None:
             kf.update(np.array([[tension_n]]), kf.R[:1, :1], kf.H[:1])
+            self.innovation_n, self.innovation_n2 = float(kf.y[0, 0]), float(kf.S[0, 0])
         elif speed_mm_s is not None:
             kf.update(np.array([[speed_mm_s]]), kf.R[1:, 1:], kf.H[1:])
 
+    def _unsettle(self) -> None:
+        """Hand the state back to filterpy, whose covariance is that after an update."""
+        if self._settled is not None:
+            self._prior, self._settled = self._settled.prior, None
+            self._kf.x = np.array(self._x).reshape(3, 1)
+
     def predict(self, periods: int = 1) -> None:
         """Carry the state to this tick; ``periods`` > 1 after an overrun, the last command having stayed."""
-        kf, sent = self._kf, self._sent
-        if periods == 1 and self._settled_prior is not None:
-            kf.predict_steadystate(u=sent[0])
+        sent = self._sent
+        if periods == 1 and self._settled is not None:
+            t, v, w = self._x
+            u = sent[0]
+            (a, b, c, d), (e, f, g, h), (i, j, k, m) = self._transition
+            self._x = a * t + b * v + c * w + d * u, e * t + f * v + g * w + h * u, i * t + j * v + k * w + m * u
             sent.append(sent[-1])
             del sent[0]
             return
-        self._settled_prior = None
+        self._unsettle()
         for _ in range(min(periods, MAX_CATCH_UP)):
-            kf.predict(u=sent[0])
+            self._kf.predict(u=sent[0])
             sent.append(sent[-1])
             del sent[0]
 
@@ -181,6 +209,8 @@ class TensionFilter:
     @property
     def state(self) -> tuple[float, float, float]:
         """Tension, drive speed and disturbance speed at this tick."""
+        if self._settled is not None:
+            return self._x
         (t,), (v,), (w,) = self._kf.x.tolist()
         return t, v, w
 

@@ -60,7 +60,7 @@ class Loop:
         self.stop_requested = False
         self._clock, self._rings, self._supervised = clock, rings, supervised
         self._watch, self._sight = Watch(settings), Sight()
-        self._tick = self._skipped = 0
+        self._tick = self._skipped = self._work_ns = 0
         self._skips: deque[tuple[int, int]] = deque(maxlen=4096)
         self._window_ns = settings.safety.overrun_window_ms * 1_000_000
         self._stale_ns = settings.safety.stale_ms * 1_000_000
@@ -91,6 +91,7 @@ class Loop:
             self._stop_safely(t_ns, error)
         self._record(t_ns, woke_ns)
         self._publish(t_ns)
+        self._work_ns = self._clock.now() - woke_ns
 
     def run(self) -> None:
         """Tick until told to stop and stopped."""
@@ -249,7 +250,7 @@ class Loop:
             self._tick,
             self._skipped,
             woke_ns - t_ns,
-            self._clock.now() - woke_ns,
+            self._work_ns,
             self.machine.mode,
             self.machine.fault,
             flags,

@@ -14,6 +14,7 @@ from rigctl.config import DemoSettings, RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.demo.script import DemoError, Moment, Show, play
 from rigctl.demo.summary import Summary, summarise
+from rigctl.design.gains import DesignError
 from rigctl.design.margins import design_and_check
 
 
@@ -72,7 +73,12 @@ def play_lockstep(settings: RigSettings, demo: DemoSettings, show: Show) -> Summ
     Raises:
         DemoError: it could not be played to its end.
     """
-    design = design_and_check(settings)
+    try:
+        design = design_and_check(settings)
+    except DesignError as error:
+        raise DemoError(f"no design: {error}") from None
+    if not design.accepted:
+        raise DemoError(f"design refused: Ms {design.ms_max:.2f}, allowed {design.limit:g}")
     with lockstep(settings, design.gains) as rig:
         stage = LockstepStage(rig)
         stage.pass_time(0.2)

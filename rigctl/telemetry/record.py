@@ -71,7 +71,7 @@ RECORD = Slot(
         Field("tick", "Q", "", "ticks on the grid since the loop started, skipped ones included"),
         Field("skipped", "Q", "", "ticks skipped so far because the one before ran over"),
         Field("lateness_ns", "q", "ns", "wake-up after the grid point"),
-        Field("work_ns", "q", "ns", "from wake-up to the last frame sent"),
+        Field("work_ns", "q", "ns", "of the tick before, from its wake-up to its end"),
         Field("mode", "B", "", "mode, see modes"),
         Field("fault", "H", "", "latched fault, see faults; 0 none"),
         Field("flags", "H", "", "bits, see flags"),

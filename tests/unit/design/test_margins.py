@@ -50,7 +50,7 @@ def test_second_order_loop_has_the_textbook_sensitivity_and_phase_margin(rig: Ri
 
 def test_gain_margin_of_a_third_order_loop_is_two() -> None:
     omega = np.logspace(-2, 2, 2000)
-    s: ComplexArray = 1j * omega
+    s: ComplexArray = (1j * omega).astype(np.complex128)
     loop: ComplexArray = 1 / (s * (s + 1) ** 2)
     gm_db, pm_deg, _ = classical_margins(loop, omega)
     known = control.margin(control.tf([1], [1, 2, 1, 0]))
