@@ -17,11 +17,12 @@ from rich.table import Table
 
 from rigctl import config
 from rigctl.demo.lockstep import play_lockstep
+from rigctl.report.metrics import PERCENTILES
 from tests import daemons
 from tests.bench import cyclictest
 from tests.bench.loop import BenchRig, figures
 
-ROUNDS = 4
+ROUNDS = 3
 
 
 def measure_rate(rate_hz: int, seconds: float, progress: Progress) -> dict[str, Any]:
@@ -61,24 +62,26 @@ def measure_lockstep() -> float:
 
 
 def show(results: dict[str, Any], console: Console) -> None:
-    table = Table("Hz", "lateness us: p50 p99 p99.9 max", "cyclictest", "ratio p99.9", "work us", "skipped", box=None)
+    table = Table("Hz", "us", *(f"{name:>6}" for name in PERCENTILES), "missed periods", box=None)
     for rate, result in results["rates"].items():
         loop, other = result["loop"], result.get("cyclictest")
-        four = [" ".join(f"{v:.0f}" for v in loop[name].values()) for name in ("lateness_us", "work_us")]
-        against = (
-            " ".join(f"{other['lateness_us'][n]:.0f}" for n in ("p50", "p99", "p999", "max")) if other else "missing"
-        )
-        late = f" ({other['later_than_a_period']} wake-ups late)" if other else ""
-        ratio = f"{result['lateness_p999_ratio']:.2f}" if other else "-"
-        table.add_row(rate, four[0], against + late, ratio, four[1], f"{loop['skipped_ticks']} of {loop['ticks']}")
+        table.add_row(rate, "loop, work", *_numbers(loop["work_us"]), "")
+        table.add_row("", "loop, lateness", *_numbers(loop["lateness_us"]), f"{loop['skipped_ticks']}")
+        if other:
+            table.add_row("", "cyclictest", *_numbers(other["lateness_us"]), f"{other['later_than_a_period']}")
+            table.add_row("", "ratio of p99.9", "", "", f"{result['lateness_p999_ratio']:>6.2f}")
     console.print(table, highlight=False)
     console.print(f"lockstep: {results['lockstep_x']:.1f} x real time", highlight=False)
+
+
+def _numbers(values: dict[str, float]) -> list[str]:
+    return [f"{values[name]:>6.0f}" for name in PERCENTILES]
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.bench", description=__doc__)
     parser.add_argument("--json", type=pathlib.Path, help="write the figures here")
-    parser.add_argument("--seconds", type=float, default=40.0, help="of loop per rate, and as much of cyclictest")
+    parser.add_argument("--seconds", type=float, default=30.0, help="of loop per rate, and as much of cyclictest")
     parser.add_argument("--rates", type=int, nargs="+", default=[1000, 2000, 4000])
     arguments = parser.parse_args()
     console = Console()

@@ -1,4 +1,4 @@
-"""The loop at a rate, holding 300 N on `rigsim`, with the rig in its own process."""
+"""The loop at a rate, in closed loop on `rigsim`, with the rig in its own process."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ CHANGES: dict[str, dict[str, Any]] = {
     "inclinometer": {"rate_hz": 100},
 }
 
+TARGET_N = "60"  # the closed loop works as hard as at 300 N, and is reached five times sooner
+
 
 class BenchRig:
     """Rig and daemon at one rate, tensioned, kept alive between the slices of a measurement."""
@@ -33,7 +35,7 @@ class BenchRig:
         self._log = folder / "daemon.log"
         stack.enter_context(daemons.simulated_rig(self.file, folder / "rig.log"))
         stack.enter_context(daemons.daemon(self.file, self._log))
-        for words in (("arm",), ("tension", "--wait")):
+        for words in (("target", TARGET_N), ("arm",), ("tension", "--wait")):
             answer = daemons.rigctl(*words, file=self.file)
             if answer.returncode:
                 raise RuntimeError(answer.stderr + self._log.read_text())

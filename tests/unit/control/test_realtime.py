@@ -1,0 +1,47 @@
+"""What is asked of the operating system is read back; what it refuses is a warning, never an end."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+
+import pytest
+
+REPORT = (
+    "from rigctl.config import LoopSettings; from rigctl.control import realtime;"
+    "loop = LoopSettings(rate_hz=1000, priority={priority}, cpu={cpu}, lock_memory=True);"
+    "rows = [*realtime.apply(loop), realtime.freeze_garbage_collector()];"
+    "print([(row.name, row.ok, row.in_force, row.warning) for row in rows])"
+)
+
+
+def report(priority: int, cpu: int, *, privileged: bool) -> dict[str, tuple[bool, str, str]]:
+    code = REPORT.format(priority=priority, cpu=cpu)
+    drop = "ulimit -l 64 -r 0; exec setpriv --bounding-set -all --inh-caps -all " if not privileged else "exec "
+    out = subprocess.run(
+        ["bash", "-c", f"{drop} {sys.executable} -c '{code}'"], capture_output=True, text=True, check=True
+    ).stdout
+    return {name: tuple(rest) for name, *rest in ast.literal_eval(out)}
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root, for real time and to give it up")
+def test_with_rights_every_setting_is_in_force() -> None:
+    cpu = min(os.sched_getaffinity(0))
+    rows = report(70, cpu, privileged=True)
+    assert all(ok for ok, _, _ in rows.values()), rows
+    assert rows["scheduler"][1] == "SCHED_FIFO 70"
+    assert rows["affinity"][1] == f"cpu {cpu}"
+    assert set(rows) == {"timer slack", "memory", "affinity", "scheduler", "garbage collector"}
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root, for real time and to give it up")
+def test_without_rights_each_refused_setting_says_what_would_help() -> None:
+    rows = report(70, 1023, privileged=False)
+    assert not any(rows[name][0] for name in ("scheduler", "memory", "affinity"))
+    assert "RLIMIT_RTPRIO" in rows["scheduler"][2]
+    assert "RLIMIT_MEMLOCK" in rows["memory"][2]
+    assert "loop.cpu" in rows["affinity"][2]
+    assert rows["scheduler"][1] == "SCHED_OTHER"
+    assert rows["garbage collector"][0]
