@@ -210,7 +210,7 @@ class Supervisor:
             return 1
         mode = Mode(int(last["mode"])).name
         self._say(
-            f"stopped in {mode}: stroke {last['stroke_mm']:.2f} mm, tension {last['tension_n']:.1f} N, brake closed"
+            f"stopped in {mode}: stroke {last['stroke_mm']:.2f} mm, tension {last['tension_n']:z.1f} N, brake closed"
         )
         return 0
 

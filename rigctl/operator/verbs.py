@@ -120,7 +120,7 @@ def _finish(client: Client, verb: str, answer: dict[str, Any], states: Feed) -> 
             continue
         about = {"mode": mode, "value": state["tension_n"]}
         if mode == goal:
-            text = f"{verb.upper()}: {goal}, tension {state['tension_n']:.1f} N, stroke {state['stroke_mm']:.2f} mm"
+            text = f"{verb.upper()}: {goal}, tension {state['tension_n']:z.1f} N, stroke {state['stroke_mm']:.2f} mm"
             return {**answer, **about, "text": text}
         why = f" {state['fault_name']}: {state['fault_text']}" if mode == "FAULT" else ""
         text = f"{verb.upper()} failed: ended in {mode}{why}"

@@ -152,7 +152,7 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.BUS_ERROR: lambda a, b, _v, _l, _t: Worded("warning", f"CAN error frame 0x{a:03X}, controller 0x{b:02X}"),
     Kind.SEND_FAILED: lambda _a, _b, _v, _l, t: Worded("warning", f"frame not sent: {t}"),
     Kind.STARTED: lambda _a, _b, _v, _l, _t: Worded("info", "loop started, DISARMED"),
-    Kind.STOPPED: lambda _a, _b, v, m, _t: Worded("info", f"loop stopped, stroke {v:.2f} mm, tension {m:.1f} N"),
+    Kind.STOPPED: lambda _a, _b, v, m, _t: Worded("info", f"loop stopped, stroke {v:.2f} mm, tension {m:z.1f} N"),
     Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{a} ticks skipped at once"),
 }  # fmt: skip
 

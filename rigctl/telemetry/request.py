@@ -91,13 +91,13 @@ class Sight:
 def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
     match verb:
         case Verb.ARM:
-            return f"armed, {mode.name}, stroke {sight.stroke_mm:.2f} mm, tension {sight.tension_n:.1f} N"
+            return f"armed, {mode.name}, stroke {sight.stroke_mm:.2f} mm, tension {sight.tension_n:z.1f} N"
         case Verb.TENSION:
             return f"ramping to {sight.target_n:g} N, {mode.name}"
         case Verb.RELEASE:
             return f"ramping to slack, {mode.name}"
         case Verb.HOLD:
-            return f"stroke held at {sight.stroke_mm:.2f} mm, tension {sight.tension_n:.1f} N"
+            return f"stroke held at {sight.stroke_mm:.2f} mm, tension {sight.tension_n:z.1f} N"
         case Verb.DISARM:
             latched = ", the fault stays latched" if mode is Mode.FAULT else ""
             return f"drive off, brake closed, {mode.name}{latched}"
