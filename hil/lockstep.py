@@ -35,7 +35,7 @@ class Lockstep:
         self.settings = settings
         self.rig_ns = START_NS
         self._hub = Hub(lambda: self.rig_ns)
-        port = self._hub.attach(self.rig.receive)
+        port = self._hub.attach(self._to_rig)
         self.rig: SimulatedRig = SimulatedRig(settings, START_NS, port.send)
         self._stranger = self._hub.attach(lambda _frame: None)
         self._keep_log = log
@@ -50,6 +50,9 @@ class Lockstep:
         rings = Rings(runtime.record_writer(), runtime.event_writer(), runtime.reply_writer(), runtime.command_reader())
         self.loop = Loop(settings, gains, bus, self.clock, rings, supervised=True)
         self._id = 0
+
+    def _to_rig(self, frame: bytes) -> None:
+        self.rig.receive(frame)
 
     def _advance(self, t_ns: int) -> None:
         self.rig_ns = t_ns + WORK_NS
