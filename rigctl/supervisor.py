@@ -33,7 +33,8 @@ START_LIMIT_S = 20.0
 STOP_LIMIT_S = 5.0
 BACKOFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 STABLE_S = 10.0
-WATCHDOG_STALE_S = 1.0
+WATCHDOG_PERIOD_NS = 500_000_000
+WATCHDOG_STALE_NS = 1_000_000_000
 
 
 class CannotRunError(RuntimeError):
@@ -45,7 +46,6 @@ class Child:
     """A process that is kept alive."""
 
     name: str
-    command: list[str]
     process: subprocess.Popen[bytes]
     started: float
     failures: int = 0
@@ -62,6 +62,7 @@ class Supervisor:
         self._runtime = Runtime.of(settings.rig)
         self._gains_line = b""
         self._stopping = False
+        self._feed_at_ns = 0
         self._children: dict[str, Child] = {}
         self._active: dict[str, Any] = {}
 
@@ -85,8 +86,7 @@ class Supervisor:
             while not self._stopping:
                 self._watch()
                 self._tell(events)
-                if self._loop_alive(records):
-                    _notify("WATCHDOG=1")
+                self._feed_watchdog(records)
                 time.sleep(POLL_S)
             return self._stop(events)
         finally:
@@ -151,7 +151,7 @@ class Supervisor:
         stdin = subprocess.PIPE if name == "control" else subprocess.DEVNULL
         process = subprocess.Popen(command, stdin=stdin, start_new_session=True)
         failures = self._children[name].failures if name in self._children else 0
-        self._children[name] = Child(name, command, process, time.monotonic(), failures)
+        self._children[name] = Child(name, process, time.monotonic(), failures)
 
     def _send_gains(self) -> None:
         stdin: IO[bytes] | None = self._children["control"].process.stdin
@@ -188,9 +188,14 @@ class Supervisor:
             prefix = "" if event.severity == "info" else f"{event.severity.upper()}: "
             self._say(prefix + event.text)
 
-    def _loop_alive(self, records: RingReader) -> bool:
+    def _feed_watchdog(self, records: RingReader) -> None:
+        """Twice a second, and only while the loop's records go on."""
+        now_ns = time.monotonic_ns()
         slot = records.latest()
-        return slot is not None and time.monotonic_ns() - int(slot["t_ns"]) < WATCHDOG_STALE_S * 1e9
+        alive = slot is not None and now_ns - int(slot["t_ns"]) < WATCHDOG_STALE_NS
+        if alive and now_ns >= self._feed_at_ns:
+            self._feed_at_ns = now_ns + WATCHDOG_PERIOD_NS
+            _notify("WATCHDOG=1")
 
     # -- stop -----------------------------------------------------------------------------------------------
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
@@ -241,7 +246,7 @@ def _notify(state: str) -> None:
     if address:
         with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
             sock.connect("\0" + address[1:] if address.startswith("@") else address)
-            sock.send(state.encode())
+            sock.send(state.encode(), socket.MSG_DONTWAIT)  # a manager that does not listen must not hold us up
 
 
 def refuse_bus_load(settings: RigSettings) -> None:

@@ -26,6 +26,8 @@ from rigctl.telemetry.ring import RingReader, RingWriter
 
 STOPPED_MM_S = 0.05
 STOP_LIMIT_NS = 2_000_000_000
+NOTICE_NS = 1_000_000_000
+NOTICES_KEPT = 64
 SKIP_NOTICE = 5  # ticks skipped at once that are worth an event
 _OFF = frozenset({DriveState.READY_TO_SWITCH_ON, DriveState.SWITCH_ON_DISABLED})
 _STALE = Quality.STALE.value
@@ -55,12 +57,14 @@ class Loop:
         self.outbox = Outbox(bus, settings)
         self.filter = TensionFilter(filter_model(settings))
         self.law = TensionLaw(settings, gains)
-        self.last_exception: BaseException | None = None
+        self.exceptions_untold = 0
         self.finished = False
         self.stop_requested = False
         self._clock, self._rings, self._supervised = clock, rings, supervised
         self._watch, self._sight = Watch(settings), Sight()
         self._tick = self._skipped = self._work_ns = 0
+        self._just_skipped = self._failures = 0
+        self._noticed: dict[tuple[Kind, int, int], int] = {}  # not again before
         self._skips: deque[tuple[int, int]] = deque(maxlen=4096)
         self._window_ns = settings.safety.overrun_window_ms * 1_000_000
         self._stale_ns = settings.safety.stale_ms * 1_000_000
@@ -68,7 +72,6 @@ class Loop:
         self._slack_n = settings.tension.slack_n
         self._cosine, self._tension_n, self._power = 1.0, 0.0, Power.OFF
         self._stop_until = 0
-        self._events_said: dict[str, int] = {}
         rings.events.write(clock.now(), Kind.STARTED, 0, 0, 0.0, 0.0, b"")
 
     @property
@@ -89,8 +92,11 @@ class Loop:
             self._send(t_ns, speed)
         except Exception as error:  # noqa: BLE001 - the edge of the tick: recorded, latched, and the stroke held
             self._stop_safely(t_ns, error)
-        self._record(t_ns, woke_ns)
-        self._publish(t_ns)
+        try:
+            self._record(t_ns, woke_ns)
+            self._publish(t_ns)
+        except Exception as error:  # noqa: BLE001 - the same edge, for what is written down
+            self._stop_safely(t_ns, error)
         self._work_ns = self._clock.now() - woke_ns
 
     def run(self) -> None:
@@ -102,6 +108,7 @@ class Loop:
         inbox, sight = self.inbox, self._sight
         inbox.drain(now_ns, self.outbox.syncs)
         self._tick += 1 + skipped
+        self._just_skipped = skipped
         if skipped:
             self._skipped += skipped
             self._skips.append((now_ns, skipped))
@@ -226,20 +233,23 @@ class Loop:
             )
 
     def _stop_safely(self, t_ns: int, error: Exception) -> None:
-        """The safe command: no speed, the drive as it is, FAULT latched."""
-        first = self.machine.fault is not Fault.LOOP_EXCEPTION
-        self.last_exception = error
-        self.law.follow_speed(0.0)
-        if first:
-            self.machine.trip(Trip(Fault.LOOP_EXCEPTION, 0.0, 0.0))
-            self._rings.events.write(t_ns, Kind.EXCEPTION, 0, 0, 0.0, 0.0, _place(error))
-        if self.machine.stopping or self.stop_requested:
-            self.machine.stop()
-            self.finished = True
+        """The safe command first: no speed, the drive as it is. Then FAULT, latched, and a word about why."""
         try:
             self.outbox.command(self.outbox.controlword, 0.0)
         except Exception:  # noqa: BLE001 - the bus itself fails: the drive stops by its own supervision
             self.outbox.failures += 1
+        self.law.follow_speed(0.0)
+        self.filter.command(0.0)
+        first = self.machine.fault is not Fault.LOOP_EXCEPTION
+        self.machine.trip(Trip(Fault.LOOP_EXCEPTION, 0.0, 0.0))
+        if self.machine.stopping or self.stop_requested:
+            self.machine.stop()
+            self.finished = True
+        if first:
+            try:
+                self._rings.events.write(t_ns, Kind.EXCEPTION, 0, 0, 0.0, 0.0, _place(error))
+            except Exception:  # noqa: BLE001 - nowhere left to say it; the latched fault is in every record
+                self.exceptions_untold += 1
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
         inbox, outbox, sight, law, kalman = self.inbox, self.outbox, self._sight, self.law, self.filter
@@ -306,8 +316,21 @@ class Loop:
         ):
             if notices:
                 for a, b in notices:
-                    events.write(t_ns, kind, a, b, 0.0, 0.0, b"")
+                    self._notice(t_ns, kind, a, b)
                 notices.clear()
+        if self._just_skipped >= SKIP_NOTICE:
+            self._notice(t_ns, Kind.CLOCK, self._just_skipped, 0)
+        if self.outbox.failures != self._failures:
+            self._failures = self.outbox.failures
+            self._notice(t_ns, Kind.SEND_FAILED, 0, 0, self.outbox.failure_text.encode()[:80])
+
+    def _notice(self, t_ns: int, kind: Kind, a: int, b: int, text: bytes = b"") -> None:
+        """An event, the same one at most once a second: a babbling bus must not drown the others."""
+        if t_ns >= self._noticed.get((kind, a, b), 0):
+            if len(self._noticed) >= NOTICES_KEPT:
+                self._noticed.clear()
+            self._noticed[kind, a, b] = t_ns + NOTICE_NS
+            self._rings.events.write(t_ns, kind, a, b, 0.0, 0.0, text)
 
     def _reply(self, t_ns: int, id_: int, refusal: modes.Refusal, checks: int, value: float) -> None:
         accepted = refusal is modes.Refusal.NONE

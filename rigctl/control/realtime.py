@@ -54,7 +54,10 @@ def freeze_garbage_collector() -> Applied:
 
 def die_with_parent(signal_number: int) -> None:
     """Have the kernel send this process ``signal_number`` when its parent ends, however it ends."""
+    parent = os.getppid()
     _libc.prctl(_PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
+    if os.getppid() != parent:  # it ended in between
+        raise SystemExit(0)
 
 
 def _scheduler(priority: int) -> Applied:

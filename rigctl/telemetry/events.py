@@ -110,7 +110,7 @@ def refusal_text(
         case Refusal.OUT_OF_RANGE:
             return f"target must be {limits[0]:g} to {limits[1]:g} N"
         case Refusal.CAUSE_PRESENT:
-            return f"cause still present: {fault.name}"
+            return f"cause still present: {fault.name}" + (_SILENT_HINT if fault in _SILENT else "")
         case Refusal.WRONG_MODE:
             return f"{verb.name.lower()} is not possible in {mode.name}{_HINT.get((mode, verb), '')}"
         case Refusal.EXPIRED:
@@ -123,6 +123,8 @@ def refusal_text(
             return "unknown command"
 
 
+_SILENT = frozenset({Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE})
+_SILENT_HINT = " (a device that was switched off needs the daemon started anew)"
 _HINT: dict[tuple[Mode, Verb], str] = {
     **{(Mode.FAULT, verb): ": reset first" for verb in (Verb.ARM, Verb.TENSION, Verb.RELEASE, Verb.HOLD)},
     **{(Mode.DISARMED, verb): ": arm first" for verb in (Verb.TENSION, Verb.RELEASE, Verb.HOLD)},

@@ -6,8 +6,6 @@ May be killed at any time: the loop does not notice, and the next gateway goes o
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import os
 import pathlib
 import signal
 import sys
@@ -21,6 +19,7 @@ import zenoh
 from pydantic import ValidationError
 
 from rigctl.config import RigSettings
+from rigctl.control.realtime import die_with_parent
 from rigctl.telemetry.commands import Desk, sight_of
 from rigctl.telemetry.cursor import Cursor
 from rigctl.telemetry.keys import Keys
@@ -34,7 +33,6 @@ from rigctl.telemetry.streams import EventStream, FastStream, event_message, eve
 _JSON = zenoh.Encoding.APPLICATION_JSON
 _DROP = zenoh.CongestionControl.DROP
 _LOOK_NS = 500_000_000  # how often control.json is looked at
-_PR_SET_PDEATHSIG = 1
 
 
 class StateView:
@@ -182,14 +180,6 @@ class Gateway:
         self._cursor.close()
 
 
-def die_with_parent() -> None:
-    """Be told to end (SIGTERM) when the process that started this one ends."""
-    parent = os.getppid()
-    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:  # it ended in between
-        raise SystemExit(0)
-
-
 def main(arguments: list[str]) -> int:
     """Run the gateway of the runtime folder named; exit code."""
     if len(arguments) != 1:
@@ -198,7 +188,7 @@ def main(arguments: list[str]) -> int:
     stop = threading.Event()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda _number, _frame: stop.set())
-    die_with_parent()
+    die_with_parent(signal.SIGTERM)
     runtime = Runtime(pathlib.Path(arguments[0]))
     try:
         settings = RigSettings.model_validate(runtime.read_json("active.json").get("settings"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import can
 import numpy as np
 import pytest
 
@@ -15,6 +16,7 @@ from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.report import metrics
+from rigctl.telemetry.events import Kind
 from rigctl.telemetry.record import Quality
 
 Enter = Callable[[Mode], None]
@@ -201,7 +203,7 @@ def test_arming_is_refused_while_a_device_is_silent(rig: Lockstep, device: str) 
 def test_an_exception_anywhere_in_the_tick_stops_the_stroke_and_is_latched(
     rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for target in ("_receive", "_estimate", "_decide", "_speed", "_send"):
+    for target in ("_receive", "_estimate", "_decide", "_speed", "_send", "_record", "_publish"):
         if rig.loop.machine.mode is Mode.DISARMED:
             enter(Mode.COMPENSATING)
         before = rig.rig.truth
@@ -212,11 +214,12 @@ def test_an_exception_anywhere_in_the_tick_stops_the_stroke_and_is_latched(
         rig.events.read()
         with monkeypatch.context() as patch:
             patch.setattr(rig.loop, target, broken)
-            records = rig.run(0.02)
+            rig.run(0.02)
+        records = rig.run(0.002)
         assert records["mode"][-1] == Mode.FAULT
         assert records["fault"][-1] == Fault.LOOP_EXCEPTION
         assert records["command_mm_s"][-1] == 0.0
-        assert events(rig).count(6) == 1
+        assert events(rig).count(Kind.EXCEPTION) == 1
         assert_held(rig, before.tension_n, before.stroke_mm)
         assert rig.command(Verb.RESET) is Refusal.NONE
         assert rig.command(Verb.TENSION) is Refusal.NONE
@@ -272,6 +275,26 @@ def test_error_frames_are_seen_and_counted(rig: Lockstep) -> None:
     rig.inject((0x20000000 | 0x004).to_bytes(4, "little") + bytes([8, 0, 0, 0]) + b"\0\x20" + bytes(6))
     records = rig.run(0.01)
     assert records["error_frames"][-1] == 1
+
+
+def test_a_babbling_bus_and_a_deaf_one_are_told_once_a_second(rig: Lockstep, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig.events.read()
+
+    def deaf(*_: object) -> None:
+        raise can.CanOperationError("send buffer full", 105)
+
+    error = (0x20000000 | 0x004).to_bytes(4, "little") + bytes([8, 0, 0, 0]) + b"\0\x20" + bytes(6)
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.loop.outbox._bus, "send", deaf)
+        for _ in range(1500):
+            rig.inject(error)
+            rig.loop.tick()
+    told = events(rig)
+    assert told.count(Kind.BUS_ERROR) == 2
+    assert told.count(Kind.SEND_FAILED) == 2
+    records = rig.run(0.01)
+    assert records["send_failures"][-1] >= 3000
+    assert records["error_frames"][-1] == 1500
 
 
 def test_a_late_or_lost_answer_is_counted_as_missing(rig: Lockstep) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pathlib
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -180,6 +182,39 @@ def test_a_killed_supervisor_leaves_the_stroke_held_and_nothing_running(running:
     after = running.truth()
     assert after[1] == pytest.approx(before[1], abs=0.5)
     runtime.remove()
+
+
+def test_the_service_manager_is_told_and_fed_only_while_the_loop_ticks(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = daemons.rig_file(tmp_path, PATIENT)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        manager.settimeout(20.0)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        log = tmp_path / "daemon.log"
+        with daemons.simulated_rig(file, tmp_path / "rig.log"), daemons.daemon(file, log):
+            assert manager.recv(100) == b"READY=1"
+            assert manager.recv(100) == b"WATCHDOG=1"
+            control = Runtime.of(daemons.name_of(file)).read_json("control.json")["pid"]
+            os.kill(control, signal.SIGSTOP)
+            time.sleep(1.5)
+            manager.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                while manager.recv(100):
+                    pass
+            time.sleep(0.5)
+            with pytest.raises(BlockingIOError):
+                manager.recv(100)
+            os.kill(control, signal.SIGCONT)
+            manager.settimeout(20.0)
+            assert manager.recv(100) == b"WATCHDOG=1"
+        told = []
+        manager.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while said := manager.recv(100):
+                told.append(said)
+        assert told[-1] == b"STOPPING=1"
 
 
 def test_a_second_daemon_on_the_same_rig_is_refused(running: Running) -> None:
