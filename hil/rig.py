@@ -10,15 +10,16 @@ from hil.nodes.cylinder_drive import CylinderDrive
 from hil.nodes.inclinometer import Inclinometer
 from hil.nodes.network import RigNetwork
 from hil.nodes.node import Node
+from hil.nodes.plain_sensors import PlainInclinometer, PlainTensionCell
 from hil.nodes.simulator import Simulator
 from hil.nodes.tension_amplifier import TensionAmplifier
 from hil.plant import Plant
 from hil.truth import Truth, TruthLog
-from rigctl.config import RigSettings
+from rigctl.config import RigSettings, SimulationSettings
 from rigctl.devices import objects
 
 GRID_NS = 1_000_000
-"""Drive ramps, brake, inclinometer and truth log go on this grid, however ``advance`` is called."""
+"""Drive ramps, brake, inclinometer, plain frames and truth log go on this grid, however ``advance`` is called."""
 
 
 class SimulatedRig:
@@ -27,7 +28,7 @@ class SimulatedRig:
     Args:
         settings: a rig file with a ``simulation`` section.
         start_ns: time at which the rig is switched on.
-        send: puts a 16-byte frame on the bus; called from within ``receive`` and ``supervise``.
+        send: puts a 16-byte frame on the bus; called from within all three.
         longest_silence_ns: most that one gap between ``supervise`` calls counts as silence of the controller; set it
             where this process may be held up itself, so that its own pause is not blamed on the controller.
         truth_log: receives the truth once per ``GRID_NS``.
@@ -55,10 +56,9 @@ class SimulatedRig:
         self._longest_silence_ns = longest_silence_ns
         self._truth_log = truth_log
         self._network = network = RigNetwork(send)
-        self.cell = TensionAmplifier(network, settings, simulation, self.plant)
+        self.cell, self.inclinometer = self._sensors(settings, simulation)
         self.drive = CylinderDrive(network, settings, simulation, self.plant)
-        self.inclinometer = Inclinometer(network, settings, simulation, self.plant, GRID_NS)
-        devices: tuple[Node, ...] = (self.cell, self.drive, self.inclinometer)
+        devices = tuple(x for x in (self.cell, self.drive, self.inclinometer) if isinstance(x, Node))
         eds = settings.file(settings.cylinder.eds).with_name("simulator.eds")
         self.simulator = Simulator(network, eds, self.plant, self.start_motion)
         self.nodes = (*devices, self.simulator)
@@ -80,6 +80,8 @@ class SimulatedRig:
             plant.advance(self._grid_ns)
             self.drive.advance(self._grid_ns)
             self.inclinometer.advance(self._grid_ns)
+            if isinstance(self.cell, PlainTensionCell):
+                self.cell.advance(self._grid_ns)
             if self._truth_log is not None:
                 self._truth_log.append(plant.truth)
         plant.advance(t_ns)
@@ -100,6 +102,24 @@ class SimulatedRig:
         angles = (self._demo.angle_deg, self._demo.speed_deg_s, self._demo.acceleration_deg_s2)
         self.plant.start_motion(OutAndBack(*map(math.radians, angles)), self.plant.t_ns)
         return True
+
+    def _sensors(
+        self, settings: RigSettings, simulation: SimulationSettings
+    ) -> tuple[TensionAmplifier | PlainTensionCell, Inclinometer | PlainInclinometer]:
+        """The two sensors, CANopen or with the plain frames of their DBC files."""
+        network, plant, plain = self._network, self.plant, settings.plain_messages
+        cell: TensionAmplifier | PlainTensionCell
+        slope: Inclinometer | PlainInclinometer
+        if "tension_cell" in plain:
+            cell = PlainTensionCell(network.send_frame, plain["tension_cell"], settings, simulation, plant)
+        else:
+            cell = TensionAmplifier(network, settings, simulation, plant)
+        if "inclinometer" in plain:
+            message = plain["inclinometer"]
+            slope = PlainInclinometer(network.send_frame, message, settings, simulation, plant, GRID_NS)
+        else:
+            slope = Inclinometer(network, settings, simulation, plant, GRID_NS)
+        return cell, slope
 
     def _on_sync(self, _: int, __: bytes, ___: float) -> None:
         for node in self.nodes:

@@ -87,7 +87,10 @@ class Service:
     def ready(self) -> str:
         """One line for the operator, once frames are answered."""
         s = self._settings
-        devices = f"tension cell {s.tension_cell.node}, inclinometer {s.inclinometer.node}, cylinder {s.cylinder.node}"
+        places = {name: str(node) for name, node in s.canopen_nodes.items()}
+        places |= {name: f"0x{message.can_id:03X}" for name, message in s.plain_messages.items()}
+        names = {"tension_cell": "tension cell", "inclinometer": "inclinometer", "cylinder": "cylinder"}
+        devices = ", ".join(f"{name} {places[key]}" for key, name in names.items())
         return f"serving {s.rig} on {s.can.interface}:{s.can.channel}: {devices}"
 
     @property

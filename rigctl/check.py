@@ -11,12 +11,14 @@ from rigctl import config
 from rigctl.config import RigSettings
 from rigctl.devices import busload
 
+_OF_CANOPEN = ("node", "eds")  # keys without a meaning for a device with plain frames
+
 
 def as_dict(settings: RigSettings) -> dict[str, Any]:
     """Resolved rig and bus load, for JSON."""
     load = busload.bus_load(settings)
     return {
-        "rig": settings.model_dump(mode="json", exclude={"directory"}),
+        "rig": settings.model_dump(mode="json", exclude={"directory", "plain"}),
         "bus_load_pct": None if load is None else round(load * 100, 2),
         "bus_load_limit_pct": busload.LIMIT * 100,
         "accepted": accepted(settings),
@@ -49,17 +51,35 @@ def show(settings: RigSettings, console: Console) -> None:
     rig.add_column("meaning")
     for section in type(settings).model_fields:
         value = getattr(settings, section)
+        if section == "plain":
+            continue
         if isinstance(value, config.Settings):
-            rig.add_row(f"[bold]{section}[/]")
-            for key, info in type(value).model_fields.items():
-                found = getattr(value, key)
-                text = "-" if found is None else f"{found:g}" if isinstance(found, float) else str(found)
-                rig.add_row(f"  {key}", text, config.unit_of(key), info.description or "")
+            _add_section(rig, section, value)
         elif value is None:
             rig.add_row(f"[bold]{section}[/]", "not in the file")
     console.print(rig)
+    for device, message in settings.plain_messages.items():
+        console.print(
+            f"{device}: {message.name}, id 0x{message.can_id:03X}, {message.size} bytes, in N and rad", highlight=False
+        )
+        for signal in message.signals.values():
+            console.print(f"  {signal}", highlight=False)
     frames = Table("frame", "bytes", "per second", "bit/s at worst", title="bus", title_justify="left", box=None)
     for item in busload.traffic(settings):
         frames.add_row(item.name, str(item.size), f"{item.rate_hz:g}", f"{item.bit_s:.0f}")
     console.print(frames)
     console.print(verdict(settings), highlight=False)
+
+
+def _add_section(table: Table, section: str, settings: config.Settings) -> None:
+    table.add_row(f"[bold]{section}[/]")
+    unused = _OF_CANOPEN if getattr(settings, "dbc", None) else ()
+    for key, info in type(settings).model_fields.items():
+        if key in unused:
+            continue
+        found = getattr(settings, key)
+        if isinstance(found, config.Settings):
+            _add_section(table, f"  {section}.{key}", found)
+            continue
+        text = "-" if found is None else f"{found:g}" if isinstance(found, float) else str(found)
+        table.add_row(f"  {key}", text, config.unit_of(key), info.description or "")

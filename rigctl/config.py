@@ -16,7 +16,9 @@ from pydantic_core import PydanticCustomError
 
 from rigctl import strict_yaml
 from rigctl.devices.objects import SIMULATOR_NODE
+from rigctl.devices.plain import PlainMessage
 
+_ADDED = frozenset({"directory", "plain"})  # settings that ``load`` adds to what is in the file
 NodeId = Annotated[int, Field(ge=1, le=127, description="CANopen node id")]
 
 
@@ -79,22 +81,48 @@ class CanSettings(Settings):
         return self
 
 
+class DbcSettings(Settings):
+    """Plain frames described by a DBC file; with such a section, ``node`` and ``eds`` of the device do not apply."""
+
+    file: str = Field(min_length=1, description="DBC file, relative to the rig file")
+    message: str = Field(min_length=1, description="the message's name")
+    valid: str | None = Field(default=None, min_length=1, description="signal, 0 while it cannot measure; null = none")
+
+
+class TensionDbcSettings(DbcSettings):
+    """The tension cell's message."""
+
+    tension: str = Field(min_length=1, description="signal, unit N")
+
+
+class InclinationDbcSettings(DbcSettings):
+    """The inclinometer's message."""
+
+    tangential: str = Field(min_length=1, description="signal, unit deg or rad")
+    normal: str = Field(min_length=1, description="signal, unit deg or rad")
+
+
 class TensionCellSettings(Settings):
-    """Tension amplifier, CiA 404."""
+    """Tension amplifier, CiA 404, or any with plain frames."""
 
     node: NodeId = 2
     eds: str = Field(default="eds/tension_amplifier.eds", description="EDS file, relative to the rig file")
     range_n: float = Field(gt=0, le=100_000, description="rated range of the cell")
     noise_n: float = Field(gt=0, le=100, description="noise, rms, per sample")
+    dbc: TensionDbcSettings | None = Field(default=None, description="plain frames, null = CANopen")
 
 
 class InclinometerSettings(Settings):
-    """Two-axis inclinometer, CiA 410. Slope long is the tangential angle, slope lateral the normal one."""
+    """Two-axis inclinometer, CiA 410 or any with plain frames.
+
+    Slope long is the tangential angle, slope lateral the normal one.
+    """
 
     node: NodeId = 3
     eds: str = Field(default="eds/inclinometer.eds", description="EDS file, relative to the rig file")
     rate_hz: int = Field(ge=1, le=1000, description="sample rate; a divisor of the loop's")
     range_deg: float = Field(default=30.0, gt=0, le=90, description="measuring range")
+    dbc: InclinationDbcSettings | None = Field(default=None, description="plain frames, null = CANopen")
 
 
 class CylinderSettings(Settings):
@@ -230,8 +258,15 @@ class SimulationSettings(Settings):
     inclinometer_noise_deg: float = Field(ge=0, le=1, description="noise, rms, after the filter")
 
 
+class PlainMessages(Settings):
+    """What the DBC files say, as read when the rig file was loaded."""
+
+    tension_cell: PlainMessage | None = None
+    inclinometer: PlainMessage | None = None
+
+
 class RigSettings(Settings):
-    """A whole rig file."""
+    """A whole rig file; ``directory`` and ``plain`` are not in it but added by ``load``."""
 
     rig: str = Field(pattern=r"^[a-z][a-z0-9_]{0,31}$", description="name in every key and lock")
     loop: LoopSettings
@@ -248,12 +283,12 @@ class RigSettings(Settings):
     demo: DemoSettings | None = None
     simulation: SimulationSettings | None = None
     directory: str = ""
+    plain: PlainMessages = Field(default_factory=PlainMessages)
 
     @model_validator(mode="after")
     def _parts_agree(self) -> RigSettings:
         seen = {self.can.controller_node: "can.controller_node", SIMULATOR_NODE: "the simulator"}
-        for name in ("tension_cell", "inclinometer", "cylinder"):
-            node = getattr(self, name).node
+        for name, node in self.canopen_nodes.items():
             _require(node not in seen, f"{name}.node", node, f"a node id of its own ({seen.get(node)} has it)")
             seen[node] = name
         rate, slope_rate = self.loop.rate_hz, self.inclinometer.rate_hz
@@ -277,6 +312,29 @@ class RigSettings(Settings):
     def inclinometer_divisor(self) -> int:
         """The inclinometer answers every this many SYNCs (transmission type of its TPDO)."""
         return self.loop.rate_hz // self.inclinometer.rate_hz
+
+    @property
+    def canopen_nodes(self) -> dict[str, int]:
+        """Node ids of the devices that speak CANopen, by section."""
+        cell, slope = self.tension_cell, self.inclinometer
+        nodes = {"tension_cell": cell.node} if cell.dbc is None else {}
+        nodes |= {"inclinometer": slope.node} if slope.dbc is None else {}
+        return {**nodes, "cylinder": self.cylinder.node}
+
+    @property
+    def plain_messages(self) -> dict[str, PlainMessage]:
+        """Plain frames of the devices that do not, by section.
+
+        Raises:
+            ValueError: the settings were not made by ``load``, which reads the DBC files.
+        """
+        found = {}
+        for name in ("tension_cell", "inclinometer"):
+            if getattr(self, name).dbc is not None:
+                found[name] = getattr(self.plain, name)
+                if found[name] is None:
+                    raise ValueError(f"{name}: its DBC file has not been read")
+        return found
 
     def file(self, name: str) -> pathlib.Path:
         """A file the rig file names, relative to where the rig file stands."""
@@ -302,20 +360,25 @@ def load(path: str | pathlib.Path) -> RigSettings:
         raise ConfigError([f"{file}:{error.line}: {error.message}"]) from None
     if not isinstance(document.data, dict):
         raise ConfigError([f"{file}:1: found {type(document.data).__name__}, allowed a mapping of sections"])
-    if "directory" in document.data:
-        raise ConfigError([f"{file}:{document.line_of(('directory',))}: directory: found an unknown key"])
+    for key in _ADDED & document.data.keys():
+        raise ConfigError([f"{file}:{document.line_of((key,))}: {key}: found an unknown key"])
     try:
         settings = RigSettings.model_validate({**document.data, "directory": str(file.resolve().parent)})
     except ValidationError as error:
         raise ConfigError(_findings(file, document, [dict(e) for e in error.errors()])) from None
-    for section in (settings.tension_cell, settings.inclinometer, settings.cylinder):
-        if not settings.file(section.eds).is_file():
-            name = {"TensionCellSettings": "tension_cell", "InclinometerSettings": "inclinometer"}.get(
-                type(section).__name__, "cylinder"
-            )
+    for name in settings.canopen_nodes:
+        eds = getattr(settings, name).eds
+        if not settings.file(eds).is_file():
             line = document.line_of((name, "eds"))
-            raise ConfigError([f"{file}:{line}: {name}.eds: found no file {section.eds}, allowed an EDS file"])
-    return settings
+            raise ConfigError([f"{file}:{line}: {name}.eds: found no file {eds}, allowed an EDS file"])
+    if settings.tension_cell.dbc is None and settings.inclinometer.dbc is None:
+        return settings
+    from rigctl.devices import dbc_file  # cantools takes 0.15 s to import
+
+    try:
+        return settings.model_copy(update={"plain": dbc_file.messages(settings)})
+    except dbc_file.DbcError as error:
+        raise ConfigError([f"{file}:{document.line_of(error.key)}: {error}"]) from None
 
 
 def field_at(path: strict_yaml.Path) -> FieldInfo | None:
@@ -388,7 +451,7 @@ def _findings(file: pathlib.Path, document: strict_yaml.Document, errors: list[d
 def _known_keys(path: strict_yaml.Path) -> list[str]:
     section = field_at(path)
     model: Any = _section_type(section) if section else RigSettings
-    return sorted(set(getattr(model, "model_fields", {})) - {"directory"})
+    return sorted(set(getattr(model, "model_fields", {})) - _ADDED)
 
 
 def _close_key(path: strict_yaml.Path) -> str | None:

@@ -38,6 +38,9 @@ def rig_file(folder: pathlib.Path, changes: dict[str, dict[str, Any]] | None = N
         data[device]["eds"] = str(ROOT / f"config/eds/{eds}.eds")
     for section, values in (changes or {}).items():
         data[section].update(values)
+    for device in ("tension_cell", "inclinometer"):
+        if dbc := data[device].get("dbc"):
+            data[device]["dbc"] = {**dbc, "file": str(PAPER.parent / dbc["file"])}
     file = folder / "rig.yaml"
     file.write_text(yaml.safe_dump(data))
     return file

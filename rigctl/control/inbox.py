@@ -8,8 +8,9 @@ from collections.abc import Callable
 import can
 
 from rigctl.config import RigSettings
-from rigctl.devices import codecs
+from rigctl.devices import codecs, dbc
 from rigctl.devices import objects as od
+from rigctl.devices.plain import PlainMessage
 from rigctl.telemetry.record import Quality
 
 MAX_FRAMES_PER_TICK = 256
@@ -25,13 +26,22 @@ class Inbox:
     def __init__(self, bus: can.BusABC, settings: RigSettings) -> None:
         self._bus = bus
         self._slope_divisor = settings.inclinometer_divisor
-        cell, slope, drive = settings.tension_cell.node, settings.inclinometer.node, settings.cylinder.node
-        self._handlers: dict[int, Callable[[bytes | bytearray, int], None]] = {
-            od.CELL_TPDO.cob_base + cell: self._on_cell,
-            od.SLOPE_TPDO.cob_base + slope: self._on_slope,
-            od.DRIVE_TPDO.cob_base + drive: self._on_drive,
-        }
-        for node in (cell, slope, drive):
+        nodes, plain = settings.canopen_nodes, settings.plain_messages
+        self._handlers: dict[int, Callable[[bytes | bytearray, int], None]] = {}
+        for device, base, on_frame in (
+            ("tension_cell", od.CELL_TPDO.cob_base, self._on_cell),
+            ("inclinometer", od.SLOPE_TPDO.cob_base, self._on_slope),
+            ("cylinder", od.DRIVE_TPDO.cob_base, self._on_drive),
+        ):
+            if device in nodes:
+                self._handlers[base + nodes[device]] = on_frame
+        for device, handler in (
+            ("tension_cell", self._plain_cell_handler),
+            ("inclinometer", self._plain_slope_handler),
+        ):
+            if device in plain:
+                self._handlers[plain[device].can_id] = handler(plain[device])
+        for node in nodes.values():
             self._handlers[od.EMCY_BASE + node] = self._emergency_handler(node)
             self._handlers[od.HEARTBEAT_BASE + node] = self._heartbeat_handler(node)
         self.tension_n = math.nan
@@ -82,7 +92,10 @@ class Inbox:
                 self.refused += 1
 
     def frames_missing(self) -> int:
-        """Answers due to the SYNCs sent before this tick that have not come (late ones count until they do)."""
+        """Answers due to the SYNCs sent before this tick that have not come (late ones count until they do).
+
+        Plain frames answer no SYNC: none is ever due.
+        """
         missing = 0
         for i, divisor in enumerate((1, self._slope_divisor, 1)):
             if self._bases[i] >= 0:
@@ -113,6 +126,35 @@ class Inbox:
         self.drive_t_ns = now_ns
         self.drive_fresh = True
         self._count(2)
+
+    def _plain_cell_handler(self, message: PlainMessage) -> Callable[[bytes | bytearray, int], None]:
+        decode = dbc.tension_decoder(message)
+
+        def on_cell(data: bytes | bytearray, now_ns: int) -> None:
+            value, quality = decode(data)
+            if not quality:
+                self.tension_n = value
+            elif math.isnan(value):
+                self.refused += 1
+            self.cell_quality = quality
+            self.cell_t_ns = now_ns
+            self.cell_fresh = quality == 0
+
+        return on_cell
+
+    def _plain_slope_handler(self, message: PlainMessage) -> Callable[[bytes | bytearray, int], None]:
+        decode = dbc.inclination_decoder(message)
+
+        def on_slope(data: bytes | bytearray, now_ns: int) -> None:
+            tangential, normal, quality = decode(data)
+            if not quality:
+                self.tangential_rad, self.normal_rad = tangential, normal
+            elif math.isnan(tangential):
+                self.refused += 1
+            self.slope_quality = quality
+            self.slope_t_ns = now_ns
+
+        return on_slope
 
     def _emergency_handler(self, node: int) -> Callable[[bytes | bytearray, int], None]:
         def on_emergency(data: bytes | bytearray, _now_ns: int) -> None:

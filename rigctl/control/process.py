@@ -31,9 +31,9 @@ EXIT_CANNOT_START = 1
 
 def receive_filters(settings: RigSettings) -> CanFilters:
     """Ids the loop reads; on interfaces that filter in the kernel nothing else wakes or fills the socket."""
-    nodes = (settings.tension_cell.node, settings.inclinometer.node, settings.cylinder.node)
     bases = (od.TPDO1_BASE, od.EMCY_BASE, od.HEARTBEAT_BASE)
-    ids = [base + node for base in bases for node in nodes]
+    ids = [base + node for base in bases for node in settings.canopen_nodes.values()]
+    ids += [message.can_id for message in settings.plain_messages.values()]
     return [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in ids]
 
 
@@ -76,14 +76,19 @@ def warm_up(settings: RigSettings, gains: Gains, directory: Runtime) -> None:
 
 
 def _answer(bus: can.BusABC, settings: RigSettings) -> None:
-    frames = (
-        (od.CELL_TPDO, settings.tension_cell.node, (300_000, 0)),
-        (od.SLOPE_TPDO, settings.inclinometer.node, (10, 0)),
-        (od.DRIVE_TPDO, settings.cylinder.node, (0x0237, 50_000, 1)),
-    )
-    for layout, node, values in frames:
-        data = layout.codec.pack(*values)
-        bus.send(can.Message(arbitration_id=layout.cob_base + node, data=data, is_extended_id=False))
+    samples = {
+        "tension_cell": (od.CELL_TPDO, (300_000, 0)),
+        "inclinometer": (od.SLOPE_TPDO, (10, 0)),
+        "cylinder": (od.DRIVE_TPDO, (0x0237, 50_000, 1)),
+    }
+    frames = {}
+    for device, node in settings.canopen_nodes.items():
+        layout, values = samples[device]
+        frames[layout.cob_base + node] = layout.codec.pack(*values)
+    for message in settings.plain_messages.values():
+        frames[message.can_id] = message.payload({"tension": 300.0, "tangential": 1e-3, "normal": 0.0, "valid": 1.0})
+    for can_id, data in frames.items():
+        bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
     while bus.recv(0) is not None:
         pass
 

@@ -159,9 +159,11 @@ def _count(counter: subprocess.Popen[bytes]) -> Telemetry:
 
 def _rig_file(settings: RigSettings, folder: pathlib.Path) -> pathlib.Path:
     """The rig file as this demo runs it: a bus socket of its own, device files by their whole path."""
-    data = settings.model_dump(mode="json", exclude={"directory"}, exclude_none=False)
+    data = settings.model_dump(mode="json", exclude={"directory", "plain"}, exclude_none=False)
     for device in ("tension_cell", "inclinometer", "cylinder"):
         data[device]["eds"] = str(settings.file(data[device]["eds"]))
+        if data[device].get("dbc"):
+            data[device]["dbc"]["file"] = str(settings.file(data[device]["dbc"]["file"]))
     file = folder / "rig.yaml"
     file.write_text(yaml.safe_dump(data))
     return file

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from rigctl.config import RigSettings
 from rigctl.devices import objects as od
+from rigctl.devices.plain import PlainMessage
 from rigctl.devices.startup import DEVICE_HEARTBEAT_MS
 
 LIMIT = 0.8
@@ -28,15 +29,24 @@ class Traffic:
 def traffic(settings: RigSettings) -> list[Traffic]:
     """Cyclic frames of the rig, both ways."""
     rate = float(settings.loop.rate_hz)
+    plain = settings.plain_messages
+    cell, slope = plain.get("tension_cell"), plain.get("inclinometer")
     return [
         Traffic("SYNC", 0, rate),
         Traffic("command", od.DRIVE_RPDO.size, rate),
-        Traffic("tension", od.CELL_TPDO.size, rate),
+        _plain("tension", cell, settings) if cell else Traffic("tension", od.CELL_TPDO.size, rate),
         Traffic("drive status", od.DRIVE_TPDO.size, rate),
-        Traffic("inclination", od.SLOPE_TPDO.size, float(settings.inclinometer.rate_hz)),
+        _plain("inclination", slope, settings)
+        if slope
+        else Traffic("inclination", od.SLOPE_TPDO.size, float(settings.inclinometer.rate_hz)),
         Traffic("heartbeat, controller", 1, 1000.0 / settings.can.heartbeat_ms),
-        Traffic("heartbeats, devices", 1, 3 * 1000.0 / DEVICE_HEARTBEAT_MS),
+        Traffic("heartbeats, devices", 1, len(settings.canopen_nodes) * 1000.0 / DEVICE_HEARTBEAT_MS),
     ]
+
+
+def _plain(name: str, message: PlainMessage, settings: RigSettings) -> Traffic:
+    """A frame by DBC: at its cycle time, or at the loop's rate when the DBC gives none."""
+    return Traffic(f"{name} ({message.name})", message.size, message.rate_hz(settings.loop.rate_hz))
 
 
 def bus_load(settings: RigSettings) -> float | None:

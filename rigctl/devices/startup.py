@@ -19,6 +19,11 @@ from rigctl.devices import objects as od
 DEVICE_HEARTBEAT_MS = 100
 _NOT_VALID = 1 << 31
 _LISTENED_HEARTBEATS = 2.5
+_DEVICES = {
+    "tension_cell": ("tension cell", od.DEVICE_TYPE_404),
+    "inclinometer": ("inclinometer", od.DEVICE_TYPE_410),
+    "cylinder": ("cylinder drive", od.DEVICE_TYPE_402),
+}
 
 
 class StartupError(RuntimeError):
@@ -39,10 +44,20 @@ class Device:
 
 
 @dataclass(frozen=True)
+class PlainDevice:
+    """A device with plain frames: nothing of it can be read back, so this is what the rig file says of it."""
+
+    name: str
+    dbc: str
+    message: str
+    can_id: int
+
+
+@dataclass(frozen=True)
 class Report:
     """What start-up found; ``supervision`` holds the drive's own stop settings as read back."""
 
-    devices: tuple[Device, ...]
+    devices: tuple[Device | PlainDevice, ...]
     supervision: dict[str, int]
 
     def as_json(self) -> dict[str, Any]:
@@ -138,7 +153,9 @@ def refuse_rival(bus: can.BusABC, settings: RigSettings) -> None:
 
 
 def bring_up(bus: can.BusABC, settings: RigSettings) -> Report:
-    """Configure the three devices and start them; the drive stays off, its brake closed.
+    """Configure the CANopen devices and start them; the drive stays off, its brake closed.
+
+    Devices with plain frames have nothing to configure: whether they send is seen by the loop's preflight.
 
     Raises:
         StartupError: one line.
@@ -157,33 +174,39 @@ def bring_up(bus: can.BusABC, settings: RigSettings) -> Report:
 
 
 def _configure(network: canopen.Network, settings: RigSettings) -> Report:
-    cell = _Node(network, settings, "tension cell", settings.tension_cell.node, settings.tension_cell.eds)
-    slope = _Node(network, settings, "inclinometer", settings.inclinometer.node, settings.inclinometer.eds)
-    drive = _Node(network, settings, "cylinder drive", settings.cylinder.node, settings.cylinder.eds)
-    nodes = (cell, slope, drive)
-    for node in nodes:
+    nodes = {}
+    for device in settings.canopen_nodes:
+        section, (name, _) = getattr(settings, device), _DEVICES[device]
+        nodes[device] = _Node(network, settings, name, section.node, section.eds)
+    for node in nodes.values():
         node.remote.nmt.state = "PRE-OPERATIONAL"
-    devices = (
-        cell.identity(od.DEVICE_TYPE_404),
-        slope.identity(od.DEVICE_TYPE_410),
-        drive.identity(od.DEVICE_TYPE_402),
-    )
-    cell.expect(od.SI_UNIT_NEWTON, od.AI_PHYSICAL_UNIT, 1)
-    cell.expect(od.CELL_DECIMAL_DIGITS, od.AI_DECIMAL_DIGITS, 1)
-    slope.expect(od.SLOPE_RESOLUTION_MDEG, od.SLOPE_RESOLUTION)
+    devices = [node.identity(_DEVICES[device][1]) for device, node in nodes.items()]
+    if cell := nodes.get("tension_cell"):
+        cell.expect(od.SI_UNIT_NEWTON, od.AI_PHYSICAL_UNIT, 1)
+        cell.expect(od.CELL_DECIMAL_DIGITS, od.AI_DECIMAL_DIGITS, 1)
+        cell.map_pdo(od.CELL_TPDO, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, 1)
+    if slope := nodes.get("inclinometer"):
+        slope.expect(od.SLOPE_RESOLUTION_MDEG, od.SLOPE_RESOLUTION)
+        slope.map_pdo(od.SLOPE_TPDO, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, settings.inclinometer_divisor)
+    drive = nodes["cylinder"]
     drive.expect(od.SI_MICROMETRE, od.SI_UNIT_POSITION)
     drive.expect(od.SI_MICROMETRE_PER_SECOND, od.SI_UNIT_VELOCITY)
-    cell.map_pdo(od.CELL_TPDO, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, 1)
-    slope.map_pdo(od.SLOPE_TPDO, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, settings.inclinometer_divisor)
     drive.map_pdo(od.DRIVE_TPDO, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, 1)
     drive.map_pdo(od.DRIVE_RPDO, od.RPDO1_COMMUNICATION, od.RPDO1_MAPPING, 1)
     drive.write(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_OF_OPERATION)
     supervision = _supervise(drive, settings)
-    for node in nodes:
+    for node in nodes.values():
         node.write(DEVICE_HEARTBEAT_MS, od.PRODUCER_HEARTBEAT)
-    for node in nodes:
+    for node in nodes.values():
         node.remote.nmt.state = "OPERATIONAL"
-    return Report(devices, supervision)
+    return Report((*devices, *_plain_devices(settings)), supervision)
+
+
+def _plain_devices(settings: RigSettings) -> list[PlainDevice]:
+    return [
+        PlainDevice(_DEVICES[device][0], getattr(settings, device).dbc.file, message.name, message.can_id)
+        for device, message in settings.plain_messages.items()
+    ]
 
 
 def _supervise(drive: _Node, settings: RigSettings) -> dict[str, int]:

@@ -34,12 +34,21 @@ def refuse(tmp_path: pathlib.Path) -> Refuse:
     return findings
 
 
-@pytest.mark.parametrize("name", ["paper_rig.yaml", "rig.yaml"])
+@pytest.mark.parametrize("name", ["paper_rig.yaml", "plain_rig.yaml", "rig.yaml"])
 def test_the_files_we_ship_are_accepted(name: str) -> None:
     settings = config.load(ROOT / "config" / name)
     assert settings.loop.period_ns == 1_000_000
     assert math.isclose(1 / settings.plant.stiffness_n_mm, 1 / 6 + 1 / 1000)
-    assert settings.can.interface == {"paper_rig.yaml": "rigsim", "rig.yaml": "socketcan"}[name]
+    assert settings.can.interface == ("socketcan" if name == "rig.yaml" else "rigsim")
+    assert len(settings.plain_messages) == (2 if name == "plain_rig.yaml" else 0)
+
+
+def test_the_plain_rig_is_the_papers_but_for_its_sensors_and_name() -> None:
+    paper, plain = (config.load(ROOT / "config" / name).model_dump() for name in ("paper_rig.yaml", "plain_rig.yaml"))
+    for section in ("tension_cell", "inclinometer"):
+        assert plain[section].pop("dbc") and paper[section].pop("dbc") is None
+    del plain["rig"], paper["rig"], plain["can"]["channel"], paper["can"]["channel"], plain["plain"], paper["plain"]
+    assert plain == paper
 
 
 @pytest.mark.parametrize(
@@ -59,7 +68,7 @@ def test_the_files_we_ship_are_accepted(name: str) -> None:
         ("lock_memory: true", "lock_memory: yes", "loop.lock_memory", "yes", "true or false"),
         ("lock_memory: true", "lock_memory: 1", "loop.lock_memory", "1", "true or false"),
         ("bitrate_bit_s: 1000000", "bitrate_bit_s: 1 Mbit/s", "can.bitrate_bit_s", "'1 Mbit/s'", "bit/s"),
-        ("spin_us: 60", "rate_hz: 60", "loop.rate_hz", "the key twice", "once"),
+        ("spin_us: 80", "rate_hz: 60", "loop.rate_hz", "the key twice", "once"),
         ("  node: 3", "  node: 2", "inclinometer.node", "2", "tension_cell has it"),
         ("heartbeat_timeout_ms: 60", "heartbeat_timeout_ms: 30", "cylinder.heartbeat_timeout_ms", "30", "(40)"),
         ("rate_hz: 1000", "rate_hz: 700", "loop.rate_hz", "700", "whole number of nanoseconds"),
@@ -81,7 +90,7 @@ def test_a_bad_value_gets_one_line(refuse: Refuse, old: str, new: str, key: str,
 
 
 def test_each_of_several_bad_values_gets_its_line(refuse: Refuse) -> None:
-    lines = refuse("  rate_hz: 1000\n  spin_us: 60", "  rate_hz: 5\n  spin_us: 999")
+    lines = refuse("  rate_hz: 1000\n  spin_us: 80", "  rate_hz: 5\n  spin_us: 999")
     assert [line.split(": ")[1] for line in lines] == ["loop.rate_hz", "loop.spin_us"]
 
 

@@ -1,0 +1,101 @@
+"""Sensors with plain frames: no node id, no SYNC, no start-up; they send by their own clock from power-on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from hil.nodes.measurement import InclinationMeasurement, TensionMeasurement
+from hil.plant import Plant
+from hil.wire import FRAME
+from rigctl.config import RigSettings, SimulationSettings
+from rigctl.devices.plain import PlainMessage
+
+
+class PlainSensor:
+    """A message at its cycle time. ``advance`` goes once per step of the rig's grid.
+
+    ``connected`` False is a pulled plug; ``able`` False makes the sensor say that it cannot measure, if its message has
+    a signal for that.
+
+    Args:
+        send: puts a 16-byte frame on the bus.
+        message: as the DBC file has it.
+        settings: for the loop's rate, at which a message without cycle time is sent.
+        plant: what is measured.
+    """
+
+    def __init__(
+        self, send: Callable[[bytes], None], message: PlainMessage, settings: RigSettings, plant: Plant
+    ) -> None:
+        self.connected = True
+        self.able = True
+        self._send = send
+        self._message = message
+        self._cycle_ns = round(1e9 / message.rate_hz(settings.loop.rate_hz))
+        self._due_ns = plant.t_ns + self._cycle_ns
+
+    def values(self) -> dict[str, float]:
+        """What the next frame says, by meaning (N, rad, and ``valid``)."""
+        raise NotImplementedError
+
+    def advance(self, t_ns: int) -> None:
+        """Measure and send, when it is time; cycles shorter than a step become one frame a step."""
+        if t_ns < self._due_ns:
+            return
+        self._due_ns += (1 + (t_ns - self._due_ns) // self._cycle_ns) * self._cycle_ns
+        values = self.values()
+        if not self.able:
+            values["valid"] = 0.0
+        if self.connected:
+            message = self._message
+            self._send(FRAME.pack(message.can_id, message.size, message.payload(values)))
+
+
+class PlainTensionCell(PlainSensor):
+    """The tension cell; beyond its rated range it stays there and is not valid."""
+
+    def __init__(
+        self,
+        send: Callable[[bytes], None],
+        message: PlainMessage,
+        settings: RigSettings,
+        simulation: SimulationSettings,
+        plant: Plant,
+    ) -> None:
+        super().__init__(send, message, settings, plant)
+        self._measurement = TensionMeasurement(settings, simulation, plant)
+
+    def values(self) -> dict[str, float]:
+        """A new sample."""
+        status, tension_n = self._measurement.sample()
+        return {"tension": tension_n, "valid": float(not status)}
+
+
+class PlainInclinometer(PlainSensor):
+    """The inclinometer: measures at ``inclinometer.rate_hz``, sends at the message's cycle time."""
+
+    def __init__(
+        self,
+        send: Callable[[bytes], None],
+        message: PlainMessage,
+        settings: RigSettings,
+        simulation: SimulationSettings,
+        plant: Plant,
+        filter_step_ns: int,
+    ) -> None:
+        super().__init__(send, message, settings, plant)
+        self._measurement = InclinationMeasurement(settings, simulation, plant, filter_step_ns)
+
+    def advance(self, t_ns: int) -> None:
+        """Filter one step, then as every sensor."""
+        self._measurement.advance(t_ns)
+        super().advance(t_ns)
+
+    def values(self) -> dict[str, float]:
+        """The newest angles."""
+        angles_deg = self._measurement.angles_deg
+        if angles_deg is None:
+            return {"valid": 0.0}
+        tangential, normal = map(math.radians, angles_deg)
+        return {"tangential": tangential, "normal": normal, "valid": 1.0}
