@@ -7,7 +7,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from rigctl import config
+from rigctl import config, config_wording
 from rigctl.config import RigSettings
 from rigctl.devices import busload
 
@@ -82,4 +82,4 @@ def _add_section(table: Table, section: str, settings: config.Settings) -> None:
             _add_section(table, f"  {section}.{key}", found)
             continue
         text = "-" if found is None else f"{found:g}" if isinstance(found, float) else str(found)
-        table.add_row(f"  {key}", text, config.unit_of(key), info.description or "")
+        table.add_row(f"  {key}", text, config_wording.unit_of(key), info.description or "")

@@ -6,15 +6,14 @@ Units are in the names (``_n _mm _mm_s _rad _deg _s _ms _ns _hz``). Every refusa
 
 from __future__ import annotations
 
-import difflib
 import pathlib
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from rigctl import strict_yaml
+from rigctl.config_wording import Wording
 from rigctl.devices.objects import SIMULATOR_NODE
 from rigctl.devices.plain import PlainMessage
 
@@ -365,7 +364,7 @@ def load(path: str | pathlib.Path) -> RigSettings:
     try:
         settings = RigSettings.model_validate({**document.data, "directory": str(file.resolve().parent)})
     except ValidationError as error:
-        raise ConfigError(_findings(file, document, [dict(e) for e in error.errors()])) from None
+        raise ConfigError(Wording(RigSettings, _ADDED, document, file).lines(error)) from None
     for name in settings.canopen_nodes:
         eds = getattr(settings, name).eds
         if not settings.file(eds).is_file():
@@ -379,101 +378,3 @@ def load(path: str | pathlib.Path) -> RigSettings:
         return settings.model_copy(update={"plain": dbc_file.messages(settings)})
     except dbc_file.DbcError as error:
         raise ConfigError([f"{file}:{document.line_of(error.key)}: {error}"]) from None
-
-
-def field_at(path: strict_yaml.Path) -> FieldInfo | None:
-    """The field a path of keys names, or None."""
-    info: FieldInfo | None = None
-    model: Any = RigSettings
-    for part in path:
-        fields = getattr(model, "model_fields", {})
-        if part not in fields:
-            return None
-        info = fields[part]
-        model = _section_type(info)
-    return info
-
-
-def _section_type(info: FieldInfo) -> Any:
-    for candidate in (info.annotation, *getattr(info.annotation, "__args__", ())):
-        if isinstance(candidate, type) and issubclass(candidate, Settings):
-            return candidate
-    return None
-
-
-_UNITS = {
-    "_n_s_mm": "N s/mm", "_n_s_m": "N s/m", "_n_mm": "N/mm", "_mm_s2": "mm/s2", "_deg_s2": "deg/s2", "_mm_s": "mm/s",
-    "_deg_s": "deg/s", "_n_s": "N/s", "_bit_s": "bit/s", "_hz": "Hz", "_us": "us", "_ms": "ms", "_mm": "mm",
-    "_kg": "kg", "_deg": "deg", "_pct": "%", "_n": "N", "_s": "s",
-}  # fmt: skip
-
-
-def unit_of(name: str) -> str:
-    """Unit a key's name ends in, or an empty string."""
-    return next((unit for suffix, unit in _UNITS.items() if name.endswith(suffix)), "")
-
-
-def allowed(path: strict_yaml.Path) -> str:
-    """What the field at ``path`` accepts, in words."""
-    info = field_at(path)
-    if info is None:
-        return "no such key"
-    if _section_type(info):
-        return "a section (a mapping of keys)"
-    kinds = {"int": "a whole number", "float": "a number", "str": "text", "bool": "true or false"}
-    options = {getattr(a, "__name__", "") for a in (info.annotation, *getattr(info.annotation, "__args__", ()))}
-    words = [text for name, text in kinds.items() if name in options]
-    bounds: dict[str, Any] = {}
-    for item in info.metadata:
-        for name in ("ge", "gt", "le", "lt", "pattern", "min_length", "max_length"):
-            if getattr(item, name, None) is not None:
-                bounds[name] = getattr(item, name)
-    unit = unit_of(str(path[-1]))
-    text = " or ".join(words[:1]) + (f" in {unit}" if unit else "")
-    low = f"{bounds['ge']}" if "ge" in bounds else f"above {bounds['gt']}" if "gt" in bounds else ""
-    if low:
-        text += f", {low} to {bounds['le']}" if "le" in bounds else f", at least {low}"
-    if "pattern" in bounds:
-        text += f" matching {bounds['pattern']}"
-    if "min_length" in bounds:
-        text += f" of at least {bounds['min_length']} characters"
-    return text + (", or null" if "NoneType" in options else "")
-
-
-def _findings(file: pathlib.Path, document: strict_yaml.Document, errors: list[dict[str, Any]]) -> list[str]:
-    """One line per error; a key that is missing because it is misspelt is reported once, as misspelt."""
-    misspelt = {
-        (*e["loc"][:-1], close) for e in errors if e["type"] == "extra_forbidden" and (close := _close_key(e["loc"]))
-    }
-    return [_finding(file, document, e) for e in errors if e["type"] != "missing" or tuple(e["loc"]) not in misspelt]
-
-
-def _known_keys(path: strict_yaml.Path) -> list[str]:
-    section = field_at(path)
-    model: Any = _section_type(section) if section else RigSettings
-    return sorted(set(getattr(model, "model_fields", {})) - _ADDED)
-
-
-def _close_key(path: strict_yaml.Path) -> str | None:
-    close = difflib.get_close_matches(str(path[-1]), _known_keys(path[:-1]), n=1, cutoff=0.5)
-    return close[0] if close else None
-
-
-def _finding(file: pathlib.Path, document: strict_yaml.Document, error: dict[str, Any]) -> str:
-    path: strict_yaml.Path = tuple(error["loc"])
-    where = f"{file}:{document.line_of(path)}: {strict_yaml.dotted(path) or 'file'}"
-    found = repr(error["input"]) if not isinstance(error["input"], dict) else "a section"
-    match error["type"]:
-        case "extra_forbidden":
-            close = _close_key(path)
-            hint = f"allowed {close}?" if close else f"allowed {', '.join(_known_keys(path[:-1]))}"
-            return f"{where}: found an unknown key, {hint}"
-        case "missing":
-            return f"{where}: found nothing, allowed {allowed(path)}"
-        case "disagree":
-            context = error["ctx"]
-            path = (*path, *context["key"].split("."))
-            where = f"{file}:{document.line_of(path)}: {strict_yaml.dotted(path)}"
-            return f"{where}: found {context['found']}, allowed {context['allowed']}"
-        case _:
-            return f"{where}: found {found}, allowed {allowed(path)}"

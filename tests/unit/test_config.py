@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl import config, strict_yaml
+from rigctl import config, config_wording, strict_yaml
 
 ROOT = pathlib.Path(__file__).parents[2]
 PAPER = (ROOT / "config/paper_rig.yaml").read_text()
@@ -141,4 +141,4 @@ def test_a_float_written_in_full_reads_back(value: float) -> None:
 def test_every_field_says_its_unit_or_has_none() -> None:
     named = {"_n": "N", "_mm": "mm", "_mm_s": "mm/s", "_n_mm": "N/mm", "_hz": "Hz", "_ms": "ms", "_bit_s": "bit/s"}
     for suffix, unit in named.items():
-        assert config.unit_of("x" + suffix) == unit
+        assert config_wording.unit_of("x" + suffix) == unit
