@@ -82,6 +82,8 @@ def demo(
         summary = play(settings, settings.demo, Console(), lockstep=lockstep)
     except DemoError as error:
         end(BAD, f"demo: {error}")
+    except KeyboardInterrupt:
+        end(BAD, "demo interrupted: its daemon held the stroke, and its processes are ended")
     if json is not None:
         json.write_bytes(msgspec.json.format(msgspec.json.encode(summary.as_dict()), indent=2) + b"\n")
     raise typer.Exit(DONE if summary.passed else BAD)

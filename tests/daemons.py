@@ -122,4 +122,4 @@ def state(file: pathlib.Path) -> dict[str, Any]:
 
 
 def mode(file: pathlib.Path) -> str:
-    return str(state(file).get("mode_name"))
+    return str(state(file).get("mode"))

@@ -85,7 +85,7 @@ class LiveStage:
         self._fresh_ns = time.monotonic_ns()
         self._moment = Moment(
             (int(state["t_ns"]) - self._start_ns) * 1e-9,
-            Mode[state["mode_name"]],
+            Mode[state["mode"]],
             float(state["vertical_n"]),
             float(state["target_n"]),
             float(state["stroke_mm"]),
@@ -127,7 +127,7 @@ def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], sett
         with contextlib.suppress(NoDaemonError):
             client = Client(settings.telemetry.listen, settings.rig)
             with contextlib.suppress(NoDaemonError):
-                if client.state().get("mode_name") == Mode.DISARMED.name:
+                if client.state().get("mode") == Mode.DISARMED.name:
                     return client
             client.close()
         time.sleep(_POLL_S)

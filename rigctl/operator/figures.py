@@ -27,9 +27,9 @@ def number(value: Any, digits: int, unit: str = "", *, sign: bool = False) -> st
 
 def mode(state: dict[str, Any]) -> str:
     """The mode; without a running loop, that."""
-    if state.get("mode_name") is None:
+    if state.get("mode") is None:
         return "NO LOOP"
-    return str(state["mode_name"]) if state["loop_alive"] else "LOOP STOPPED"
+    return str(state["mode"]) if state["loop_alive"] else "LOOP STOPPED"
 
 
 def mode_style(state: dict[str, Any]) -> str:
@@ -39,11 +39,11 @@ def mode_style(state: dict[str, Any]) -> str:
 
 def why(state: dict[str, Any]) -> str:
     """What is wrong, in one line; empty when nothing is."""
-    if state.get("mode_name") is None:
+    if state.get("mode") is None:
         return "the control process has written no record yet"
     if not state["loop_alive"]:
         return f"no record from the loop for {state['age_ms'] / 1000:.1f} s"
-    return f"{state['fault_name']}: {state['fault_text']}" if state["fault"] else ""
+    return f"{state['fault']}: {state['fault_text']}" if state["fault"] else ""
 
 
 def error(state: dict[str, Any]) -> str:

@@ -51,8 +51,8 @@ def tension_bar(state: dict[str, Any], width: int) -> list[Text]:
     low, high = target * (1 - SPAN_PCT / 100), target * (1 + SPAN_PCT / 100)
     band = (target * (1 - BAND_PCT / 100), target * (1 + BAND_PCT / 100))
     inside = value is not None and band[0] <= value <= band[1]
-    active = state["mode_name"] in ("TENSIONING", "COMPENSATING")
-    colour = "green" if inside else "red" if state["mode_name"] == "COMPENSATING" else "yellow" if active else "dim"
+    active = state["mode"] in ("TENSIONING", "COMPENSATING")
+    colour = "green" if inside else "red" if state["mode"] == "COMPENSATING" else "yellow" if active else "dim"
     bar = scale(width, value, low, high, {band[0]: "[", target: "┼", band[1]: "]"})
     legend = f"{low:<.0f}".ljust(width // 2 - 8) + f"target {target:.1f} N".center(16)
     return [
@@ -99,7 +99,7 @@ class Screen:
         else:
             head += self._banner(" ".join(figures.mode(state)), figures.mode_style(state), width)
             head.append(Text(figures.why(state), "bold red"))
-        if state is not None and state.get("mode_name") is not None:
+        if state is not None and state.get("mode") is not None:
             head += self._values(state, width - _LABEL)
         head += [_row("warning", text, "yellow") for text in (state or {}).get("warnings", [])]
         return head + self._events(max(0, height - len(head)))

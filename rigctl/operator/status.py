@@ -26,7 +26,7 @@ def rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
     result = [("mode", f" {figures.mode(state)} ", figures.mode_style(state))]
     if why:
         result.append(("fault" if state.get("fault") else "loop", why, "bold red"))
-    if state.get("mode_name") is not None:
+    if state.get("mode") is not None:
         flaws, n = figures.flaws(state), figures.number
         tension = f"{n(state['tension_n'], 2, 'N')} (vertical {n(state['vertical_n'], 2, 'N')})"
         late = figures.percentiles(state["lateness_us"])

@@ -115,13 +115,13 @@ def _finish(client: Client, verb: str, answer: dict[str, Any], states: Feed) -> 
                 return {**answer, "accepted": False, "reason": "no_data", "text": text}
             continue
         heard = time.monotonic()
-        mode = state.get("mode_name")
+        mode = state.get("mode")
         if state.get("t_ns", 0) < answer["t_ns"] or mode in (passing, None):
             continue
         about = {"mode": mode, "value": state["tension_n"]}
         if mode == goal:
             text = f"{verb.upper()}: {goal}, tension {state['tension_n']:z.1f} N, stroke {state['stroke_mm']:.2f} mm"
             return {**answer, **about, "text": text}
-        why = f" {state['fault_name']}: {state['fault_text']}" if mode == "FAULT" else ""
+        why = f" {state['fault']}: {state['fault_text']}" if mode == "FAULT" else ""
         text = f"{verb.upper()} failed: ended in {mode}{why}"
         return {**answer, **about, "accepted": False, "reason": "ended_otherwise", "text": text}

@@ -96,7 +96,7 @@ def line(view: View) -> str:
     if view.silent_s or view.state is None:
         return f"no data for {time.monotonic() - view.heard:.0f} s from {view.endpoint}"
     state = view.state
-    if state.get("mode_name") is None:
+    if state.get("mode") is None:
         return f"{figures.mode(state)}  {figures.why(state)}"
     late = state["lateness_us"] or {"p99": 0, "max": 0}
     parts = [

@@ -90,7 +90,7 @@ class Trip:
 def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wall_ns: int) -> dict[str, Any]:
     """State from the newest record; ``now_ns`` and ``wall_ns`` are the same instant on the two clocks."""
     if record is None:
-        return {"loop_alive": False, "age_ms": None, "wall_ns": wall_ns, "mode": None, "mode_name": None}
+        return {"loop_alive": False, "age_ms": None, "wall_ns": wall_ns, "mode": None}
     values: dict[str, Any] = {name: record[name].item() for name in record.dtype.names or ()}
     age_ns = now_ns - values["t_ns"]
     compensating = values["mode"] == Mode.COMPENSATING and values["target_n"] > 0
@@ -100,8 +100,10 @@ def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wa
         "wall_ns": wall_ns - age_ns,
         "age_ms": round(age_ns / 1e6, 3),
         "loop_alive": age_ns < ALIVE_NS,
-        "mode_name": _name(Mode, values["mode"]),
-        "fault_name": _name(Fault, values["fault"]),
+        "mode": _name(Mode, values["mode"]),
+        "mode_code": values["mode"],
+        "fault": _name(Fault, values["fault"]) if values["fault"] else None,
+        "fault_code": values["fault"],
         "fault_text": trip.text(values["fault"]),
         "flag_names": [f.name.lower() for f in Flag if values["flags"] & f and f.name],
         "error_n": error_n,
@@ -124,8 +126,10 @@ DERIVED: tuple[tuple[str, str, str], ...] = (
     ("wall_ns", "ns", "t_ns on the wall clock, since 1970 UTC"),
     ("age_ms", "ms", "age of this record when the message was made"),
     ("loop_alive", "", f"the record is younger than {ALIVE_NS // 1_000_000} ms"),
-    ("mode_name", "", "mode in words"),
-    ("fault_name", "", "latched fault's name, NONE without one"),
+    ("mode", "", "mode's name"),
+    ("mode_code", "", "its number, as in the record"),
+    ("fault", "", "latched fault's name, null without one"),
+    ("fault_code", "", "its number, as in the record; 0 none"),
     ("fault_text", "", "why it tripped, in words; empty without a fault"),
     ("flag_names", "", "flags in words"),
     ("error_n", "N", "vertical_n - target_n while COMPENSATING, else null"),

@@ -84,7 +84,7 @@ def test_state_follows_the_loop(shared: Daemon) -> None:
         assert client.state()["tick"] >= later["tick"]
     assert later["rig"] == "paper_rig"
     assert later["loop_alive"] is True
-    assert later["mode_name"] == "DISARMED"
+    assert later["mode"] == "DISARMED"
     assert later["error_n"] is None
     assert later["error_pct"] is None
     assert later["normal_rad"] is None  # NaN

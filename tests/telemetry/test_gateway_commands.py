@@ -32,7 +32,7 @@ def test_a_session_with_the_rig(own: Daemon) -> None:
         assert client.command("target", "kim", 250)["text"] == "TARGET: 250 N, HOLD"
         assert client.command("tension", "kim")["accepted"]
         state = until(lambda: (s := client.state()) and s["error_n"] is not None and s, "COMPENSATING")
-        assert state["mode_name"] == "COMPENSATING"
+        assert state["mode"] == "COMPENSATING"
         assert abs(state["error_n"]) <= 0.11  # the stand-in's wobble
         assert state["error_pct"] == pytest.approx(100 * abs(state["error_n"]) / 250)
         assert client.command("tension", "kim")["text"] == "TENSION refused: already COMPENSATING"
@@ -43,7 +43,7 @@ def test_a_trip_is_worded_in_state_and_events(own: Daemon) -> None:
         events = client.follow(client.keys.event("error"))
         client.command("target", "kim", 222.0)  # the stand-in trips
         state = until(lambda: (s := client.state()) and s["fault"] and s, "the fault")
-        assert (state["mode_name"], state["fault_name"]) == ("FAULT", "TENSION_HIGH")
+        assert (state["mode"], state["fault"]) == ("FAULT", "TENSION_HIGH")
         assert state["fault_text"] == "tension 412.0 N above 400.0 N"
         trip, change = until(events.take, "the trip"), until(events.take, "the change of mode")
         assert trip["text"] == "trip TENSION_HIGH: tension 412.0 N above 400.0 N"
@@ -135,4 +135,4 @@ def test_no_command_by_another_key(shared: Daemon, verb: str) -> None:
     with shared.client() as client:
         replies = list(client.session.get(client.keys.command(verb), payload=b'{"operator": "kim"}', timeout=2))
         assert all(reply.ok is None for reply in replies)
-        assert client.state()["mode_name"] == "DISARMED"
+        assert client.state()["mode"] == "DISARMED"

@@ -52,7 +52,7 @@ def test_wait_ends_when_the_rig_trips(own: Daemon) -> None:
         client.command("arm", "kim")
         command = [sys.executable, "-m", "rigctl.cli", "tension", "--wait", "--connect", own.endpoint]
         waiting = subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        until(lambda: client.state()["mode_name"] == "TENSIONING", "the ramp")
+        until(lambda: client.state()["mode"] == "TENSIONING", "the ramp")
         client.command("target", "kim", 222.0)  # the stand-in trips
         _, complaint = waiting.communicate(timeout=PATIENCE_S)
     assert waiting.returncode == 1
@@ -107,7 +107,7 @@ def test_status_fits_a_small_screen(shared: Daemon) -> None:
     assert max(map(len, lines)) <= 80
     for word in ("DISARMED", "tension", "vertical error", "target", "stroke", "tangential", "lateness", "skipped"):
         assert word in result.stdout
-    assert json.loads(shared.cli("status", "--json").stdout)["mode_name"] == "DISARMED"
+    assert json.loads(shared.cli("status", "--json").stdout)["mode"] == "DISARMED"
 
 
 def test_watch_prints_lines_through_a_restart(own: Daemon) -> None:

@@ -130,7 +130,7 @@ def test_an_interface_pulled_down_while_compensating_is_held_and_recovers(
     link("vcan0", "down")
     daemons.wait_for(lambda: daemons.mode(file) == "FAULT", log=log)
     fallen = daemons.state(file)
-    assert fallen["fault_name"] in ("BUS_SILENT", "DRIVE_STALE", "CELL_STALE")
+    assert fallen["fault"] in ("BUS_SILENT", "DRIVE_STALE", "CELL_STALE")
     assert "trip" in log.read_text()
     refused = daemons.rigctl("reset", "--json", file=file)
     assert refused.returncode == 1

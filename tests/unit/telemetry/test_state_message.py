@@ -47,7 +47,7 @@ def test_error_is_given_only_while_compensating() -> None:
             assert (found["error_n"], found["error_pct"]) == (-1.5, pytest.approx(0.5))
         else:
             assert (found["error_n"], found["error_pct"]) == (None, None)
-        assert found["mode_name"] == mode.name
+        assert found["mode"] == mode.name
 
 
 def test_every_field_of_the_record_is_there_by_its_name() -> None:
@@ -69,12 +69,12 @@ def test_a_loop_is_alive_while_its_records_are_new(age_ns: int, alive: bool) -> 
 def test_no_record_is_a_state_too() -> None:
     found = state(None)
     assert found["loop_alive"] is False
-    assert found["mode_name"] is None
+    assert found["mode"] is None
 
 
 def test_numbers_from_another_version_are_shown_not_raised() -> None:
     found = state(record(mode=77, fault=999, tension_quality=64))
-    assert (found["mode_name"], found["fault_name"]) == ("UNKNOWN_77", "UNKNOWN_999")
+    assert (found["mode"], found["fault"]) == ("UNKNOWN_77", "UNKNOWN_999")
     assert found["fault_text"] == "unknown fault 999"
 
 
