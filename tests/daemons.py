@@ -72,6 +72,17 @@ def process(*arguments: str, log: pathlib.Path) -> Iterator[subprocess.Popen[byt
             raise
 
 
+def process_with(*words: str) -> int:
+    """Process whose command line has all ``words``."""
+    for entry in pathlib.Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with contextlib.suppress(OSError):
+                line = (entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
+                if all(any(word in part for part in line) for word in words):
+                    return int(entry.name)
+    raise AssertionError(f"no process with {words}")
+
+
 def wait_for(what: Callable[[], Any], limit_s: float = START_LIMIT_S, *, log: pathlib.Path | None = None) -> Any:
     """Poll until ``what()`` is true; returns it."""
     until = time.monotonic() + limit_s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import math
 from collections.abc import Callable
 
@@ -12,7 +13,7 @@ from rigctl.config import RigSettings, SimulationSettings
 from rigctl.devices.plain import PlainMessage
 
 
-class PlainSensor:
+class PlainSensor(abc.ABC):
     """A message at its cycle time. ``advance`` goes once per step of the rig's grid.
 
     ``connected`` False is a pulled plug; ``able`` False makes the sensor say that it cannot measure, if its message has
@@ -35,9 +36,9 @@ class PlainSensor:
         self._cycle_ns = round(1e9 / message.rate_hz(settings.loop.rate_hz))
         self._due_ns = plant.t_ns + self._cycle_ns
 
+    @abc.abstractmethod
     def values(self) -> dict[str, float]:
         """What the next frame says, by meaning (N, rad, and ``valid``)."""
-        raise NotImplementedError
 
     def advance(self, t_ns: int) -> None:
         """Measure and send, when it is time; cycles shorter than a step become one frame a step."""

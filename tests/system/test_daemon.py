@@ -136,11 +136,9 @@ def test_the_gateway_is_killed_and_comes_back_and_the_loop_does_not_notice(runni
     running.do("tension", "--wait")
     records = Runtime.of(daemons.name_of(running.file)).record_reader()
     for _ in range(2):
-        gateway = subprocess.run(
-            ["pgrep", "-f", f"rigctl.telemetry.gateway.*{daemons.name_of(running.file)}"],
-            capture_output=True, text=True, check=True,
-        )  # fmt: skip
-        os.kill(int(gateway.stdout.split()[0]), signal.SIGKILL)
+        os.kill(
+            daemons.process_with("rigctl.telemetry.gateway", f"rigctl-{daemons.name_of(running.file)}"), signal.SIGKILL
+        )
         daemons.wait_for(lambda: daemons.mode(running.file) == "COMPENSATING", log=running.log)
     slots = records.read()
     assert records.lost == 0
