@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+import signal
 import time
 from typing import TYPE_CHECKING, Annotated
 
@@ -78,6 +79,9 @@ def demo(
     assert settings.demo is not None
     if json is not None and not json.parent.is_dir():
         end(USAGE, f"--json: {json}: there is no folder {json.parent}")
+    if json is not None and json.is_dir():
+        end(USAGE, f"--json: found the folder {json}, allowed a file")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended in order, as by Ctrl-C
     try:
         summary = play(settings, settings.demo, Console(), lockstep=lockstep)
     except DemoError as error:

@@ -18,6 +18,7 @@ _INT = re.compile(r"[-+]?(0|[1-9][0-9]*)\Z")
 _FLOAT = re.compile(r"[-+]?(0|[1-9][0-9]*)\.[0-9]+([eE][-+][0-9]+)?\Z")
 _NUMBER_LIKE = re.compile(r"[-+]?(\.?[0-9]|\.(inf|nan)\b)|(nan|inf)\Z", re.IGNORECASE)
 _BARE_NUMBER = re.compile(r"[-+.0-9eExXoObB_:a-fA-F]*\Z")
+LONGEST_NUMBER = 40
 _YAML_1_1_BOOL = frozenset({"yes", "no", "on", "off", "y", "n"})
 
 
@@ -107,7 +108,7 @@ def _scalar(node: yaml.Node, path: Path) -> Any:
         return text == "true"
     if text.lower() in _YAML_1_1_BOOL:
         raise StrictYamlError(line, f"{dotted(path)}: found {text}, allowed true or false (or quotes for text)")
-    if _INT.match(text):
+    if _INT.match(text) and len(text) <= LONGEST_NUMBER:
         return int(text)
     if _FLOAT.match(text):
         return float(text)

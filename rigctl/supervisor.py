@@ -24,6 +24,7 @@ from rigctl import __version__
 from rigctl.config import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.devices import busload
+from rigctl.devices.objects import DriveState, drive_state
 from rigctl.telemetry.events import worded
 from rigctl.telemetry.ring import RingReader
 from rigctl.telemetry.runtime import AlreadyRunningError, Runtime
@@ -133,7 +134,7 @@ class Supervisor:
 
         try:
             design = design_and_check(self.settings)
-        except DesignError as error:
+        except (DesignError, ArithmeticError, ValueError) as error:  # ... or numbers no plant has
             raise CannotRunError(f"{self.settings.rig}: no design: {error}") from None
         self._active["design"] = design.as_dict()
         if not design.accepted:
@@ -214,9 +215,11 @@ class Supervisor:
             self._say("WARNING: the loop did not stop by itself; the drive holds by its own supervision")
             return 1
         mode = Mode(int(last["mode"])).name
-        self._say(
-            f"stopped in {mode}: stroke {last['stroke_mm']:.2f} mm, tension {last['tension_n']:z.1f} N, brake closed"
-        )
+        where = f"stroke {last['stroke_mm']:.2f} mm, tension {last['tension_n']:z.1f} N"
+        if last["drive_quality"] or drive_state(int(last["statusword"])) is DriveState.OPERATION_ENABLED:
+            self._say(f"WARNING: stopped in {mode}: last seen {where}; the brake was not seen to close")
+            return 1
+        self._say(f"stopped in {mode}: {where}, brake closed")
         return 0
 
     def _end(self, name: str) -> bool:

@@ -306,6 +306,8 @@ class Loop:
             for answer in machine.answers:
                 checks = int(self._failed_checks()) if answer.refusal is modes.Refusal.PREFLIGHT else 0
                 value = self.law.target_n if answer.verb in (Verb.TARGET, Verb.TENSION) else _number(self._tension_n)
+                if answer.refusal is modes.Refusal.CAUSE_PRESENT:
+                    value = float(self._watch.present(self._sight))
                 self._reply(t_ns, answer.id, answer.refusal, checks, value)
             machine.answers.clear()
         inbox = self.inbox

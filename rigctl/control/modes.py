@@ -133,7 +133,8 @@ def decide(mode: Mode, verb: Verb, value: float, situation: Situation) -> Decisi
                 return Decision(Refusal.CAUSE_PRESENT)
             return Decision(event=Event.RESET_HELD if situation.drive_enabled else Event.RESET_OFF)
         case Verb.RESET if mode is Mode.DISARMED and situation.drive_faulted:
-            return Decision()  # the drive's own fault, from before this daemon
+            # The drive's own fault, from before this daemon; one that is not seen now cannot be cleared.
+            return Decision(Refusal.CAUSE_PRESENT) if situation.cause_present else Decision()
         case Verb.RELEASE if mode is Mode.HOLD and situation.slack:
             return Decision(Refusal.ALREADY)
         case Verb.DISARM if mode is Mode.FAULT:

@@ -102,8 +102,11 @@ class LiveStage:
 
 @contextlib.contextmanager
 def _process(*arguments: str, **options: Any) -> Iterator[subprocess.Popen[bytes]]:
-    """A process that is told to end, and then made to."""
-    process = subprocess.Popen([sys.executable, "-m", *arguments], **options)
+    """A process that is told to end, and then made to.
+
+    In a session of its own: a Ctrl-C reaches the demo alone, which ends the daemon before the rig.
+    """
+    process = subprocess.Popen([sys.executable, "-m", *arguments], start_new_session=True, **options)
     try:
         yield process
     finally:

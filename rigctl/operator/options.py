@@ -30,7 +30,7 @@ Wait = Annotated[bool, typer.Option("--wait", help="Return when it is over, or h
 def operator_name(given: str | None) -> str:
     """Who gives a command."""
     if given := given or os.environ.get("RIGCTL_OPERATOR"):
-        return given
+        return given.encode(errors="replace").decode()
     try:
         return getpass.getuser()
     except (KeyError, OSError):  # no login name, as in a bare container

@@ -106,7 +106,7 @@ def refusal_text(
                 f"already {mode.name}" if verb is not Verb.RELEASE or mode is not Mode.HOLD else "rope is slack already"
             )
         case Refusal.PREFLIGHT:
-            return "; ".join(failed_checks(checks))
+            return "; ".join(failed_checks(checks)) + (_SILENT_HINT if checks & _UNSEEN else "")
         case Refusal.OUT_OF_RANGE:
             return f"target must be {limits[0]:g} to {limits[1]:g} N"
         case Refusal.CAUSE_PRESENT:
@@ -124,6 +124,7 @@ def refusal_text(
 
 
 _SILENT = frozenset({Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE})
+_UNSEEN = Check.CELL_STALE | Check.INCLINATION_STALE | Check.DRIVE_STALE
 _SILENT_HINT = " (a device that was switched off needs the daemon started anew)"
 _HINT: dict[tuple[Mode, Verb], str] = {
     **{(Mode.FAULT, verb): ": reset first" for verb in (Verb.ARM, Verb.TENSION, Verb.RELEASE, Verb.HOLD)},

@@ -139,7 +139,12 @@ REPLY = Slot(
         Field("reason", "H", "", "why refused, see rigctl.control.modes.Refusal"),
         Field("checks", "Q", "", "preflight checks that failed, bits, see rigctl.control.safety.Check"),
         Field("mode", "B", "", "mode after the command"),
-        Field("value", "d", "", "what the reply is about: target, tension or stroke"),
+        Field(
+            "value",
+            "d",
+            "",
+            "what the reply is about: target or tension; CAUSE_PRESENT: the fault whose cause is there",
+        ),
     ),
 )
 

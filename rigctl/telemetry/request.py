@@ -131,6 +131,8 @@ def answer(request: Request, reply: Any, sight: Sight, limits_n: tuple[float, fl
         text = f"{verb.name}: {_done(verb, mode, value, sight)}"
         return {"accepted": True, "verb": name, "operator": request.operator, "text": text, **about}
     refusal, checks = Refusal(int(reply["reason"])), int(reply["checks"])
-    text = refusal_text(refusal, verb, mode, checks, sight.fault, limits_n)
+    named = refusal is Refusal.CAUSE_PRESENT and value in Fault._value2member_map_
+    cause = Fault(int(value)) if named else sight.fault
+    text = refusal_text(refusal, verb, mode, checks, cause, limits_n)
     more = {"checks": failed_checks(checks)} if refusal is Refusal.PREFLIGHT else {}
     return refused(name, request.operator, refusal.name.lower(), text, **about, **more)

@@ -69,6 +69,8 @@ class Runtime:
 
     def remove(self) -> None:
         """Take the folder away; readers that still map a ring keep it until they let go."""
+        for folder in self.directory.glob("warm-up-*"):
+            Runtime(folder).remove()
         for file in (*_FILES, "lock"):
             with contextlib.suppress(FileNotFoundError):
                 (self.directory / file).unlink()

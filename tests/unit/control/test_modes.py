@@ -62,6 +62,8 @@ def test_guards() -> None:
     assert decide(Mode.FAULT, Verb.RESET, 0, Situation(drive_enabled=True)).event is Event.RESET_HELD
     assert decide(Mode.FAULT, Verb.RESET, 0, Situation()).event is Event.RESET_OFF
     assert decide(Mode.DISARMED, Verb.RESET, 0, Situation(drive_faulted=True)).refusal is Refusal.NONE
+    unseen = Situation(drive_faulted=True, cause_present=True)
+    assert decide(Mode.DISARMED, Verb.RESET, 0, unseen).refusal is Refusal.CAUSE_PRESENT
     assert decide(Mode.HOLD, Verb.RELEASE, 0, Situation(slack=True)).refusal is Refusal.ALREADY
 
 
