@@ -122,6 +122,7 @@ class TensionFilter:
         kf = self._kf
         kf.x = np.array([[tension_n], [speed_mm_s], [0.0]])
         kf.P = np.diag([self.model.cell_variance_n2, self.model.speed_variance_mm2_s2, 1.0])
+        kf.K = np.zeros((3, 1))  # so that the first gain after this is never taken for a settled one
         self._settled = None
         self.innovation_n = 0.0
 

@@ -16,6 +16,8 @@ from rigctl.telemetry.record import Quality
 MAX_FRAMES_PER_TICK = 256
 MAX_NOTICES = 32
 NEVER_NS = -(1 << 61)
+OVERRANGE = 1.2  # a cell reads somewhat beyond its rated range, not more
+_SATURATED, _INVALID = Quality.SATURATED.value, Quality.INVALID.value
 _NEVER = Quality.NEVER.value
 _EMCY_SIZE = 8
 
@@ -60,6 +62,9 @@ class Inbox:
         self.emergencies: list[tuple[int, int]] = []  # (node, code) since last taken
         self.node_states: list[tuple[int, int]] = []  # (node, NMT state) changes since last taken
         self.bus_errors: list[tuple[int, int]] = []  # (error class, controller byte) since last taken
+        self.restarted = False  # a device booted since start-up: what was set and verified there is gone
+        self._tension_max_n = settings.tension_cell.range_n * OVERRANGE
+        self._slope_max_rad = math.radians(settings.inclinometer.range_deg)
         self._states: dict[int, int] = {}
         self._counts = [0, 0, 0]  # cell, slope, drive frames since the first of each
         self._bases = [-1, -1, -1]  # SYNCs sent when the first came
@@ -108,17 +113,32 @@ class Inbox:
         self._counts[i] += 1
 
     def _on_cell(self, data: bytes | bytearray, now_ns: int) -> None:
-        self.tension_n, self.cell_quality = codecs.decode_tension(data)
-        self.cell_t_ns = now_ns
-        self.cell_fresh = self.cell_quality == 0
+        tension_n, quality = codecs.decode_tension(data)
+        self._take_cell(tension_n, quality, now_ns)
         self._count(0)
+
+    def _take_cell(self, tension_n: float, quality: int, now_ns: int) -> None:
+        """Newest tension; one beyond the cell's range is saturated, whatever the device says."""
+        if not quality and abs(tension_n) > self._tension_max_n:
+            quality = _SATURATED
+        if not quality:
+            self.tension_n = tension_n
+        self.cell_quality = quality
+        self.cell_t_ns = now_ns
+        self.cell_fresh = quality == 0
+
+    def _take_slope(self, tangential_rad: float, normal_rad: float, quality: int, now_ns: int) -> None:
+        """Newest inclination; one beyond the sensor's range is invalid, whatever the device says."""
+        if not quality and (abs(tangential_rad) > self._slope_max_rad or abs(normal_rad) > self._slope_max_rad):
+            quality = _INVALID
+        if not quality:
+            self.tangential_rad, self.normal_rad = tangential_rad, normal_rad
+        self.slope_quality = quality
+        self.slope_t_ns = now_ns
 
     def _on_slope(self, data: bytes | bytearray, now_ns: int) -> None:
         tangential, normal, quality = codecs.decode_inclination(data)
-        if not quality:
-            self.tangential_rad, self.normal_rad = tangential, normal
-        self.slope_quality = quality
-        self.slope_t_ns = now_ns
+        self._take_slope(tangential, normal, quality, now_ns)
         self._count(1)
 
     def _on_drive(self, data: bytes | bytearray, now_ns: int) -> None:
@@ -132,13 +152,8 @@ class Inbox:
 
         def on_cell(data: bytes | bytearray, now_ns: int) -> None:
             value, quality = decode(data)
-            if not quality:
-                self.tension_n = value
-            elif math.isnan(value):
-                self.refused += 1
-            self.cell_quality = quality
-            self.cell_t_ns = now_ns
-            self.cell_fresh = quality == 0
+            self.refused += math.isnan(value)
+            self._take_cell(value, quality, now_ns)
 
         return on_cell
 
@@ -147,12 +162,8 @@ class Inbox:
 
         def on_slope(data: bytes | bytearray, now_ns: int) -> None:
             tangential, normal, quality = decode(data)
-            if not quality:
-                self.tangential_rad, self.normal_rad = tangential, normal
-            elif math.isnan(tangential):
-                self.refused += 1
-            self.slope_quality = quality
-            self.slope_t_ns = now_ns
+            self.refused += math.isnan(tangential)
+            self._take_slope(tangential, normal, quality, now_ns)
 
         return on_slope
 
@@ -170,6 +181,7 @@ class Inbox:
             if len(data) != 1:
                 raise ValueError("length")
             state = data[0] & 0x7F
+            self.restarted |= state == od.NmtState.BOOT_UP
             if self._states.get(node) != state and len(self.node_states) < MAX_NOTICES:
                 self.node_states.append((node, state))
             self._states[node] = state

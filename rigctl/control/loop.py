@@ -26,6 +26,7 @@ from rigctl.telemetry.ring import RingReader, RingWriter
 
 STOPPED_MM_S = 0.05
 STOP_LIMIT_NS = 2_000_000_000
+COMMANDS_PER_TICK = 4
 NOTICE_NS = 1_000_000_000
 NOTICES_KEPT = 64
 SKIP_NOTICE = 5  # ticks skipped at once that are worth an event
@@ -71,7 +72,7 @@ class Loop:
         self._slope_stale_ns = settings.safety.inclination_stale_ms * 1_000_000
         self._slack_n = settings.tension.slack_n
         self._cosine, self._tension_n, self._power = 1.0, 0.0, Power.OFF
-        self._stop_until = 0
+        self._stop_until = self._off_until = 0
         rings.events.write(clock.now(), Kind.STARTED, 0, 0, 0.0, 0.0, b"")
 
     @property
@@ -126,6 +127,8 @@ class Loop:
         sight.bus_age_ns = now_ns - inbox.bus_t_ns
         sight.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
         sight.stroke_limited = self.law.limits & Flag.LIMITED_STROKE.value != 0
+        sight.speed_error_mm_s = abs(inbox.speed_mm_s - self.law.command_mm_s) if sight.drive_enabled else 0.0
+        sight.rope_lost, sight.device_restarted = self.law.rope_lost, inbox.restarted
         sight.drive_wanted = self.machine.drive_wanted and not self.machine.stopping
 
     def _estimate(self, skipped: int) -> Estimate:
@@ -141,14 +144,18 @@ class Loop:
                 inbox.tension_n if inbox.cell_fresh else None, inbox.speed_mm_s if inbox.drive_fresh else None
             )
         kalman.predict(1 + skipped)
-        return Estimate(*kalman.ahead(), inbox.stroke_mm)
+        tension_n, speed_mm_s, disturbance_mm_s = kalman.ahead()
+        if not math.isfinite(tension_n + speed_mm_s + disturbance_mm_s):
+            kalman.reset(self._tension_n, 0.0)
+            raise ArithmeticError("the estimate is not finite")
+        return Estimate(tension_n, speed_mm_s, disturbance_mm_s, inbox.stroke_mm)
 
     def _decide(self, t_ns: int, estimate: Estimate) -> None:
         machine, sight, law = self.machine, self._sight, self.law
         trip = self._watch.trips(sight, machine.mode, t_ns)
         if trip is not None and machine.mode is not Mode.FAULT:
             self._trip(trip, t_ns)
-        for slot in self._rings.commands.read():
+        for slot in self._rings.commands.read(COMMANDS_PER_TICK):
             self._command(slot, t_ns)
         if self.stop_requested and not machine.stopping:
             self._stop_until = t_ns + STOP_LIMIT_NS
@@ -160,7 +167,7 @@ class Loop:
             machine.on(Event.SLACK)
         for change in machine.changes:
             if change.after in (Mode.TENSIONING, Mode.RELEASING):
-                law.start_ramp(estimate.tension_n * self._cosine, estimate.speed_mm_s)
+                law.begin(estimate.tension_n * self._cosine, estimate.speed_mm_s)
 
     def _speed(self, estimate: Estimate) -> float:
         law, mode = self.law, self.machine.mode
@@ -184,8 +191,15 @@ class Loop:
         if machine.stopping:
             self._finish_stop(t_ns)
         self._power = machine.power(t_ns, drive_enabled=sight.drive_enabled, drive_faulted=sight.drive_faulted)
+        if self._power is Power.OFF and sight.drive_enabled and self._moving() and t_ns < self._off_until:
+            self._power = Power.ON  # stop first, then power off: a brake is no place to stop a moving load
+        elif self._power is not Power.OFF:
+            self._off_until = t_ns + STOP_LIMIT_NS
         state = drive_state(self.inbox.statusword)
         outbox.command(next_controlword(state, self._power, outbox.controlword), speed_mm_s)
+
+    def _moving(self) -> bool:
+        return abs(self.inbox.speed_mm_s) >= STOPPED_MM_S or self.law.command_mm_s != 0.0
 
     # -- what the tick is made of -------------------------------------------------------------------------------
     def _trip(self, trip: Trip, t_ns: int) -> None:
@@ -204,7 +218,7 @@ class Loop:
         situation = Situation(
             failed_checks=int(self._failed_checks()),
             cause_present=self._watch.present(self._sight) is not Fault.NONE,
-            drive_enabled=self._sight.drive_enabled,
+            drive_enabled=self._sight.drive_enabled and machine.drive_wanted,
             drive_faulted=self._sight.drive_faulted,
             slack=self._tension_n < self._slack_n,
             target_min_n=tension.target_min_n,
@@ -218,11 +232,12 @@ class Loop:
             self.law.target_n = value
 
     def _failed_checks(self) -> Check:
-        return safety.preflight(self._sight, self.settings, supervision_verified=self._supervised)
+        verified = self._supervised and not self.inbox.restarted
+        return safety.preflight(self._sight, self.settings, supervision_verified=verified)
 
     def _finish_stop(self, t_ns: int) -> None:
         """Once the stroke stands still, let the drive close its brake; once it has, the loop may end."""
-        still = abs(self.inbox.speed_mm_s) < STOPPED_MM_S and self.law.command_mm_s == 0.0
+        still = not self._moving()
         late = t_ns >= self._stop_until
         if still or late:
             self.machine.power_off()
@@ -240,16 +255,14 @@ class Loop:
             self.outbox.failures += 1
         self.law.follow_speed(0.0)
         self.filter.command(0.0)
-        first = self.machine.fault is not Fault.LOOP_EXCEPTION
         self.machine.trip(Trip(Fault.LOOP_EXCEPTION, 0.0, 0.0))
         if self.machine.stopping or self.stop_requested:
             self.machine.stop()
             self.finished = True
-        if first:
-            try:
-                self._rings.events.write(t_ns, Kind.EXCEPTION, 0, 0, 0.0, 0.0, _place(error))
-            except Exception:  # noqa: BLE001 - nowhere left to say it; the latched fault is in every record
-                self.exceptions_untold += 1
+        try:
+            self._notice(t_ns, Kind.EXCEPTION, 0, 0, _place(error))
+        except Exception:  # noqa: BLE001 - nowhere left to say it; the latched fault is in every record
+            self.exceptions_untold += 1
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
         inbox, outbox, sight, law, kalman = self.inbox, self.outbox, self._sight, self.law, self.filter

@@ -31,6 +31,7 @@ class Fault(IntEnum):
     LOOP_EXCEPTION = 11
     STROKE_END = 12
     DRIVE_NOT_FOLLOWING = 13
+    DEVICE_RESTARTED = 14
 
 
 class Check(IntFlag):
@@ -64,6 +65,9 @@ class Sight:
     skipped_in_window: int = 0
     stroke_limited: bool = False
     drive_wanted: bool = False
+    speed_error_mm_s: float = 0.0
+    rope_lost: bool = False
+    device_restarted: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,12 +84,15 @@ class Row:
 
 _ARMED = frozenset({Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING, Mode.FAULT})
 _CLOSED = frozenset({Mode.TENSIONING, Mode.COMPENSATING})
+_MOVING = _CLOSED | {Mode.RELEASING}
 _REGULATED = frozenset({Mode.COMPENSATING})
 _EVERY = frozenset(Mode)
 _MS = 1_000_000
 STROKE_END_NS = 200 * _MS
 DRIVE_GRACE_NS = 20 * _MS  # the drive's answer to enable or disable may take this long
 STROKE_SPARE_MM = 2.0
+SPEED_ERROR_MM_S = 2.0  # drive against command; the lag passes it, but not for as long as this:
+SPEED_ERROR_NS = 100 * _MS
 
 
 def table(settings: RigSettings) -> tuple[Row, ...]:
@@ -111,7 +118,17 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.INCLINATION_INVALID, lambda x: x.inclination_quality, 0, 0, _ARMED, ""),
         Row(Fault.TENSION_HIGH, lambda x: x.tension_n, s.tension_high_n, persist, _EVERY, "N"),
         Row(Fault.TENSION_LOW, lambda x: -x.tension_n, -s.tension_low_n, persist, _REGULATED, "N"),
-        Row(Fault.STROKE_END, lambda x: x.stroke_limited, 0, STROKE_END_NS, _CLOSED, ""),
+        Row(Fault.TENSION_LOW, lambda x: x.rope_lost, 0, persist, frozenset({Mode.TENSIONING}), ""),
+        Row(Fault.STROKE_END, lambda x: x.stroke_limited, 0, STROKE_END_NS, _MOVING, ""),
+        Row(Fault.DEVICE_RESTARTED, lambda x: x.device_restarted, 0, 0, _ARMED, ""),
+        Row(
+            Fault.DRIVE_NOT_FOLLOWING,
+            lambda x: x.speed_error_mm_s,
+            SPEED_ERROR_MM_S,
+            SPEED_ERROR_NS,
+            _ARMED - {Mode.FAULT},
+            "mm/s",
+        ),
         Row(Fault.OVERRUN, lambda x: x.skipped_in_window, s.overrun_ticks - 1, 0, _ARMED, "ticks"),
     )
 
@@ -160,7 +177,7 @@ class Watch:
 
 _BLOCK_RESET = frozenset(
     {Fault.BUS_SILENT, Fault.DRIVE_STALE, Fault.CELL_STALE, Fault.CELL_INVALID, Fault.INCLINATION_STALE,
-     Fault.INCLINATION_INVALID, Fault.TENSION_HIGH, Fault.OVERRUN}
+     Fault.INCLINATION_INVALID, Fault.TENSION_HIGH, Fault.OVERRUN, Fault.DEVICE_RESTARTED}
 )  # fmt: skip
 
 

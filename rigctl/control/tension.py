@@ -69,6 +69,8 @@ class TensionLaw:
         self.command_mm_s = 0.0
         self.limits = 0  # bits, see rigctl.telemetry.record.Flag
         self._slack_stroke_mm: float | None = None
+        self._tight = False
+        self.rope_lost = False  # tension was there in this TENSIONING, and is gone
 
     # -- entering a mode: bumpless, because nothing but the set-point's start changes ---------------------------
     def start_ramp(self, vertical_n: float, speed_mm_s: float) -> None:
@@ -77,6 +79,11 @@ class TensionLaw:
         self._slope_n_s = self._slope_of(speed_mm_s)
         self.integral_mm_s = 0.0
         self._slack_stroke_mm = None
+
+    def begin(self, vertical_n: float, speed_mm_s: float) -> None:
+        """Enter TENSIONING or RELEASING."""
+        self._tight = self.rope_lost = False
+        self.start_ramp(vertical_n, speed_mm_s)
 
     def follow_speed(self, speed_mm_s: float) -> None:
         """Take over from a drive that was moving by itself, or not at all."""
@@ -90,6 +97,10 @@ class TensionLaw:
 
     def tensioning(self, estimate: Estimate, cosine: float) -> float:
         """Take up slack at a fixed speed, then follow a ramp to the target."""
+        self._tight |= estimate.tension_n > 2.0 * self._slack_n
+        self.rope_lost = self._tight and estimate.tension_n < self._slack_n
+        if self.rope_lost:
+            return self.hold(estimate)
         if estimate.tension_n < self._slack_n:
             self.start_ramp(estimate.tension_n, estimate.speed_mm_s)
             return self._limited(self._take_up, estimate.stroke_mm)

@@ -37,7 +37,7 @@ class Worded:
 FAULT_TEXT: dict[Fault, str] = {
     Fault.NONE: "no fault",
     Fault.TENSION_HIGH: "tension {value:.1f} N above {limit:.1f} N",
-    Fault.TENSION_LOW: "tension {value:.1f} N below {limit:.1f} N",
+    Fault.TENSION_LOW: "tension lost ({value:.1f} N, limit {limit:.1f} N)",
     Fault.CELL_STALE: "no tension sample for {value:.0f} ms (limit {limit:.0f} ms)",
     Fault.CELL_INVALID: "tension cell reports overload or no valid value (status {value:.0f})",
     Fault.INCLINATION_STALE: "no inclination sample for {value:.0f} ms (limit {limit:.0f} ms)",
@@ -48,7 +48,8 @@ FAULT_TEXT: dict[Fault, str] = {
     Fault.OVERRUN: "{value:.0f} ticks skipped, loop cannot keep its rate (limit {limit:.0f})",
     Fault.LOOP_EXCEPTION: "exception in the loop",
     Fault.STROKE_END: "stroke limit reached before the tension was",
-    Fault.DRIVE_NOT_FOLLOWING: "drive left operation enabled without being told to",
+    Fault.DRIVE_NOT_FOLLOWING: "drive does not do what it is told (enabled state or speed)",
+    Fault.DEVICE_RESTARTED: "a device restarted and lost its settings; start the daemon anew",
 }
 
 _SCALE: dict[Fault, float] = {
@@ -123,8 +124,10 @@ def refusal_text(
             return "unknown command"
 
 
-_SILENT = frozenset({Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE})
-_UNSEEN = Check.CELL_STALE | Check.INCLINATION_STALE | Check.DRIVE_STALE
+_SILENT = frozenset(
+    {Fault.DEVICE_RESTARTED, Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE}
+)
+_UNSEEN = Check.DRIVE_SUPERVISION | Check.CELL_STALE | Check.INCLINATION_STALE | Check.DRIVE_STALE
 _SILENT_HINT = " (a device that was switched off needs the daemon started anew)"
 _HINT: dict[tuple[Mode, Verb], str] = {
     **{(Mode.FAULT, verb): ": reset first" for verb in (Verb.ARM, Verb.TENSION, Verb.RELEASE, Verb.HOLD)},

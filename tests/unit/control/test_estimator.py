@@ -106,6 +106,17 @@ def test_the_settled_form_gives_what_the_full_recursion_gives(monkeypatch: pytes
     np.testing.assert_allclose(fast, full, atol=1e-4)
 
 
+def test_the_first_gain_after_a_reset_is_never_taken_for_a_settled_one() -> None:
+    kalman = TensionFilter(MODEL)
+    for tension in (4.9, 5.1, 4.9, 5.1):
+        if tension < 5.0:
+            kalman.reset(tension, 8.0)
+        else:
+            kalman.update(tension, 8.0)
+        kalman.predict()
+    assert kalman._settled is None
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_non_finite_sample_is_counted_and_left_out(bad: float) -> None:
     kalman = TensionFilter(MODEL)

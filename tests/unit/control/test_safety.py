@@ -26,24 +26,32 @@ GOOD = Sight(
     drive_wanted=True,
 )
 
-BAD: dict[Fault, dict[str, object]] = {
-    Fault.BUS_SILENT: {"bus_age_ns": 16 * MS},
-    Fault.DRIVE_STALE: {"drive_age_ns": 16 * MS},
-    Fault.CELL_STALE: {"cell_age_ns": 16 * MS},
-    Fault.INCLINATION_STALE: {"inclination_age_ns": 101 * MS},
-    Fault.DRIVE_FAULT: {"drive_faulted": True},
-    Fault.DRIVE_NOT_FOLLOWING: {"drive_enabled": False},
-    Fault.CELL_INVALID: {"cell_quality": 4},
-    Fault.INCLINATION_INVALID: {"inclination_quality": 2},
-    Fault.TENSION_HIGH: {"tension_n": 400.1},
-    Fault.TENSION_LOW: {"tension_n": 19.9},
-    Fault.STROKE_END: {"stroke_limited": True},
-    Fault.OVERRUN: {"skipped_in_window": 50},
+BAD: dict[tuple[Fault, str], dict[str, object]] = {
+    (Fault.BUS_SILENT, "ns"): {"bus_age_ns": 16 * MS},
+    (Fault.DRIVE_STALE, "ns"): {"drive_age_ns": 16 * MS},
+    (Fault.CELL_STALE, "ns"): {"cell_age_ns": 16 * MS},
+    (Fault.INCLINATION_STALE, "ns"): {"inclination_age_ns": 101 * MS},
+    (Fault.DRIVE_FAULT, ""): {"drive_faulted": True},
+    (Fault.DRIVE_NOT_FOLLOWING, ""): {"drive_enabled": False},
+    (Fault.DRIVE_NOT_FOLLOWING, "mm/s"): {"speed_error_mm_s": 2.1},
+    (Fault.CELL_INVALID, ""): {"cell_quality": 4},
+    (Fault.INCLINATION_INVALID, ""): {"inclination_quality": 2},
+    (Fault.TENSION_HIGH, "N"): {"tension_n": 400.1},
+    (Fault.TENSION_LOW, "N"): {"tension_n": 19.9},
+    (Fault.TENSION_LOW, ""): {"rope_lost": True},
+    (Fault.STROKE_END, ""): {"stroke_limited": True},
+    (Fault.DEVICE_RESTARTED, ""): {"device_restarted": True},
+    (Fault.OVERRUN, "ticks"): {"skipped_in_window": 50},
 }
 
 
+def bad_for(row: Row) -> Sight:
+    return replace(GOOD, **BAD[row.fault, row.unit])  # type: ignore[arg-type]
+
+
 def test_the_table_covers_every_fault_a_tick_can_see() -> None:
-    assert {row.fault for row in ROWS} == set(BAD) == set(Fault) - {Fault.NONE, Fault.LOOP_EXCEPTION}
+    assert {(row.fault, row.unit) for row in ROWS} == set(BAD)
+    assert {fault for fault, _ in BAD} == set(Fault) - {Fault.NONE, Fault.LOOP_EXCEPTION}
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -55,7 +63,7 @@ def test_a_good_rig_never_trips(mode: Mode) -> None:
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.fault.name)
 @pytest.mark.parametrize("mode", Mode)
 def test_a_row_trips_in_its_modes_after_its_persistence(row: Row, mode: Mode) -> None:
-    sight = replace(GOOD, **BAD[row.fault])  # type: ignore[arg-type]
+    sight = bad_for(row)
     watch = Watch(SETTINGS)
     if mode not in row.modes:
         assert all(watch.trips(sight, mode, t * MS) is None for t in range(500))
@@ -70,8 +78,8 @@ def test_a_row_trips_in_its_modes_after_its_persistence(row: Row, mode: Mode) ->
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.persistence_ns], ids=lambda row: row.fault.name)
 def test_a_row_that_recovers_starts_again(row: Row) -> None:
-    mode = min(row.modes & {Mode.COMPENSATING, Mode.TENSIONING})
-    sight = replace(GOOD, **BAD[row.fault])  # type: ignore[arg-type]
+    mode = min(row.modes)
+    sight = bad_for(row)
     watch = Watch(SETTINGS)
     assert watch.trips(sight, mode, 0) is None
     assert watch.trips(GOOD, mode, row.persistence_ns // 2) is None
