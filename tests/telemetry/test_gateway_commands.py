@@ -60,7 +60,8 @@ def test_preflight_refusal_lists_the_checks(refusing: Daemon) -> None:
         refused = client.command("arm", "kim")
     assert refused["reason"] == "preflight"
     assert refused["checks"] == ["no fresh tension sample", "stroke outside its limits"]
-    assert refused["text"] == "ARM refused: no fresh tension sample; stroke outside its limits"
+    hint = "a device that was switched off needs the daemon started anew"
+    assert refused["text"] == f"ARM refused: no fresh tension sample; stroke outside its limits ({hint})"
 
 
 def test_two_at_once(own: Daemon) -> None:
