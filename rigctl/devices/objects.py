@@ -140,12 +140,10 @@ class EmcyCode(IntEnum):
     """CiA 301 emergency error codes the rig's devices send."""
 
     NO_ERROR = 0x0000
-    GENERIC = 0x1000
     COMMUNICATION = 0x8100
     HEARTBEAT_LOST = 0x8130
     RPDO_TIMEOUT = 0x8250
     SENSOR_INVALID = 0x5010
-    FOLLOWING_ERROR = 0x8611
 
 
 # -- simulator node: not a device of the rig --------------------------------------------------------------------

@@ -51,11 +51,11 @@ def test_error_is_given_only_while_compensating() -> None:
 
 
 def test_every_field_of_the_record_is_there_by_its_name() -> None:
-    found = state(record(tangential_rad=math.pi / 2, normal_rad=math.nan, flags=Flag.ARMING | Flag.REALTIME))
+    found = state(record(tangential_rad=math.pi / 2, normal_rad=math.nan, flags=Flag.ARMING | Flag.DRIVE_ENABLED))
     assert {field.name for field in RECORD.fields} <= found.keys()
     assert found["tangential_deg"] == pytest.approx(90.0)
     assert found["normal_deg"] is None
-    assert found["flag_names"] == ["arming", "realtime"]
+    assert found["flag_names"] == ["arming", "drive_enabled"]
     assert found["wall_ns"] == WALL - 1_000_000
 
 
