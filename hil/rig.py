@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from hil.motion import OutAndBack
 from hil.nodes.cylinder_drive import CylinderDrive
 from hil.nodes.inclinometer import Inclinometer
 from hil.nodes.network import RigNetwork
@@ -14,12 +13,16 @@ from hil.nodes.plain_sensors import PlainInclinometer, PlainTensionCell
 from hil.nodes.simulator import Simulator
 from hil.nodes.tension_amplifier import TensionAmplifier
 from hil.plant import Plant
+from hil.plant.layout import MECHANISM
+from hil.plant.moves import out_and_back
 from hil.truth import Truth, TruthLog
-from rigctl.config import RigSettings, SimulationSettings
+from rigctl.config import RigSettings
+from rigctl.config_simulation import SimulationSettings
 from rigctl.devices import objects
 
 GRID_NS = 1_000_000
-"""Drive ramps, brake, inclinometer, plain frames and truth log go on this grid, however ``advance`` is called."""
+"""Drive ramps, brake, encoder, filters, inclinometer, plain frames and truth log go on this grid, however often
+``advance`` is called."""
 
 
 class SimulatedRig:
@@ -58,10 +61,10 @@ class SimulatedRig:
         self._network = network = RigNetwork(send)
         self.cell, self.inclinometer = self._sensors(settings, simulation)
         self.drive = CylinderDrive(network, settings, simulation, self.plant)
-        devices = tuple(x for x in (self.cell, self.drive, self.inclinometer) if isinstance(x, Node))
+        self._devices = (self.cell, self.drive, self.inclinometer)
         eds = settings.file(settings.cylinder.eds).with_name("simulator.eds")
         self.simulator = Simulator(network, eds, self.plant, self.start_motion)
-        self.nodes = (*devices, self.simulator)
+        self.nodes = (*(device for device in self._devices if isinstance(device, Node)), self.simulator)
         self.receive = network.receive
         network.subscribe(objects.SYNC_COB, self._on_sync)
         for node in self.nodes:
@@ -78,10 +81,8 @@ class SimulatedRig:
         while self._grid_ns + GRID_NS <= t_ns:
             self._grid_ns += GRID_NS
             plant.advance(self._grid_ns)
-            self.drive.advance(self._grid_ns)
-            self.inclinometer.advance(self._grid_ns)
-            if isinstance(self.cell, PlainTensionCell):
-                self.cell.advance(self._grid_ns)
+            for device in self._devices:
+                device.advance(device.clock.local_ns(self._grid_ns))
             if self._truth_log is not None:
                 self._truth_log.append(plant.truth)
         plant.advance(t_ns)
@@ -93,14 +94,14 @@ class SimulatedRig:
         if self._longest_silence_ns is not None:
             elapsed_ns = min(elapsed_ns, self._longest_silence_ns)
         for node in self.nodes:
-            node.supervise(t_ns, elapsed_ns)
+            node.supervise(node.clock.local_ns(t_ns), node.clock.span_ns(elapsed_ns))
 
     def start_motion(self) -> bool:
         """Start the move of the ``demo`` section; False while one is under way or without that section."""
         if self._demo is None or self.plant.moving:
             return False
         angles = (self._demo.angle_deg, self._demo.speed_deg_s, self._demo.acceleration_deg_s2)
-        self.plant.start_motion(OutAndBack(*map(math.radians, angles)), self.plant.t_ns)
+        self.plant.start_motion({MECHANISM: out_and_back(*map(math.radians, angles))}, self.plant.t_ns)
         return True
 
     def _sensors(
@@ -116,9 +117,9 @@ class SimulatedRig:
             cell = TensionAmplifier(network, settings, simulation, plant)
         if "inclinometer" in plain:
             message = plain["inclinometer"]
-            slope = PlainInclinometer(network.send_frame, message, settings, simulation, plant, GRID_NS)
+            slope = PlainInclinometer(network.send_frame, message, settings, simulation, plant)
         else:
-            slope = Inclinometer(network, settings, simulation, plant, GRID_NS)
+            slope = Inclinometer(network, settings, simulation, plant)
         return cell, slope
 
     def _on_sync(self, _: int, __: bytes, ___: float) -> None:

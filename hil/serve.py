@@ -6,6 +6,8 @@ import gc
 import os
 import pathlib
 import signal
+import sys
+import threading
 from collections.abc import Callable
 from time import monotonic_ns
 from typing import Protocol
@@ -29,6 +31,9 @@ LONGEST_SILENCE_NS = 5_000_000
 
 
 PRIORITY_BELOW_LOOP = 10
+
+COMPILING_S = 1.0
+"""Making the rig takes longer than this only when its plant has to be compiled first."""
 
 
 class ServeError(Exception):
@@ -151,7 +156,13 @@ def serve(file: pathlib.Path, truth: pathlib.Path | None, announce: Callable[[st
         raise ServeError(str(error), 2) from None
     if settings.simulation is None:
         raise ServeError(f"{file}: simulation: found nothing, allowed a section (it says what rig to simulate)", 2)
-    service = Service(settings, truth)
+    slow = threading.Timer(COMPILING_S, sys.stderr.write, ["hil: compiling the plant (once)\n"])
+    slow.start()
+    try:
+        service = Service(settings, truth)
+    finally:
+        slow.cancel()
+        slow.join()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: service.stop())
     try:

@@ -22,10 +22,12 @@ class Truth(NamedTuple):
     speed_mm_s: float
     mechanism_rad: float
     rail_rad: float
+    pulley_mm: float
+    height_mm: float
     moving: bool
 
 
-_RECORD = struct.Struct("<q8d?")
+_RECORD = struct.Struct("<q10d?")
 _FLUSH_RECORDS = 1000
 
 TRUTH_DTYPE = np.dtype([("t_ns", "<i8"), *((name, "<f8") for name in Truth._fields[1:-1]), ("moving", "?")])

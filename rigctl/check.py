@@ -7,8 +7,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from rigctl import config, config_wording
+from rigctl import config_wording
 from rigctl.config import RigSettings
+from rigctl.config_base import Settings
 from rigctl.devices import busload
 
 _OF_CANOPEN = ("node", "eds")  # keys without a meaning for a device with plain frames
@@ -53,7 +54,7 @@ def show(settings: RigSettings, console: Console) -> None:
         value = getattr(settings, section)
         if section == "plain":
             continue
-        if isinstance(value, config.Settings):
+        if isinstance(value, Settings):
             _add_section(rig, section, value)
         elif value is None:
             rig.add_row(f"[bold]{section}[/]", "not in the file")
@@ -71,14 +72,14 @@ def show(settings: RigSettings, console: Console) -> None:
     console.print(verdict(settings), highlight=False)
 
 
-def _add_section(table: Table, section: str, settings: config.Settings) -> None:
+def _add_section(table: Table, section: str, settings: Settings) -> None:
     table.add_row(f"[bold]{section}[/]")
     unused = _OF_CANOPEN if getattr(settings, "dbc", None) else ()
     for key, info in type(settings).model_fields.items():
         if key in unused:
             continue
         found = getattr(settings, key)
-        if isinstance(found, config.Settings):
+        if isinstance(found, Settings):
             _add_section(table, f"  {section}.{key}", found)
             continue
         text = "-" if found is None else f"{found:g}" if isinstance(found, float) else str(found)

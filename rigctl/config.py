@@ -9,10 +9,11 @@ from __future__ import annotations
 import pathlib
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field, ValidationError, model_validator
 
 from rigctl import strict_yaml
+from rigctl.config_base import Settings, require
+from rigctl.config_simulation import SimulationSettings
 from rigctl.config_wording import Wording
 from rigctl.devices.objects import SIMULATOR_NODE
 from rigctl.devices.plain import PlainMessage
@@ -29,18 +30,6 @@ class ConfigError(ValueError):
         self.findings = findings
 
 
-def _require(agree: bool, key: str, found: object, allowed: str) -> None:
-    """Refuse values that are fine alone but not together; ``key`` is dotted, relative to the section."""
-    if not agree:
-        raise PydanticCustomError("disagree", "{allowed}", {"key": key, "found": found, "allowed": allowed})
-
-
-class Settings(BaseModel):
-    """Base of every section: unknown keys, wrong types and non-finite numbers are refused; values never change."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
 class LoopSettings(Settings):
     """The fixed-rate loop and what it asks of the operating system (each of these optional: 0, null or false)."""
 
@@ -53,7 +42,7 @@ class LoopSettings(Settings):
     @model_validator(mode="after")
     def _whole_period(self) -> LoopSettings:
         whole = 1_000_000_000 % self.rate_hz == 0
-        _require(whole, "rate_hz", self.rate_hz, "a rate whose period is a whole number of nanoseconds")
+        require(whole, "rate_hz", self.rate_hz, "a rate whose period is a whole number of nanoseconds")
         return self
 
     @property
@@ -76,7 +65,7 @@ class CanSettings(Settings):
     @model_validator(mode="after")
     def _bit_rate_is_known(self) -> CanSettings:
         known = self.bitrate_bit_s is not None or self.interface == "rigsim"
-        _require(known, "bitrate_bit_s", None, "a bit rate (null is for interface rigsim only)")
+        require(known, "bitrate_bit_s", None, "a bit rate (null is for interface rigsim only)")
         return self
 
 
@@ -138,25 +127,27 @@ class CylinderSettings(Settings):
     @model_validator(mode="after")
     def _stroke_has_length(self) -> CylinderSettings:
         low, high = self.stroke_min_mm, self.stroke_max_mm
-        _require(low < high, "stroke_min_mm", low, f"below stroke_max_mm ({high:g})")
+        require(low < high, "stroke_min_mm", low, f"below stroke_max_mm ({high:g})")
         return self
 
 
 class PlantSettings(Settings):
     """The plant the estimator and the design believe in."""
 
-    spring_n_mm: float = Field(gt=0, le=10_000, description="series spring")
+    spring_n_mm: float | None = Field(gt=0, le=10_000, description="series spring, null = none")
     rope_n_mm: float = Field(gt=0, le=100_000, description="rope, axial")
     cylinder_lag_s: float = Field(gt=0, le=1, description="first-order lag of the cylinder's speed")
     command_delay_s: float = Field(ge=0, le=0.1, description="transport delay of the drive")
-    rope_length_mm: float = Field(gt=0, le=20_000, description="between the two lifting points")
-    radius_mm: float = Field(gt=0, le=20_000, description="mechanism's radius")
-    payload_kg: float = Field(gt=0, le=1000, description="suspended mass")
+    rope_length_mm: float = Field(ge=100, le=20_000, description="between the two lifting points")
+    radius_mm: float = Field(ge=100, le=20_000, description="mechanism's radius")
+    payload_kg: float = Field(ge=0.1, le=1000, description="suspended mass")
     mechanism_n_mm: float | None = Field(default=None, gt=0, le=1e6, description="vertical stiffness, null = rigid")
 
     @property
     def stiffness_n_mm(self) -> float:
-        """Spring and rope in series, equation (17)."""
+        """Spring and rope in series, equation (17); the rope alone without a spring."""
+        if self.spring_n_mm is None:
+            return self.rope_n_mm
         return 1.0 / (1.0 / self.spring_n_mm + 1.0 / self.rope_n_mm)
 
 
@@ -174,8 +165,8 @@ class TensionSettings(Settings):
     @model_validator(mode="after")
     def _target_within_bounds(self) -> TensionSettings:
         low, high = self.target_min_n, self.target_max_n
-        _require(low <= high, "target_min_n", low, f"at most target_max_n ({high:g})")
-        _require(
+        require(low <= high, "target_min_n", low, f"at most target_max_n ({high:g})")
+        require(
             low <= self.target_n <= high, "target_n", self.target_n, f"{low:g} to {high:g} (target_min_n to _max_n)"
         )
         return self
@@ -237,26 +228,6 @@ class DemoSettings(Settings):
     samples_lost_max: int = Field(default=0, ge=0, le=1_000_000, description="fast samples lost to the subscriber")
 
 
-class SimulationSettings(Settings):
-    """The simulated rig where it is not what `plant` says. Read by `python -m hil` only."""
-
-    seed: int = Field(ge=0, le=2**31, description="of every noise source")
-    step_us: int = Field(default=500, ge=50, le=1000, description="integration step")
-    friction_static: float = Field(ge=0, le=1, description="of the rotating pair, Table 1")
-    friction_dynamic: float = Field(ge=0, le=1, description="of the rotating pair, Table 1")
-    stribeck_mm_s: float = Field(gt=0, le=1000, description="speed of the transition from static to dynamic")
-    viscous_n_s_m: float = Field(ge=0, le=10_000, description="damping at the lifting point")
-    rail_mass_kg: float = Field(gt=0, le=1000, description="rail and pulley, effective at the lifting point")
-    damping_n_s_mm: float = Field(ge=0, le=100, description="spring and rope, axial")
-    slack_mm: float = Field(ge=0, le=500, description="rope left slack at stroke 0")
-    brake_ms: int = Field(ge=0, le=2000, description="time the brake takes to open or close")
-    drive_acceleration_mm_s2: float = Field(gt=0, le=50_000, description="acceleration limit of the drive")
-    cell_quantum_n: float = Field(gt=0, le=10, description="resolution of the tension amplifier")
-    inclinometer_filter_hz: float = Field(gt=0, le=1000, description="low-pass of the inclinometer")
-    inclinometer_quantum_deg: float = Field(gt=0, le=1, description="resolution of the inclinometer")
-    inclinometer_noise_deg: float = Field(ge=0, le=1, description="noise, rms, after the filter")
-
-
 class PlainMessages(Settings):
     """What the DBC files say, as read when the rig file was loaded."""
 
@@ -288,23 +259,23 @@ class RigSettings(Settings):
     def _parts_agree(self) -> RigSettings:
         seen = {self.can.controller_node: "can.controller_node", SIMULATOR_NODE: "the simulator"}
         for name, node in self.canopen_nodes.items():
-            _require(node not in seen, f"{name}.node", node, f"a node id of its own ({seen.get(node)} has it)")
+            require(node not in seen, f"{name}.node", node, f"a node id of its own ({seen.get(node)} has it)")
             seen[node] = name
         rate, slope_rate = self.loop.rate_hz, self.inclinometer.rate_hz
         fits = rate % slope_rate == 0 and rate // slope_rate <= 240
-        _require(fits, "inclinometer.rate_hz", slope_rate, f"loop.rate_hz ({rate}) divided by 1 to 240")
+        require(fits, "inclinometer.rate_hz", slope_rate, f"loop.rate_hz ({rate}) divided by 1 to 240")
         limit = 2 * self.can.heartbeat_ms
         wait = self.cylinder.heartbeat_timeout_ms
-        _require(wait >= limit, "cylinder.heartbeat_timeout_ms", wait, f"at least twice can.heartbeat_ms ({limit})")
+        require(wait >= limit, "cylinder.heartbeat_timeout_ms", wait, f"at least twice can.heartbeat_ms ({limit})")
         target, trip = self.tension.target_max_n, self.safety.tension_high_n
-        _require(target < trip, "tension.target_max_n", target, f"below safety.tension_high_n ({trip:g})")
+        require(target < trip, "tension.target_max_n", target, f"below safety.tension_high_n ({trip:g})")
         scale = self.tension_cell.range_n
-        _require(trip <= scale, "safety.tension_high_n", trip, f"within tension_cell.range_n ({scale:g})")
+        require(trip <= scale, "safety.tension_high_n", trip, f"within tension_cell.range_n ({scale:g})")
         target, trip = self.tension.target_min_n, self.safety.tension_low_n
-        _require(target > trip, "tension.target_min_n", target, f"above safety.tension_low_n ({trip:g})")
+        require(target > trip, "tension.target_min_n", target, f"above safety.tension_low_n ({trip:g})")
         period_ms = 1000 / rate
         stale = min(self.safety.stale_ms, self.safety.bus_silent_ms)
-        _require(stale >= 2 * period_ms, "safety.stale_ms", stale, f"two loop periods ({2 * period_ms:g} ms) or more")
+        require(stale >= 2 * period_ms, "safety.stale_ms", stale, f"two loop periods ({2 * period_ms:g} ms) or more")
         return self
 
     @property

@@ -5,12 +5,14 @@ from __future__ import annotations
 from hil.nodes.deadline import Deadline
 from hil.nodes.device_control import QUICK_STOP_OPTIONS, DeviceControl
 from hil.nodes.dictionary import Abort, number, refuse
+from hil.nodes.encoder import Encoder
 from hil.nodes.network import RigNetwork
 from hil.nodes.node import COMMUNICATION_ERROR, Node
 from hil.nodes.pdo import ReceivePdo
 from hil.nodes.power_stage import PowerStage
 from hil.plant import Plant
-from rigctl.config import RigSettings, SimulationSettings
+from rigctl.config import RigSettings
+from rigctl.config_simulation import SimulationSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import DriveState, EmcyCode, NmtState
 
@@ -33,8 +35,10 @@ class CylinderDrive(Node):
         self, network: RigNetwork, settings: RigSettings, simulation: SimulationSettings, plant: Plant
     ) -> None:
         cylinder = settings.cylinder
-        super().__init__(network, cylinder.node, settings.file(cylinder.eds), plant, SERIAL)
-        stage = PowerStage(simulation.brake_ms * 1_000_000)
+        drive = simulation.drive
+        super().__init__(network, cylinder.node, settings.file(cylinder.eds), plant, SERIAL, drive.clock_ppm)
+        self._encoder = Encoder(plant, drive.encoder_mm)
+        stage = PowerStage(drive.brake_ms * 1_000_000)
         self.control = DeviceControl(stage, lambda index: number(self.device, index), self._clear_faults)
         self._heartbeat = Deadline()
         self._heartbeat_cob = 0
@@ -81,8 +85,9 @@ class CylinderDrive(Node):
         super().on_sync()
 
     def advance(self, t_ns: int) -> None:
-        """Let ramps and the brake go on to ``t_ns``."""
-        self.control.advance(t_ns, self.plant.truth.speed_mm_s)
+        """Measure the speed; let ramps and the brake go on to ``t_ns``."""
+        self._encoder.advance()
+        self.control.advance(t_ns, self._encoder.speed_mm_s)
         self._drive()
 
     def _drive(self) -> None:
@@ -100,7 +105,7 @@ class CylinderDrive(Node):
             rpdo.apply(data)
 
     def _obey(self, controlword: int) -> None:
-        self.control.obey(controlword, self.plant.t_ns, may_enable=self.nmt_state is NmtState.OPERATIONAL)
+        self.control.obey(controlword, self.now_ns, may_enable=self.nmt_state is NmtState.OPERATIONAL)
 
     def _set_target(self, velocity_um_s: int) -> None:
         self._target = velocity_um_s
@@ -135,7 +140,7 @@ class CylinderDrive(Node):
         self._mode = number(self.device, objects.MODE_OF_OPERATION)
         self._target = 0
         self._error_code = 0
-        self.control.restart(self.plant.t_ns)
+        self.control.restart(self.now_ns)
 
     def on_communication_reset(self) -> None:
         """Heartbeat consumer and RPDO deadline at their defaults: off."""
@@ -169,7 +174,7 @@ class CylinderDrive(Node):
     def _lose_connection(self, code: EmcyCode) -> None:
         self._error_code = code
         self.raise_error(code, COMMUNICATION_ERROR)
-        self.control.lose_connection(number(self.device, objects.ABORT_CONNECTION_OPTION), self.plant.t_ns)
+        self.control.lose_connection(number(self.device, objects.ABORT_CONNECTION_OPTION), self.now_ns)
 
     def _clear_faults(self) -> bool:
         """Drop the errors if no cause is left; whether it is so."""
@@ -191,13 +196,13 @@ class CylinderDrive(Node):
         return status
 
     def _position(self) -> int:
-        return round(self.plant.truth.stroke_mm / objects.MM_PER_POSITION_UNIT)
+        return round(self._encoder.position_mm / objects.MM_PER_POSITION_UNIT)
 
     def _velocity(self) -> int:
-        return round(self.plant.truth.speed_mm_s / objects.MM_S_PER_VELOCITY_UNIT)
+        return round(self._encoder.speed_mm_s / objects.MM_S_PER_VELOCITY_UNIT)
 
     def _velocity_16(self) -> int:
-        units = round(self.plant.truth.speed_mm_s / objects.MM_S_PER_VELOCITY_16_UNIT)
+        units = round(self._encoder.speed_mm_s / objects.MM_S_PER_VELOCITY_16_UNIT)
         return min(max(units, -_INT16_MAX), _INT16_MAX)
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from hil.nodes.dictionary import Abort, number, refuse
-from hil.nodes.measurement import InclinationMeasurement
+from hil.nodes.inclination_measurement import InclinationMeasurement
 from hil.nodes.network import RigNetwork
 from hil.nodes.node import Node
 from hil.plant import Plant
-from rigctl.config import RigSettings, SimulationSettings
+from rigctl.config import RigSettings
+from rigctl.config_simulation import SimulationSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import EmcyCode
 
@@ -17,22 +18,15 @@ _SENSOR_ERROR = 0x81  # error register: device specific, generic
 
 
 class Inclinometer(Node):
-    """Slope long (0x6010) is the tangential angle, slope lateral (0x6020) the normal one.
-
-    ``advance`` must be called once per ``filter_step_ns``.
-    """
+    """Slope long (0x6010) is the tangential angle, slope lateral (0x6020) the normal one."""
 
     def __init__(
-        self,
-        network: RigNetwork,
-        settings: RigSettings,
-        simulation: SimulationSettings,
-        plant: Plant,
-        filter_step_ns: int,
+        self, network: RigNetwork, settings: RigSettings, simulation: SimulationSettings, plant: Plant
     ) -> None:
         sensor = settings.inclinometer
-        super().__init__(network, sensor.node, settings.file(sensor.eds), plant, SERIAL)
-        self._measurement = InclinationMeasurement(settings, simulation, plant, filter_step_ns)
+        clock_ppm = simulation.inclinometer.clock_ppm
+        super().__init__(network, sensor.node, settings.file(sensor.eds), plant, SERIAL, clock_ppm)
+        self._measurement = InclinationMeasurement(settings, simulation, plant)
         self._resolution_mdeg = objects.SLOPE_RESOLUTION_MDEG
         self.readers[objects.SLOPE_LONG, 0] = lambda: self._slope(0)
         self.readers[objects.SLOPE_LATERAL, 0] = lambda: self._slope(1)
@@ -43,7 +37,7 @@ class Inclinometer(Node):
         self._resolution_mdeg = number(self.device, objects.SLOPE_RESOLUTION)
 
     def advance(self, t_ns: int) -> None:
-        """Filter one step; on the sensor's own clock, measure."""
+        """Filter; when it is time, measure."""
         if not self._measurement.advance(t_ns):
             return
         if self._measurement.angles_deg is None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import canopen
 
+from hil.nodes.clock import DeviceClock
 from hil.nodes.dictionary import STRUCT_CODES, Abort, check_range, number, refuse
 from hil.nodes.network import RigNetwork
 from hil.nodes.pdo import Address, TransmitPdo, check_cob_id_write, check_mapping_write
@@ -46,8 +47,9 @@ class _Device(canopen.LocalNode):  # type: ignore[misc]
 class Node:
     """A device on the bus.
 
-    Time is the plant's: the rig advances it before any frame or request is handed over. A subclass registers its live
-    objects in ``readers`` and ``writers`` and overrides the ``on_...`` methods.
+    The rig advances the plant before any frame or request is handed over. Every time a device is given or keeps is its
+    own ``clock``'s. A subclass registers its live objects in ``readers`` and ``writers`` and overrides the ``on_...``
+    methods.
 
     Args:
         network: the wire.
@@ -55,11 +57,21 @@ class Node:
         eds: electronic data sheet.
         plant: what the device measures or drives.
         serial: serial number in the identity object.
+        clock_ppm: what its clock gains on the rig's.
     """
 
-    def __init__(self, network: RigNetwork, node_id: int, eds: pathlib.Path, plant: Plant, serial: int) -> None:
+    def __init__(
+        self,
+        network: RigNetwork,
+        node_id: int,
+        eds: pathlib.Path,
+        plant: Plant,
+        serial: int,
+        clock_ppm: float = 0.0,
+    ) -> None:
         self.id = node_id
         self.plant = plant
+        self.clock = DeviceClock(plant.t_ns, clock_ppm)
         self.network = network
         self.nmt_state = NmtState.BOOT_UP
         self.device = _Device(node_id, str(eds), self._on_stored)
@@ -94,6 +106,11 @@ class Node:
         self.device.sdo._index = self.device.sdo._subindex = 0
         self.device.add_read_callback(self._on_read)
         self.device.add_write_callback(self._on_write)
+
+    @property
+    def now_ns(self) -> int:
+        """The time on the device's clock."""
+        return self.clock.local_ns(self.plant.t_ns)
 
     # -- what a device does ------------------------------------------------------------------------------------
 
@@ -154,7 +171,7 @@ class Node:
 
     def _set_heartbeat(self, period_ms: int) -> None:
         self._heartbeat_ns = period_ms * 1_000_000
-        self._heartbeat_due_ns = self.plant.t_ns + self._heartbeat_ns
+        self._heartbeat_due_ns = self.now_ns + self._heartbeat_ns
 
     # -- SYNC and PDO ------------------------------------------------------------------------------------------
 

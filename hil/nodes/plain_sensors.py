@@ -6,15 +6,18 @@ import abc
 import math
 from collections.abc import Callable
 
-from hil.nodes.measurement import InclinationMeasurement, TensionMeasurement
+from hil.nodes.clock import DeviceClock
+from hil.nodes.inclination_measurement import InclinationMeasurement
+from hil.nodes.tension_measurement import TensionMeasurement
 from hil.plant import Plant
 from hil.wire import FRAME
-from rigctl.config import RigSettings, SimulationSettings
+from rigctl.config import RigSettings
+from rigctl.config_simulation import SimulationSettings
 from rigctl.devices.plain import PlainMessage
 
 
 class PlainSensor(abc.ABC):
-    """A message at its cycle time. ``advance`` goes once per step of the rig's grid.
+    """A message at its cycle time, on the sensor's own ``clock``. ``advance`` goes once per step of the rig's grid.
 
     ``connected`` False is a pulled plug; ``able`` False makes the sensor say that it cannot measure, if its message has
     a signal for that.
@@ -24,11 +27,18 @@ class PlainSensor(abc.ABC):
         message: as the DBC file has it.
         settings: for the loop's rate, at which a message without cycle time is sent.
         plant: what is measured.
+        clock_ppm: what its clock gains on the rig's.
     """
 
     def __init__(
-        self, send: Callable[[bytes], None], message: PlainMessage, settings: RigSettings, plant: Plant
+        self,
+        send: Callable[[bytes], None],
+        message: PlainMessage,
+        settings: RigSettings,
+        plant: Plant,
+        clock_ppm: float,
     ) -> None:
+        self.clock = DeviceClock(plant.t_ns, clock_ppm)
         self.connected = True
         self.able = True
         self._send = send
@@ -41,16 +51,15 @@ class PlainSensor(abc.ABC):
         """What the next frame says, by meaning (N, rad, and ``valid``)."""
 
     def advance(self, t_ns: int) -> None:
-        """Measure and send, when it is time; cycles shorter than a step become one frame a step."""
-        if t_ns < self._due_ns:
-            return
-        self._due_ns += (1 + (t_ns - self._due_ns) // self._cycle_ns) * self._cycle_ns
-        values = self.values()
-        if not self.able:
-            values["valid"] = 0.0
-        if self.connected:
-            message = self._message
-            self._send(FRAME.pack(message.can_id, message.size, message.payload(values)))
+        """Measure and send, as often as it was time since the last step."""
+        while self._due_ns <= t_ns:
+            self._due_ns += self._cycle_ns
+            values = self.values()
+            if not self.able:
+                values["valid"] = 0.0
+            if self.connected:
+                message = self._message
+                self._send(FRAME.pack(message.can_id, message.size, message.payload(values)))
 
 
 class PlainTensionCell(PlainSensor):
@@ -64,8 +73,13 @@ class PlainTensionCell(PlainSensor):
         simulation: SimulationSettings,
         plant: Plant,
     ) -> None:
-        super().__init__(send, message, settings, plant)
+        super().__init__(send, message, settings, plant, simulation.cell.clock_ppm)
         self._measurement = TensionMeasurement(settings, simulation, plant)
+
+    def advance(self, t_ns: int) -> None:
+        """Follow the tension, then as every sensor."""
+        self._measurement.advance()
+        super().advance(t_ns)
 
     def values(self) -> dict[str, float]:
         """A new sample."""
@@ -83,13 +97,12 @@ class PlainInclinometer(PlainSensor):
         settings: RigSettings,
         simulation: SimulationSettings,
         plant: Plant,
-        filter_step_ns: int,
     ) -> None:
-        super().__init__(send, message, settings, plant)
-        self._measurement = InclinationMeasurement(settings, simulation, plant, filter_step_ns)
+        super().__init__(send, message, settings, plant, simulation.inclinometer.clock_ppm)
+        self._measurement = InclinationMeasurement(settings, simulation, plant)
 
     def advance(self, t_ns: int) -> None:
-        """Filter one step, then as every sensor."""
+        """Filter, then as every sensor."""
         self._measurement.advance(t_ns)
         super().advance(t_ns)
 

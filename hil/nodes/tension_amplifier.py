@@ -1,12 +1,13 @@
-"""Tension amplifier, CiA 404: the rope's tension at its upper end, with noise, resolution and overload."""
+"""Tension amplifier, CiA 404: the rope's tension at its upper end, with all that cell and amplifier add."""
 
 from __future__ import annotations
 
-from hil.nodes.measurement import TensionMeasurement
 from hil.nodes.network import RigNetwork
 from hil.nodes.node import Node
+from hil.nodes.tension_measurement import TensionMeasurement
 from hil.plant import Plant
-from rigctl.config import RigSettings, SimulationSettings
+from rigctl.config import RigSettings
+from rigctl.config_simulation import SimulationSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import AiStatus
 
@@ -21,12 +22,16 @@ class TensionAmplifier(Node):
         self, network: RigNetwork, settings: RigSettings, simulation: SimulationSettings, plant: Plant
     ) -> None:
         cell = settings.tension_cell
-        super().__init__(network, cell.node, settings.file(cell.eds), plant, SERIAL)
+        super().__init__(network, cell.node, settings.file(cell.eds), plant, SERIAL, simulation.cell.clock_ppm)
         self._measurement = TensionMeasurement(settings, simulation, plant)
         self._value = 0
         self._status = _GOOD
         self.readers[objects.AI_PROCESS_VALUE, 1] = lambda: self._value
         self.readers[objects.AI_STATUS, 1] = lambda: self._status
+
+    def advance(self, _: int) -> None:
+        """Follow the tension; it is sampled by SYNC, not by the amplifier's clock."""
+        self._measurement.advance()
 
     def on_sample(self) -> None:
         """Measure, and express it in the object's unit."""

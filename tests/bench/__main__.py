@@ -19,7 +19,7 @@ from rigctl import config
 from rigctl.demo.lockstep import play_lockstep
 from rigctl.report.metrics import PERCENTILES
 from tests import daemons
-from tests.bench import cyclictest
+from tests.bench import cyclictest, plant
 from tests.bench.loop import BenchRig, figures
 
 ROUNDS = 3
@@ -71,6 +71,12 @@ def show(results: dict[str, Any], console: Console) -> None:
             table.add_row("", "cyclictest", *_numbers(other["lateness_us"]), f"{other['later_than_a_period']}")
             table.add_row("", "ratio of p99.9", "", "", f"{result['lateness_p999_ratio']:>6.2f}")
     console.print(table, highlight=False)
+    alone = results["plant"]
+    console.print(
+        f"plant alone, {plant.STEP_US} us steps: {alone['free_x']:.0f} x real time, "
+        f"{alone['truth_each_ms_x']:.0f} x with the truth read every ms",
+        highlight=False,
+    )
     console.print(f"lockstep: {results['lockstep_x']:.1f} x real time", highlight=False)
 
 
@@ -91,6 +97,7 @@ def main() -> int:
     with Progress(console=Console(stderr=True)) as progress:
         for rate in arguments.rates:
             results["rates"][str(rate)] = measure_rate(rate, arguments.seconds, progress)
+    results["plant"] = plant.measure()
     results["lockstep_x"] = round(measure_lockstep(), 2)
     show(results, console)
     if arguments.json:

@@ -107,7 +107,9 @@ def test_the_drive_moves_and_the_truth_follows(rig: Rig) -> None:
     until(lambda: drive_state(rig.network[DRIVE].sdo[objects.STATUSWORD].raw) is DriveState.SWITCH_ON_DISABLED)
     rig.sync()
     stroke_um = rig.network[DRIVE].sdo[objects.POSITION_ACTUAL].raw
-    assert stroke_um == truth[objects.SIM_TRUE_STROKE_UM].raw > 2000
+    true_um = truth[objects.SIM_TRUE_STROKE_UM].raw
+    assert stroke_um == pytest.approx(true_um, abs=4)  # the encoder is on the motor: it does not see the screw's ripple
+    assert true_um > 2000
     newton = objects.CELL_TPDO.codec.unpack(rig.payloads[CELL])[0] * objects.N_PER_CELL_UNIT
     assert newton == pytest.approx(truth[objects.SIM_TRUE_VERTICAL_MN].raw / 1000, abs=0.2)  # the noise, 6 sigma
 

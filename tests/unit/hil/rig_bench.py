@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pathlib
 import struct
-from typing import Any
+from typing import Any, cast
+
+from pydantic import BaseModel
 
 from hil.hub import Hub
 from hil.rig import SimulatedRig
@@ -15,15 +17,27 @@ from rigctl.devices import objects
 from rigctl.devices.objects import Controlword, DriveState, drive_state
 
 REPOSITORY = pathlib.Path(__file__).parents[3]
-SETTINGS = config.load(REPOSITORY / "config/paper_rig.yaml")
 MS = 1_000_000
+SAME_CLOCKS = {name: {"clock_ppm": 0.0} for name in ("drive", "cell", "inclinometer")}
+"""For ``simulation``: frames can be counted by the millisecond."""
 SIZES = {1: "<B", 2: "<H", 4: "<I"}
 
 
-def changed(settings: RigSettings = SETTINGS, /, **sections: dict[str, Any]) -> RigSettings:
-    """Settings with some values of some sections replaced."""
-    parts = {name: getattr(settings, name).model_copy(update=values) for name, values in sections.items()}
-    return settings.model_copy(update=parts)
+def changed(settings: RigSettings | None = None, /, **sections: dict[str, Any]) -> RigSettings:
+    """Settings with some values of some sections replaced; a dictionary for a section inside one is merged likewise."""
+    return cast(RigSettings, _merged(settings or SETTINGS, sections))
+
+
+def _merged(section: Any, values: dict[str, Any]) -> Any:
+    update = {}
+    for name, value in values.items():
+        before = getattr(section, name)  # a name that is no setting is the test's mistake
+        inner = isinstance(value, dict) and isinstance(before, BaseModel)
+        update[name] = _merged(before, value) if inner else value
+    return section.model_copy(update=update)
+
+
+SETTINGS = changed(config.load(REPOSITORY / "config/paper_rig.yaml"), simulation=SAME_CLOCKS)
 
 
 class RigBench:
@@ -113,4 +127,4 @@ class RigBench:
 
 
 assert SETTINGS.simulation is not None
-SETTINGS_BRAKE_MS = SETTINGS.simulation.brake_ms
+SETTINGS_BRAKE_MS = SETTINGS.simulation.drive.brake_ms

@@ -73,9 +73,9 @@ def test_it_follows_the_target_and_reports_micrometres(bench: RigBench) -> None:
     truth = bench.rig.truth
     assert truth.speed_mm_s == pytest.approx(10.0)
     assert velocity == 1000  # 10 um/s
-    assert position == pytest.approx(truth.stroke_mm * 1000, abs=10.5)  # one tick older, rounded
+    assert position == pytest.approx(truth.stroke_mm * 1000, abs=13.5)  # one tick older, rounded, 3 um of ripple
     assert status & 0x1237 == 0x1237  # following, remote, voltage, operation enabled
-    assert bench.read(DRIVE, objects.VELOCITY_ACTUAL) == pytest.approx(10_000, abs=1)
+    assert bench.read(DRIVE, objects.VELOCITY_ACTUAL) == pytest.approx(10_000, abs=5)  # an encoder step a millisecond
 
 
 def test_a_command_waits_for_its_sync(bench: RigBench) -> None:

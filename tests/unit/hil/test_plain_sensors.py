@@ -12,12 +12,16 @@ import pytest
 from rigctl import config
 from rigctl.config import RigSettings
 from rigctl.devices import objects
-from tests.unit.hil.rig_bench import REPOSITORY, RigBench, changed
+from tests.unit.hil.rig_bench import REPOSITORY, SAME_CLOCKS, RigBench, changed
 
-PLAIN = config.load(REPOSITORY / "config/plain_rig.yaml")
+PLAIN = changed(config.load(REPOSITORY / "config/plain_rig.yaml"), simulation=SAME_CLOCKS)
 DATABASE = cantools.database.load_file(str(REPOSITORY / "config/plain_sensors.dbc"))
 TENSION, INCLINATION = DATABASE.get_message_by_name("Tension"), DATABASE.get_message_by_name("Inclination")
-QUIET = {"inclinometer_noise_deg": 0.0, "friction_static": 1.0, "slack_mm": 0.0}
+QUIET = {
+    "inclinometer": {"noise_deg": 0.0},
+    "rail": {"friction_static": 1.0},
+    "rope": {"slack_mm": 0.0},
+}
 
 
 def sent(bench: RigBench, message: Any) -> list[dict[str, float]]:
@@ -68,7 +72,7 @@ def test_the_cell_measures_as_the_canopen_one_does() -> None:
 
 
 def test_beyond_its_range_the_cell_stays_there_and_is_not_valid() -> None:
-    bench = RigBench(changed(PLAIN, tension_cell={"range_n": 100.0}, simulation={"slack_mm": 0.0}))
+    bench = RigBench(changed(PLAIN, tension_cell={"range_n": 100.0}, simulation={"rope": {"slack_mm": 0.0}}))
     bench.enable()
     bench.drive(2500, 0x0F, 10.0)
     assert bench.rig.truth.tension_n > 101.0

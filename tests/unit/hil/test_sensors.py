@@ -32,7 +32,7 @@ def slopes(bench: RigBench) -> list[tuple[int, int]]:
 
 
 def test_the_cell_reads_the_tension_in_millinewton_with_its_noise() -> None:
-    bench = RigBench(changed(simulation={"slack_mm": 0.0}))
+    bench = RigBench(changed(simulation={"rope": {"slack_mm": 0.0}}))
     bench.enable()
     bench.drive(1000, 0x0F, 10.0)
     bench.drive(1000, 0x0F, 0.0)
@@ -47,7 +47,7 @@ def test_the_cell_reads_the_tension_in_millinewton_with_its_noise() -> None:
 
 
 def test_the_cell_has_its_resolution() -> None:
-    bench = RigBench(changed(simulation={"cell_quantum_n": 0.05}))
+    bench = RigBench(changed(simulation={"cell": {"quantum_n": 0.05}}))
     bench.nmt(START)
     values = {value for value, _ in cell_samples(bench, 200)}
     assert all(value % 50 == 0 for value in values)
@@ -55,11 +55,21 @@ def test_the_cell_has_its_resolution() -> None:
 
 
 def test_beyond_its_range_the_cell_saturates_and_says_so() -> None:
-    bench = RigBench(changed(tension_cell={"range_n": 100.0}, simulation={"slack_mm": 0.0}))
+    bench = RigBench(changed(tension_cell={"range_n": 100.0}, simulation={"rope": {"slack_mm": 0.0}}))
     bench.enable()
     bench.drive(2500, 0x0F, 10.0)
     assert bench.rig.truth.tension_n > 101.0
     assert set(cell_samples(bench, 10)) == {(100_000, AiStatus.POSITIVE_OVERLOAD)}
+
+
+def test_between_samples_too_the_amplifier_follows_the_tension() -> None:
+    """Loaded at once and sampled a second later, a 5 Hz filter has long settled; on a straight line it would trail."""
+    bench = RigBench(changed(simulation={"cell": {"filter_hz": 5.0, "creep_pct": 0.0}}))
+    bench.nmt(START)
+    bench.rig.plant.preload(300.0)
+    bench.wait(1000)
+    ((value, _),) = cell_samples(bench, 1)
+    assert value * objects.N_PER_CELL_UNIT == pytest.approx(300.0, abs=6 * SETTINGS.tension_cell.noise_n)
 
 
 def test_the_same_seed_measures_the_same_and_another_does_not() -> None:
@@ -75,7 +85,7 @@ def test_the_same_seed_measures_the_same_and_another_does_not() -> None:
 @pytest.mark.parametrize("rate_hz", [10, 100])
 def test_the_inclinometer_samples_at_its_own_rate(rate_hz: int) -> None:
     """Asked at every SYNC, its value changes at most at its own rate: 2 s of noise show each new sample."""
-    noisy = {"inclinometer_noise_deg": 1.0, "inclinometer_quantum_deg": 0.01}
+    noisy = {"inclinometer": {"noise_deg": 1.0, "quantum_deg": 0.01}}
     bench = RigBench(changed(inclinometer={"rate_hz": rate_hz}, simulation=noisy))
     bench.write(SLOPE, objects.TPDO1_COMMUNICATION, 2, 1, 1)
     bench.nmt(START)
@@ -88,7 +98,7 @@ def test_the_inclinometer_samples_at_its_own_rate(rate_hz: int) -> None:
 
 
 def test_a_slope_has_the_resolution_and_unit_that_its_object_says() -> None:
-    bench = RigBench(changed(simulation={"inclinometer_noise_deg": 0.5, "inclinometer_quantum_deg": 0.1}))
+    bench = RigBench(changed(simulation={"inclinometer": {"noise_deg": 0.5, "quantum_deg": 0.1}}))
     bench.nmt(START)
     bench.wait(50)
     assert bench.read(SLOPE, objects.SLOPE_RESOLUTION) == objects.SLOPE_RESOLUTION_MDEG
@@ -102,10 +112,10 @@ def test_the_filter_is_a_first_order_low_pass_on_the_tangential_angle() -> None:
     """With the rail stuck, the rope turns at a constant rate; a first-order low-pass trails by 1 / (2 pi f)."""
     filter_hz = 0.5
     quiet = {
-        "inclinometer_filter_hz": filter_hz,
-        "inclinometer_noise_deg": 0.0,
-        "friction_static": 1.0,
-        "slack_mm": 0.0,
+        "inclinometer": {"filter_hz": filter_hz, "noise_deg": 0.0},
+        "rail": {"friction_static": 1.0},
+        "pulley": {"offset_mm": 0.0},
+        "rope": {"slack_mm": 0.0},
     }
     bench = RigBench(changed(simulation=quiet))
     bench.enable()
@@ -118,12 +128,12 @@ def test_the_filter_is_a_first_order_low_pass_on_the_tangential_angle() -> None:
     expected = math.degrees(bench.rig.truth.tangential_rad) - rate_deg_s / (2 * math.pi * filter_hz)
     long, lateral = slopes(bench)[-1]
     assert long * 0.01 == pytest.approx(expected, abs=0.008)  # half a quantum, and the age of up to 10 ms
-    assert lateral == 2  # R (1 - cos 2.5 deg) / L = 0.023 deg, less 0.003 deg of trail
+    assert lateral == -2  # R (cos 2.5 deg - 1) / L = -0.023 deg, less 0.003 deg of trail
     assert rate_deg_s / (2 * math.pi * filter_hz) > 0.05
 
 
 def test_beyond_its_range_both_slopes_are_invalid_with_an_emergency() -> None:
-    bench = RigBench(changed(inclinometer={"range_deg": 0.5}, simulation={"friction_static": 1.0}))
+    bench = RigBench(changed(inclinometer={"range_deg": 0.5}, simulation={"rail": {"friction_static": 1.0}}))
     bench.nmt(START)
     assert bench.rig.start_motion()
     bench.wait(8000)

@@ -1,0 +1,21 @@
+"""A device's own clock: no two quartzes agree, and every timer of a device runs on its own."""
+
+from __future__ import annotations
+
+
+class DeviceClock:
+    """Reads as the rig's clock at ``start_ns`` and gains ``ppm`` parts per million on it from there."""
+
+    __slots__ = ("_ppb", "_start_ns")
+
+    def __init__(self, start_ns: int, ppm: float) -> None:
+        self._start_ns = start_ns
+        self._ppb = round(ppm * 1000.0)
+
+    def local_ns(self, t_ns: int) -> int:
+        """What it reads at the rig's ``t_ns``."""
+        return self._start_ns + self.span_ns(t_ns - self._start_ns)
+
+    def span_ns(self, elapsed_ns: int) -> int:
+        """What it takes ``elapsed_ns`` of the rig's time for."""
+        return elapsed_ns + elapsed_ns * self._ppb // 1_000_000_000

@@ -1,0 +1,129 @@
+"""The `simulation` section of a rig file: the rig as built, imperfections included. Read by `python -m hil` only."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from rigctl.config_base import Settings, require
+
+
+class FrictionSettings(Settings):
+    """One friction pair: proportional to the rope's load, with stiction, Stribeck transition and a viscous part."""
+
+    friction_static: float = Field(ge=0, le=1, description="coefficient at rest; break-away at atan of it")
+    friction_dynamic: float = Field(ge=0, le=1, description="coefficient when sliding")
+    stribeck_mm_s: float = Field(gt=0, le=1000, description="speed of the transition from static to dynamic")
+    viscous_n_s_m: float = Field(ge=0, le=10_000, description="damping, as seen at the pulley")
+
+    @model_validator(mode="after")
+    def _falls(self) -> FrictionSettings:
+        low, high = self.friction_dynamic, self.friction_static
+        require(low <= high, "friction_dynamic", low, f"at most friction_static ({high:g})")
+        return self
+
+
+class RailSettings(FrictionSettings):
+    """The guide rail on its vertical shaft, and how it was mounted."""
+
+    mass_kg: float = Field(ge=0.1, le=1000, description="moment of inertia about the shaft / radius squared")
+    eccentricity_normal_mm: float = Field(
+        default=0.0, ge=-100, le=100, description="shaft from the mechanism's axis, along its normal at angle 0"
+    )
+    eccentricity_tangential_mm: float = Field(
+        default=0.0, ge=-100, le=100, description="shaft from the mechanism's axis, along its tangent at angle 0"
+    )
+    slope_mm_m: float = Field(default=0.0, ge=-50, le=50, description="level along the rail, rising outwards")
+
+
+class PulleySettings(FrictionSettings):
+    """The pulley on the rail, with what hangs from it above the spring."""
+
+    mass_kg: float = Field(ge=0.05, le=100, description="pulley, cylinder and sensors")
+    offset_mm: float = Field(default=0.0, ge=-100, le=100, description="where it rests at first, outwards of plumb")
+
+
+class RopeSettings(Settings):
+    """Rope and spring where `plant` does not say."""
+
+    damping_n_s_mm: float = Field(ge=0, le=100, description="spring and rope, axial")
+    slack_mm: float = Field(ge=0, le=500, description="rope left slack at stroke 0")
+    mass_kg: float = Field(default=0.0, ge=0, le=10, description="rope")
+    elements: int = Field(default=1, ge=1, le=32, description="1 = straight rope, more = it vibrates across its length")
+    node_damping_n_s_m: float = Field(default=0.0, ge=0, le=100, description="damping of that vibration, per node")
+
+    @model_validator(mode="after")
+    def _nodes_have_mass(self) -> RopeSettings:
+        require(self.elements == 1 or self.mass_kg > 0, "elements", self.elements, "1 for a rope without mass_kg")
+        return self
+
+
+class MechanismSettings(Settings):
+    """How the mechanism carries the payload, per axis; null = rigid: the motion is prescribed, as in the paper."""
+
+    tangential_n_mm: float | None = Field(default=None, gt=0, le=1e6, description="stiffness, null = rigid")
+    normal_n_mm: float | None = Field(default=None, gt=0, le=1e6, description="stiffness, null = rigid")
+    vertical_n_mm: float | None = Field(default=None, gt=0, le=1e6, description="stiffness, null = rigid")
+    damping_ratio: float = Field(default=0.02, ge=0, le=2, description="of the payload on each of these")
+
+
+class DriveSettings(Settings):
+    """Cylinder and drive."""
+
+    brake_ms: int = Field(ge=0, le=2000, description="time the brake takes to open or close")
+    acceleration_mm_s2: float = Field(gt=0, le=50_000, description="acceleration limit")
+    speed_mm_s: float = Field(default=100.0, gt=0, le=1000, description="speed limit")
+    dead_band_mm_s: float = Field(default=0.0, ge=0, le=5, description="slower commands do not move it")
+    ripple_mm: float = Field(default=0.0, ge=0, le=1, description="stroke error of the screw, amplitude per turn")
+    screw_lead_mm: float = Field(default=5.0, gt=0, le=100, description="stroke per turn of the screw")
+    backlash_mm: float = Field(default=0.0, ge=0, le=5, description="play of the nut")
+    seating_load_n: float = Field(
+        default=20.0, ge=0, le=1e6, description="tension above which the load closes the play"
+    )
+    stop_margin_mm: float = Field(default=5.0, ge=0, le=100, description="mechanical stops beyond the commanded stroke")
+    encoder_mm: float = Field(default=0.0, ge=0, le=1, description="resolution of the encoder as stroke, 0 = perfect")
+    clock_ppm: float = Field(default=0.0, ge=-1000, le=1000, description="its clock against the controller's")
+
+
+class CellSettings(Settings):
+    """Tension cell and amplifier where `tension_cell` does not say."""
+
+    quantum_n: float = Field(gt=0, le=10, description="resolution")
+    filter_hz: float | None = Field(default=None, gt=0, le=10_000, description="low-pass, first order, null = none")
+    drift_n_h: float = Field(default=0.0, ge=-100, le=100, description="drift of zero per hour")
+    creep_pct: float = Field(default=0.0, ge=-1, le=1, description="of the load, reached after several creep_s")
+    creep_s: float = Field(default=600.0, gt=0, le=1e5, description="time constant of the creep")
+    clock_ppm: float = Field(default=0.0, ge=-1000, le=1000, description="its clock against the controller's")
+
+
+class SlopeSettings(Settings):
+    """Inclinometer where `inclinometer` does not say."""
+
+    kind: Literal["accelerometer", "gyro"] = Field(
+        default="gyro", description="accelerometer: reads the swing's acceleration too; gyro: compensated"
+    )
+    height_mm: float = Field(default=0.0, ge=0, le=20_000, description="distance below the pulley")
+    gyro_s: float = Field(default=2.0, gt=0, le=100, description="gyro: faster than this the rate gyro is believed")
+    filter_hz: float = Field(gt=0, le=1000, description="low-pass, first order")
+    quantum_deg: float = Field(gt=0, le=1, description="resolution")
+    noise_deg: float = Field(ge=0, le=1, description="noise, rms, after the filter")
+    clock_ppm: float = Field(default=0.0, ge=-1000, le=1000, description="its clock against the controller's")
+
+
+class SimulationSettings(Settings):
+    """The simulated rig where it is not what `plant` says."""
+
+    seed: int = Field(ge=0, le=2**31, description="of every noise source")
+    step_us: int = Field(default=100, ge=10, le=1000, description="integration step")
+    stiffness_scale: float = Field(default=1.0, gt=0.1, le=10, description="stiffness as built / as in `plant`")
+    lag_scale: float = Field(default=1.0, gt=0.1, le=10, description="cylinder lag as built / as in `plant`")
+    delay_scale: float = Field(default=1.0, ge=0, le=20, description="command delay as built / as in `plant`")
+    dead_load_n: float = Field(default=0.0, ge=0, le=10_000, description="load of both friction pairs beside the rope")
+    rail: RailSettings
+    pulley: PulleySettings
+    rope: RopeSettings
+    mechanism: MechanismSettings = Field(default_factory=MechanismSettings)
+    drive: DriveSettings
+    cell: CellSettings
+    inclinometer: SlopeSettings
