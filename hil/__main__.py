@@ -9,9 +9,13 @@ from typing import Annotated
 import typer
 from typer.exceptions import TyperException
 
+from hil.scenario.errors import ScenarioError
 from hil.serve import ServeError, serve
 
-app = typer.Typer(add_completion=False, help="The simulated rig.")
+_INTERRUPTED = 130
+"""What typer makes of Ctrl-C."""
+
+app = typer.Typer(add_completion=False, help="The simulated rig.", pretty_exceptions_enable=False)
 
 
 @app.callback()
@@ -28,21 +32,51 @@ def _serve(
     serve(file, truth, _announce)
 
 
+@app.command("scenario")
+def _scenario(
+    file: Annotated[pathlib.Path, typer.Argument(help="scenario file, see docs/scenario.md")],
+    json: Annotated[pathlib.Path | None, typer.Option(help="write the figures here, - to print them")] = None,
+    plot: Annotated[pathlib.Path | None, typer.Option(help="draw the run here: .png, .svg or .pdf")] = None,
+) -> None:
+    """Play the scenario of FILE through the real loop in simulated time, or with the cylinder locked."""
+    from hil.scenario.command import run
+
+    raise typer.Exit(run(file, json, plot))
+
+
+@app.command("paper")
+def _paper(
+    file: Annotated[pathlib.Path, typer.Argument(help="rig file")] = pathlib.Path("config/paper_rig.yaml"),
+    json: Annotated[pathlib.Path | None, typer.Option(help="write the rows here")] = None,
+    plots: Annotated[pathlib.Path | None, typer.Option(help="folder for a picture per figure")] = None,
+) -> None:
+    """Play the paper's study, locked and with the loop closed, and compare it with what the paper prints."""
+    from hil.paper.command import run
+
+    raise typer.Exit(run(file, json, plots))
+
+
 def _announce(text: str) -> None:
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
 
 def main() -> int:
-    """Run; every refusal is one line on stderr. Exit code 0 good, 1 no bus, 2 usage or input."""
+    """Run; every refusal is one line on stderr. Exit code 0 good, 1 the result is bad or no bus, 2 usage or input."""
     try:
-        return int(app(standalone_mode=False) or 0)
-    except ServeError as error:
+        code = int(app(standalone_mode=False) or 0)
+        if code == _INTERRUPTED:
+            raise KeyboardInterrupt
+        return code
+    except (ServeError, ScenarioError) as error:
         sys.stderr.write(f"{error}\n")
         return error.exit_code
     except TyperException as error:
         sys.stderr.write(f"hil: {error} (see python -m hil --help)\n")
         return 2
+    except (KeyboardInterrupt, typer.Abort):
+        sys.stderr.write("hil: interrupted\n")
+        return 1
 
 
 if __name__ == "__main__":

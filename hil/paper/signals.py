@@ -1,0 +1,60 @@
+"""What a run of the study leaves: the plant's truth as arrays, and the figures read off them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+PLATEAU_S = 10.0
+"""The continuous following stage is looked at from here to the end."""
+FALL_BACK = 0.05
+"""A maximum of more than half the whole rise counts as the first peak once this share of its rise is given back."""
+
+
+class Signals(NamedTuple):
+    """Truth of one run, 1 kHz from the start of the mechanism; each of shape (n,)."""
+
+    t_s: Floats
+    tension_n: Floats
+    vertical_n: Floats
+    tangential_deg: Floats
+    normal_deg: Floats
+    pulley_mm: Floats
+    stroke_mm: Floats
+    speed_mm_s: Floats
+
+    @classmethod
+    def of(cls, t_s: Floats, truth: npt.NDArray[Any]) -> Signals:
+        """From a truth log and its time base; what came before the start is left out."""
+        log = truth[t_s >= 0.0]
+        return cls(
+            t_s[t_s >= 0.0],
+            log["tension_n"],
+            log["vertical_n"],
+            np.degrees(log["tangential_rad"]),
+            np.degrees(log["normal_rad"]),
+            log["pulley_mm"] - log["pulley_mm"][0],
+            log["stroke_mm"],
+            log["speed_mm_s"],
+        )
+
+    def eta_pct(self, target_n: float) -> Floats:
+        """Compensating error, equation (16), signed."""
+        return (self.vertical_n - target_n) / target_n * 100.0
+
+    def plateau(self, values: Floats) -> Floats:
+        """The part of ``values`` that lies on the plateau."""
+        return values[self.t_s >= PLATEAU_S]
+
+    def first_peak_s(self) -> float:
+        """When the vertical force first turns back: the end of the initial following stage; NaN if it never does."""
+        best = np.maximum.accumulate(self.vertical_n)
+        rise = best - self.vertical_n[0]
+        fallen = np.flatnonzero((rise > 0.5 * rise[-1]) & (self.vertical_n < best - FALL_BACK * rise))
+        if not len(fallen):
+            return float("nan")
+        return float(self.t_s[np.argmax(self.vertical_n[: fallen[0]])])

@@ -1,0 +1,131 @@
+"""The study in words and numbers: a table per figure for people, rows for programs."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from hil.paper.cases import cases
+from hil.paper.claims import BROAD, TARGET_N, Claim, Row
+from hil.paper.study import Study
+
+_TITLES = {
+    "4": "Figure 4: with (k = 6 N/mm) and without (k = 1000 N/mm) the spring",
+    "5/6": "Figures 5 and 6: stiffness of the spring, N/mm",
+    "7": "Figure 7: deployment speed, 0.25, 0.5, 1 and 2 deg/s, k = 6 N/mm",
+    "9": "Figure 9: 13 deg out and back, the paper's experiment",
+}
+
+
+def show(rows: list[Row], study: Study, console: Console) -> None:
+    """Print a table per figure with what there is to say about its rows, then the closed loop."""
+    for figure, title in _TITLES.items():
+        table = Table("quantity", title=title, title_justify="left", box=None, pad_edge=False)
+        for column in ("paper", "ours", "difference", "allowed"):
+            table.add_column(column, justify="right", no_wrap=True)
+        table.add_column("")
+        mine = [row for row in rows if row.claim.figure == figure]
+        marks: dict[str, int] = {}
+        for row in mine:
+            claim = row.claim
+            said = remark(row)
+            mark = f" [{marks.setdefault(said, len(marks) + 1)}]" if said else ""
+            name = claim.quantity + (f", {claim.unit}" if claim.unit else "") + mark
+            verdict = "[green]agrees[/]" if row.ok else "[red]DIFFERS[/]"
+            table.add_row(
+                name.replace("[", "\\["), _paper(claim), _figure(row.model), _difference(row), _range(claim), verdict
+            )
+        console.print(table, highlight=False)
+        for note, number in marks.items():
+            console.print(f"[{number}] {note}", highlight=False, markup=False, style="dim")
+        console.print()
+    console.print(_closed(study), highlight=False)
+    good = sum(row.ok for row in rows)
+    console.print(f"{good} of {len(rows)} agree, one parameter set", highlight=False)
+
+
+def document(rows: list[Row], study: Study) -> dict[str, Any]:
+    """Everything that is printed, for JSON: ``rows``, ``ok_count``, ``total`` and ``closed_loop``."""
+    return {
+        "rows": [
+            {
+                "id": row.claim.id,
+                "figure": row.claim.figure,
+                "quantity": row.claim.quantity,
+                "unit": row.claim.unit,
+                "paper": row.claim.paper,
+                "model": row.model if math.isfinite(row.model) else None,
+                "low": row.claim.low,
+                "high": row.claim.high,
+                "ok": row.ok,
+                "note": remark(row),
+            }
+            for row in rows
+        ],
+        "ok_count": sum(row.ok for row in rows),
+        "total": len(rows),
+        "closed_loop": {
+            name: {
+                "eta_max_pct": run.eta_max_pct,
+                "eta_rms_pct": run.eta_rms_pct,
+                "speed_max_mm_s": run.speed_max_mm_s,
+                "stroke_mm": run.stroke_mm,
+                "ended": run.ended,
+                "waived": run.waived,
+            }
+            for name, run in study.closed.items()
+        },
+    }
+
+
+def remark(row: Row) -> str:
+    """What there is to say about a row: where the paper contradicts itself, and why ours differs."""
+    said = [row.claim.note] if row.claim.note else []
+    if not row.ok and row.claim.shortfall:
+        said.append(f"ours differs: {row.claim.shortfall}")
+    return "; ".join(said)
+
+
+def _closed(study: Study) -> Table:
+    title = "The same cases locked and with the loop closed: error of Fz in %, cylinder in mm/s and mm"
+    table = Table("case", title=title, title_justify="left", box=None, pad_edge=False)
+    for column in ("locked, max", "closed, max", "rms", "speed", "stroke"):
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    for case in cases():
+        run = study.closed[case.name]
+        passive = float(np.max(np.abs(study.passive[case.name].eta_pct(TARGET_N))))
+        said = "" if run.ended == "COMPENSATING" else f"[red]{run.ended}[/]"
+        table.add_row(
+            case.title,
+            f"{passive:.3f}",
+            f"{run.eta_max_pct:.4f}",
+            f"{run.eta_rms_pct:.4f}",
+            f"{run.speed_max_mm_s:.2f}",
+            f"{run.stroke_mm:.2f}",
+            said or ("waived" if run.waived else ""),
+        )
+    return table
+
+
+def _paper(claim: Claim) -> str:
+    return "trend" if claim.paper is None else f"{claim.paper:g}"
+
+
+def _figure(value: float) -> str:
+    return f"{value:.4g}" if abs(value) < 1000.0 else f"{value:.1f}"
+
+
+def _difference(row: Row) -> str:
+    if row.claim.paper is None:
+        return ""
+    difference = row.model - row.claim.paper
+    return f"{100.0 * difference / row.claim.paper:+.1f} %"
+
+
+def _range(claim: Claim) -> str:
+    return f"> {claim.low:g}" if claim.high == BROAD else f"{claim.low:g} to {claim.high:g}"

@@ -1,0 +1,82 @@
+"""What is fine in the scenario alone but does nothing, or nonsense, on the rig it names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from hil.scenario import kinds
+from hil.scenario.errors import ScenarioError
+from hil.scenario.format import ScenarioFile
+from rigctl.config import RigSettings
+from rigctl.config_wording import Path
+
+STEPS_PER_PERIOD = 10
+"""Integration steps the shortest period prescribed must have."""
+STEPS_PER_BLOW = 5
+
+_Finding = tuple[Path, object, str]
+
+
+def check(source: ScenarioFile, settings: RigSettings) -> None:
+    """Hold the scenario against its rig.
+
+    Raises:
+        ScenarioError: one line per contradiction.
+    """
+    findings = [*_timing(source), *_rigid_axes(source, settings), *_resolution(source, settings)]
+    if findings:
+        raise ScenarioError([source.wording.say(*finding) for finding in findings])
+
+
+def _timing(source: ScenarioFile) -> Iterator[_Finding]:
+    """A disturbance that begins after the end is a mistake in one of the two numbers."""
+    end_s = source.scenario.duration_s
+    disturbances = source.scenario.disturbances
+    for name in type(disturbances).model_fields:
+        for i, item in enumerate(getattr(disturbances, name)):
+            for key in ("start_s", "at_s"):
+                begin_s = getattr(item, key, 0.0)
+                if begin_s >= end_s:
+                    yield ("disturbances", name, i, key), begin_s, f"below duration_s ({end_s:g})"
+
+
+def _rigid_axes(source: ScenarioFile, settings: RigSettings) -> Iterator[_Finding]:
+    """A force or a weight moves the payload only where the mechanism gives way."""
+    assert settings.simulation is not None  # settings_of has refused it
+    mechanism = settings.simulation.mechanism
+    disturbances = source.scenario.disturbances
+    for i, impact in enumerate(disturbances.impacts):
+        if isinstance(impact, kinds.Impulse) and getattr(mechanism, f"{impact.axis}_n_mm") is None:
+            yield ("disturbances", "impacts", i, "axis"), f"{impact.axis}, which is rigid", _gives_way(impact.axis)
+    if disturbances.mass and mechanism.vertical_n_mm is None:
+        yield ("disturbances", "mass"), "a change of mass on a rigid mechanism", _gives_way("vertical")
+    left_kg = settings.plant.payload_kg
+    for i, change in sorted(enumerate(disturbances.mass), key=lambda item: item[1].at_s):
+        left_kg += change.change_kg
+        if left_kg <= 0.0:
+            lowest = change.change_kg - left_kg
+            yield ("disturbances", "mass", i, "change_kg"), change.change_kg, f"above {lowest:g}: some payload is left"
+
+
+def _gives_way(axis: str) -> str:
+    return f"an axis that gives way: set simulation.mechanism.{axis}_n_mm under change:"
+
+
+def _resolution(source: ScenarioFile, settings: RigSettings) -> Iterator[_Finding]:
+    """Nothing prescribed may be too quick for the integration."""
+    assert settings.simulation is not None  # settings_of has refused it
+    step_s = settings.simulation.step_us * 1e-6
+    highest_hz = 1.0 / (STEPS_PER_PERIOD * step_s)
+    shortest_s = STEPS_PER_BLOW * step_s
+    disturbances = source.scenario.disturbances
+    for name in ("vertical", "floor"):
+        for i, item in enumerate(getattr(disturbances, name)):
+            for key in ("frequency_hz", "to_hz"):
+                frequency = getattr(item, key, 0.0)
+                if frequency > highest_hz:
+                    words = f"at most {highest_hz:g}, {STEPS_PER_PERIOD} steps of simulation.step_us a period"
+                    yield ("disturbances", name, i, key), frequency, words
+    for i, impact in enumerate(disturbances.impacts):
+        if isinstance(impact, kinds.Impulse) and impact.duration_s < shortest_s:
+            words = f"at least {shortest_s:g}, {STEPS_PER_BLOW} steps of simulation.step_us"
+            yield ("disturbances", "impacts", i, "duration_s"), impact.duration_s, words

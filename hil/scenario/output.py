@@ -1,0 +1,81 @@
+"""What ``python -m hil scenario`` says: JSON for programs, a table for people."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from hil.scenario.case import Case
+from hil.scenario.figures import LOOP_FIGURES, TRUTH_FIGURES, Figure, Values, figures
+from hil.scenario.play import Played
+from rigctl.config_wording import unit_of
+
+COLUMNS = 4
+"""Windows side by side in one table: five do not fit into 80 columns."""
+
+
+def as_dict(case: Case, played: Played) -> dict[str, Any]:
+    """Everything that is said, for JSON."""
+    scenario = case.scenario
+    return {
+        "scenario": scenario.scenario,
+        "rig": case.settings.rig,
+        "controller": played.controller,
+        "target_n": played.target_n,
+        "stiffness_n_mm": case.settings.plant.stiffness_n_mm,
+        "duration_s": scenario.duration_s,
+        "ended": asdict(played.ended),
+        "windows": {name: {"from_s": span[0], "to_s": span[1]} for name, span in scenario.spans.items()},
+        **figures(played, scenario.spans),
+    }
+
+
+def show(said: dict[str, Any], console: Console) -> None:
+    """Print what ``as_dict`` says."""
+    how = "the loop at work" if said["controller"] == "loop" else "cylinder locked"
+    console.print(
+        f"[bold]{said['scenario']}[/] on {said['rig']}: {said['duration_s']:g} s, {how}, target {said['target_n']:g} N",
+        highlight=False,
+    )
+    names = list(said["windows"])
+    for first in range(0, len(names), COLUMNS):
+        part = names[first : first + COLUMNS]
+        _table("the plant's truth", TRUTH_FIGURES, said["truth"], said["windows"], part, console)
+        if said["loop"] is not None:
+            _table("the loop's view", LOOP_FIGURES, said["loop"], said["windows"], part, console)
+    ended = said["ended"]
+    if ended["tripped"]:
+        words = f"TRIPPED at {ended['tripped_at_s']:.3f} s: {ended['fault']}, ended in {ended['mode']}"
+        console.print(f"[bold red]{words}[/]", highlight=False)
+    elif said["controller"] == "loop":
+        console.print(f"no trip, ended in {ended['mode']}", highlight=False)
+
+
+def _table(
+    title: str,
+    rows: tuple[Figure, ...],
+    values: dict[str, Values],
+    windows: dict[str, dict[str, float]],
+    names: list[str],
+    console: Console,
+) -> None:
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    table.add_column("")
+    for name in names:
+        span = windows[name]
+        table.add_column(f"{name}\n{span['from_s']:g}-{span['to_s']:g} s", justify="right", overflow="fold")
+    table.add_column("", no_wrap=True)
+    for figure in rows:
+        table.add_row(figure.meaning, *(_number(values[name][figure.name]) for name in names), unit_of(figure.name))
+    console.print(table, highlight=False)
+
+
+def _number(value: float | None) -> str:
+    """Five digits, and never an exponent."""
+    if value is None:
+        return "-"
+    digits = next((n for n, least in enumerate((1000.0, 100.0, 10.0, 1.0), 1) if abs(value) >= least), 4)
+    return f"{value:.{digits}f}" if value != int(value) else f"{int(value)}"

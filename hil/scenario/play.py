@@ -1,0 +1,222 @@
+"""One run: the real loop in lockstep, or the plant alone with its cylinder locked."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.lockstep import Lockstep, lockstep
+from hil.plant import Plant
+from hil.plant.inputs import Track
+from hil.scenario.errors import ScenarioError
+from hil.truth import TRUTH_DTYPE
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.safety import Fault
+from rigctl.control.tension import Gains
+from rigctl.design.gains import DesignError
+from rigctl.design.margins import design_and_check
+
+LOCKED_PERIOD_NS = 1_000_000
+PREPARING = "preparing the plant (compiled once)"
+CHUNK_S = 0.25
+"""Simulated time between two looks at the progress bar."""
+WAKE_S = 0.2
+"""Until every signal is fresh."""
+TENSIONING_SPARE_S = 20.0
+
+Advance = Callable[[float, str], None]
+"""Called with seconds of the run done since the last call (0 while it is being prepared), and what is being done."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a run ended."""
+
+    mode: str  # of the loop; LOCKED without one
+    fault: str  # latched; NONE for none
+    tripped: bool
+    tripped_at_s: float | None
+
+
+@dataclass(frozen=True)
+class Played:
+    """What a run left behind. Times are from the disturbances' start."""
+
+    controller: Literal["loop", "locked"]
+    target_n: float
+    truth: npt.NDArray[Any]
+    """One row per millisecond (locked) or tick (loop), time 0 included, dtype ``TRUTH_DTYPE``."""
+    t_s: npt.NDArray[np.float64]
+    """Time of each row of ``truth``."""
+    records: npt.NDArray[Any] | None
+    """What the loop wrote, one per tick; None when locked."""
+    records_t_s: npt.NDArray[np.float64] | None
+    """Time of each record."""
+    ended: Ended
+
+
+def play(
+    settings: RigSettings,
+    tracks: Mapping[int, Track],
+    *,
+    seconds: float,
+    controller: Literal["loop", "locked"],
+    target_n: float,
+    settle_s: float = 2.0,
+    gains: Gains | None = None,
+    progress: Advance | None = None,
+) -> Played:
+    """Play tracks against a rig.
+
+    Args:
+        settings: with a ``simulation`` section.
+        tracks: by channel of ``hil.plant.layout``, time 0 is their start.
+        seconds: length of the run.
+        controller: ``loop``: the real loop, armed, tensioned and settled before; ``locked``: the cylinder holds the
+            stroke at which the rig at rest has ``target_n``, brake closed.
+        target_n: vertical tension to hold.
+        settle_s: time in COMPENSATING before time 0; ``loop`` only.
+        gains: of the law; None designs them and refuses what ``rigctl run`` would refuse.
+        progress: told what is done.
+
+    Raises:
+        ScenarioError: the rig cannot be simulated or its design is refused (2), or it does not get as far as
+            COMPENSATING (1). A trip during the run is a result, not an error.
+    """
+    tell = progress or _nothing
+    if controller == "locked":
+        return _play_locked(settings, tracks, seconds, target_n, tell)
+    tell(0.0, "designing the law")
+    law = gains or design(settings)
+    with contextlib.ExitStack() as stack:
+        tell(0.0, PREPARING)
+        try:
+            rig = stack.enter_context(lockstep(settings, law))
+        except (ValueError, OSError) as error:
+            raise ScenarioError([f"{settings.rig}: {error}"]) from None
+        _bring_to_target(rig, target_n, settle_s, tell)
+        return _play_loop(rig, tracks, seconds, target_n, tell)
+
+
+def design(settings: RigSettings) -> Gains:
+    """The gains ``rigctl run`` would use.
+
+    Raises:
+        ScenarioError: there are none, or it would refuse them.
+    """
+    try:
+        found = design_and_check(settings)
+    except DesignError as error:
+        raise ScenarioError([f"{settings.rig}: design: {error}"]) from None
+    if found.accepted:
+        return found.gains
+    if found.waiver is not None:
+        raise ScenarioError([f"{settings.rig}: design: unstable with the plant in the file, no waiver helps"])
+    raise ScenarioError(
+        [
+            f"{settings.rig}: design refused: Ms {found.ms_max:.2f} over the family of plants, allowed "
+            f"{found.limit:g}; to run it all the same, say why in change: design: waiver"
+        ]
+    )
+
+
+def _play_locked(
+    settings: RigSettings, tracks: Mapping[int, Track], seconds: float, target_n: float, tell: Advance
+) -> Played:
+    tell(0.0, PREPARING)
+    try:
+        plant = Plant(settings, 0)
+    except ValueError as error:
+        raise ScenarioError([f"{settings.rig}: {error}"]) from None
+    plant.preload(target_n)
+    plant.start_motion(tracks, 0)
+    count = round(seconds * 1e9 / LOCKED_PERIOD_NS)
+    truth = np.empty(count + 1, TRUTH_DTYPE)
+    truth[0] = plant.truth
+    for first, after in _chunks(count, LOCKED_PERIOD_NS):
+        for i in range(first + 1, after + 1):
+            plant.advance(i * LOCKED_PERIOD_NS)
+            truth[i] = plant.truth
+        tell((after - first) * LOCKED_PERIOD_NS * 1e-9, "running")
+    ended = Ended("LOCKED", Fault.NONE.name, tripped=False, tripped_at_s=None)
+    return Played("locked", target_n, truth, truth["t_ns"] * 1e-9, None, None, ended)
+
+
+def _bring_to_target(rig: Lockstep, target_n: float, settle_s: float, tell: Advance) -> None:
+    """Arm, set the target, tension, settle."""
+    tension, simulation = rig.settings.tension, rig.settings.simulation
+    assert simulation is not None  # the rig is simulated
+    tell(0.0, "tensioning")
+    rig.run(WAKE_S)
+    _command(rig, Verb.ARM)
+    if target_n != tension.target_n:
+        _command(rig, Verb.TARGET, target_n)
+    _command(rig, Verb.TENSION)
+    k_n_mm = rig.settings.plant.stiffness_n_mm
+    take_up_mm_s = min(tension.speed_max_mm_s, tension.ramp_n_s / k_n_mm)  # slack goes at the speed of the ramp
+    way_mm = simulation.rope.slack_mm + target_n / k_n_mm
+    limit_s = TENSIONING_SPARE_S + target_n / tension.ramp_n_s + way_mm / take_up_mm_s
+    waited_s = 0.0
+    while rig.loop.machine.mode is Mode.TENSIONING and waited_s < limit_s:
+        rig.run(WAKE_S)
+        waited_s += WAKE_S
+    tell(0.0, "settling")
+    if rig.loop.machine.mode is Mode.COMPENSATING:
+        rig.run(settle_s)
+    machine = rig.loop.machine
+    if machine.mode is not Mode.COMPENSATING:
+        words = f"{machine.mode.name}, fault {machine.fault.name}, after {waited_s:.1f} s of tensioning"
+        raise ScenarioError([f"{rig.settings.rig}: not COMPENSATING before the run's start but {words}"], exit_code=1)
+
+
+def _command(rig: Lockstep, verb: Verb, value: float = 0.0) -> None:
+    try:
+        refusal = rig.command(verb, value)
+    except TimeoutError as error:
+        raise ScenarioError([f"{rig.settings.rig}: {error}"], exit_code=1) from None
+    if refusal is not Refusal.NONE:
+        raise ScenarioError([f"{rig.settings.rig}: {verb.name} was refused: {refusal.name}"], exit_code=1)
+
+
+def _play_loop(rig: Lockstep, tracks: Mapping[int, Track], seconds: float, target_n: float, tell: Advance) -> Played:
+    plant, period_ns = rig.rig.plant, rig.settings.loop.period_ns
+    origin_ns = plant.t_ns
+    rig.read_records()
+    plant.start_motion(tracks, origin_ns)
+    count = round(seconds * 1e9 / period_ns)
+    truth = np.empty(count + 1, TRUTH_DTYPE)
+    truth[0] = plant.truth
+    parts = []
+    for first, after in _chunks(count, period_ns):
+        for i in range(first + 1, after + 1):
+            rig.loop.tick()
+            truth[i] = plant.truth
+        parts.append(rig.read_records())
+        tell((after - first) * period_ns * 1e-9, "running")
+    records = np.concatenate(parts)
+    t_s, records_t_s = (truth["t_ns"] - origin_ns) * 1e-9, (records["t_ns"] - origin_ns) * 1e-9
+    return Played("loop", target_n, truth, t_s, records, records_t_s, _ending(records, records_t_s))
+
+
+def _ending(records: npt.NDArray[Any], t_s: npt.NDArray[np.float64]) -> Ended:
+    tripped = np.flatnonzero(records["mode"] == Mode.FAULT)
+    at_s = float(t_s[tripped[0]]) if len(tripped) else None
+    last = records[-1]
+    return Ended(Mode(last["mode"]).name, Fault(last["fault"]).name, tripped=at_s is not None, tripped_at_s=at_s)
+
+
+def _chunks(count: int, period_ns: int) -> Iterator[tuple[int, int]]:
+    """Spans of steps, ``CHUNK_S`` each."""
+    size = max(1, round(CHUNK_S * 1e9 / period_ns))
+    for first in range(0, count, size):
+        yield first, min(first + size, count)
+
+
+def _nothing(_seconds: float, _doing: str) -> None:
+    """For those who do not want to know."""

@@ -1,0 +1,133 @@
+"""The rig a scenario runs on: its rig file, parameter sets laid over it, and the scenario's own changes last."""
+
+from __future__ import annotations
+
+import pathlib
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from hil.scenario.errors import ScenarioError
+from hil.scenario.format import ScenarioFile, read_yaml
+from rigctl import config
+from rigctl.config import ConfigError, RigSettings
+from rigctl.config_wording import Path, Wording
+from rigctl.strict_yaml import Document
+
+_ADDED = frozenset({"directory", "plain"})
+_DEVICE_FILES = frozenset({"eds", "dbc"})
+"""What describes the devices is read with the rig file and stays as it is there."""
+
+
+def settings_of(source: ScenarioFile) -> RigSettings:
+    """The rig file with everything the scenario lays over it, validated as a whole.
+
+    Raises:
+        ScenarioError: one line per finding; each names the file, the line and the key that is to blame.
+    """
+    scenario = source.scenario
+    rig_file = _beside(source, ("rig",), scenario.rig)
+    try:
+        base = config.load(rig_file)
+    except ConfigError as error:
+        if not rig_file.is_file():
+            raise source.refusal(("rig",), scenario.rig, f"a rig file ({rig_file} cannot be read)") from None
+        raise ScenarioError(error.findings) from None
+    layers = _Layers(rig_file, read_yaml(rig_file), source.file)
+    for i in range(len(scenario.sets)):
+        file = _set_file(source, i, rig_file)
+        layers.lay(file, read_yaml(file), ())
+    layers.lay(source.file, source.document, ("change",))
+    if scenario.target_n is not None:
+        layers.lay_one(source.file, source.document, ("target_n",), ("tension", "target_n"), scenario.target_n)
+    return layers.settings(base)
+
+
+class _Layers(Wording):
+    """Data of several files laid over each other; every finding names the file that said it last."""
+
+    def __init__(self, file: pathlib.Path, document: Document, scenario: pathlib.Path) -> None:
+        super().__init__(RigSettings, _ADDED, document, file)
+        self._scenario = scenario
+        self._data: dict[str, Any] = document.data
+        self._origins: dict[Path, tuple[pathlib.Path, Document, Path]] = {}
+
+    def lay(self, file: pathlib.Path, document: Document, root: Path) -> None:
+        """Lay what stands at ``root`` of a document over what is there, key by key; a list or value replaces.
+
+        Raises:
+            ScenarioError: it would change what describes the devices.
+        """
+        over = document.data
+        for part in root:
+            over = over.get(part, {})
+        for path in document.lines:
+            if path[: len(root)] == root and len(path) > len(root):
+                key = path[len(root) :]
+                self._origins[key] = file, document, path
+                if key[0] in _ADDED:
+                    raise ScenarioError([self.say(key, "an unknown key", "keys of a rig file")])
+                if key[-1] in _DEVICE_FILES:
+                    raise ScenarioError([self.say(key, "a key", "it in the rig file only")])
+        self._data = _merged(self._data, over)
+
+    def lay_one(self, file: pathlib.Path, document: Document, path: Path, key: tuple[str, str], value: object) -> None:
+        """Lay one value, which stands at ``path`` of a document, over ``key`` of the rig file."""
+        self._origins[key] = file, document, path
+        self._data = _merged(self._data, {key[0]: {key[1]: value}})
+
+    def settings(self, base: RigSettings) -> RigSettings:
+        """What all layers say together; ``base`` is what the rig file says alone.
+
+        Raises:
+            ScenarioError: it is no rig.
+        """
+        added = {"directory": base.directory, "plain": base.plain}
+        try:
+            settings = RigSettings.model_validate({**self._data, **added})
+        except ValidationError as error:
+            raise ScenarioError(self.lines(error)) from None
+        if settings.simulation is None:
+            raise ScenarioError([self.say(("simulation",), "nothing", "a section (it says what rig to simulate)")])
+        return settings
+
+    def place(self, path: Path) -> str:
+        """See `Wording`; what the rig file says alone is fine, so it is the scenario that does not go with it."""
+        nearest = path
+        while nearest and nearest not in self._origins:
+            nearest = nearest[:-1]
+        if not nearest:
+            return f"{super().place(path)} (as changed by {self._scenario})"
+        file, document, own = self._origins[nearest]
+        return Wording(RigSettings, _ADDED, document, file).place(own + path[len(nearest) :])
+
+
+def _merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """``over`` laid over ``under``, section by section."""
+    result = dict(under)
+    for key, value in over.items():
+        below = result.get(key)
+        result[key] = _merged(below, value) if isinstance(value, dict) and isinstance(below, dict) else value
+    return result
+
+
+def _set_file(source: ScenarioFile, index: int, rig_file: pathlib.Path) -> pathlib.Path:
+    """File of a parameter set: ``sets/NAME.yaml`` beside the rig file, or a path relative to the scenario."""
+    name, path = source.scenario.sets[index], ("sets", index)
+    if "/" in name or name.endswith((".yaml", ".yml")):
+        file = _beside(source, path, name)
+    else:
+        file = rig_file.parent / "sets" / f"{name}.yaml"
+    if not name.isprintable() or not file.is_file():
+        known = sorted(found.stem for found in (rig_file.parent / "sets").glob("*.yaml"))
+        words = f"a file, or one of {', '.join(known) or 'none at all'}"
+        raise source.refusal(path, repr(name), f"{words} ({file} is not there)")
+    return file
+
+
+def _beside(source: ScenarioFile, path: Path, name: str) -> pathlib.Path:
+    """A file named relative to the scenario."""
+    if not name.isprintable():
+        raise source.refusal(path, repr(name), "the name of a file")
+    return source.file.parent / name
