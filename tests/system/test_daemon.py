@@ -285,7 +285,9 @@ def test_without_privileges_it_runs_and_says_what_is_missing(tmp_path: pathlib.P
             said = log.read_text()
             for setting in ("scheduler", "memory", "affinity"):
                 assert f"real time: {setting}" in said
-            assert said.count("WARNING") == 3
+            warnings = [line for line in said.splitlines() if "WARNING" in line]
+            missing = [line for line in warnings if "skipped" not in line]  # which a busy machine adds, rightly
+            assert len(missing) == 3, said
             assert daemons.rigctl("arm", file=file).returncode == 0
         finally:
             child.send_signal(signal.SIGTERM)
