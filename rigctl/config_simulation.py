@@ -41,7 +41,9 @@ class PulleySettings(FrictionSettings):
     """The pulley on the rail, with what hangs from it above the spring."""
 
     mass_kg: float = Field(ge=0.05, le=100, description="pulley, cylinder and sensors")
-    offset_mm: float = Field(default=0.0, ge=-100, le=100, description="where it rests at first, outwards of plumb")
+    rest_share: float = Field(
+        default=0.0, ge=-1, le=1, description="place at first, outwards of plumb, of the farthest its friction holds"
+    )
 
 
 class RopeSettings(Settings):

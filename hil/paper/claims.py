@@ -67,7 +67,7 @@ _CONTRADICTION = {
 
 
 _NORMAL = (
-    "cause in the model: simulation.pulley.offset_mm, the pulley rests at the edge of its friction band of 0.069 deg; "
+    "cause in the model: simulation.pulley.rest_share, the pulley rests near the edge of its friction (0.069 deg); "
     "the lag's geometry alone gives 0.012 deg. The paper's swings about 0, ours by 0.004 deg about this edge"
 )
 

@@ -65,7 +65,7 @@ class Plant:
         self._origin_ns = start_ns
         self._end_ns = start_ns
         self._truth: Truth | None = None
-        self._hang(simulation.pulley.offset_mm)
+        self._hang(simulation.pulley.rest_share)
         self._run(0)  # numba compiles or loads the kernel here, not when time is short
 
     @property
@@ -157,9 +157,10 @@ class Plant:
         )
         self._grid_ns += count * self._step_ns
 
-    def _hang(self, offset_mm: float) -> None:
-        """Pulley and the rope's nodes above the payload, the pulley ``offset_mm`` out along the rail."""
+    def _hang(self, rest_share: float) -> None:
+        """Pulley and the rope's nodes above the payload, the pulley out along the rail where friction holds it."""
         p, x = self.parameters[0], self.state[0]
+        offset_mm = rest_share * p["pulley_static"] * p["rope_length"]  # the rope stands at atan of the coefficient
         dx, dy = p["radius"] - p["eccentricity_x"], -p["eccentricity_y"]
         x["phi"], x["r"] = math.atan2(dy, dx), math.hypot(dx, dy) + offset_mm
         elements = len(self._pulls)

@@ -114,7 +114,7 @@ def test_the_filter_is_a_first_order_low_pass_on_the_tangential_angle() -> None:
     quiet = {
         "inclinometer": {"filter_hz": filter_hz, "noise_deg": 0.0},
         "rail": {"friction_static": 1.0},
-        "pulley": {"offset_mm": 0.0},
+        "pulley": {"rest_share": 0.0},
         "rope": {"slack_mm": 0.0},
     }
     bench = RigBench(changed(simulation=quiet))
