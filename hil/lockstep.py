@@ -16,8 +16,9 @@ from hil.hub import Hub
 from hil.rig import SimulatedRig
 from rigctl.config import RigSettings
 from rigctl.control.clock import SimulatedClock
-from rigctl.control.loop import Loop, Rings
-from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.correction import Correction
+from rigctl.control.loop import LawFactory, Loop, Rings
+from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.tension import Gains
 from rigctl.devices import startup
 from rigctl.telemetry.runtime import Runtime
@@ -29,8 +30,17 @@ WORK_NS = 100_000  # frames of a tick reach the rig this long after its grid poi
 class Lockstep:
     """One tick at a time. Build it with `lockstep()`, which also takes its rings away."""
 
-    def __init__(self, settings: RigSettings, gains: Gains, runtime: Runtime, *, log: bool = False) -> None:
-        """``log``: keep every frame, with its time, in ``frames``."""
+    def __init__(
+        self,
+        settings: RigSettings,
+        gains: Gains,
+        runtime: Runtime,
+        *,
+        log: bool = False,
+        law: LawFactory | None = None,
+        correction: Correction | None = None,
+    ) -> None:
+        """``log``: keep every frame, with its time, in ``frames``. ``law`` and ``correction``: see `Loop`."""
         runtime.make_rings(settings)
         self.settings = settings
         self.rig_ns = START_NS
@@ -48,8 +58,9 @@ class Lockstep:
         self._commands = runtime.command_writer()
         self.events = runtime.event_reader()
         rings = Rings(runtime.record_writer(), runtime.event_writer(), runtime.reply_writer(), runtime.command_reader())
-        self.loop = Loop(settings, gains, bus, self.clock, rings, supervised=True)
+        self.loop = Loop(settings, gains, bus, self.clock, rings, supervised=True, law=law, correction=correction)
         self._id = 0
+        self.reply: Any = None  # the last command's
 
     def _to_rig(self, frame: bytes) -> None:
         self.rig.receive(frame)
@@ -83,7 +94,7 @@ class Lockstep:
         """Put a frame on the bus as a foreign node would."""
         self._stranger.send(frame)
 
-    def command(self, verb: Verb, value: float = 0.0, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
+    def command(self, verb: Verb | Setting, value: float = 0.0, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
         """Give a command, ``age_ns`` ago, through the command ring and run until it is answered."""
         self._id += 1
         self._commands.write(self.clock.now() - age_ns, self._id, verb, value)
@@ -91,6 +102,7 @@ class Lockstep:
             self.loop.tick()
             for reply in self._replies.read():
                 if reply["id"] == self._id:
+                    self.reply = reply
                     return Refusal(int(reply["reason"]))
         raise TimeoutError(f"{verb.name} was not answered within {limit_s} s")
 
@@ -108,10 +120,17 @@ class Lockstep:
 
 
 @contextlib.contextmanager
-def lockstep(settings: RigSettings, gains: Gains, *, log: bool = False) -> Iterator[Lockstep]:
+def lockstep(
+    settings: RigSettings,
+    gains: Gains,
+    *,
+    log: bool = False,
+    law: LawFactory | None = None,
+    correction: Correction | None = None,
+) -> Iterator[Lockstep]:
     """A `Lockstep` whose rings are gone afterwards."""
     with tempfile.TemporaryDirectory(prefix="rigctl-lockstep-", dir="/dev/shm") as folder:
-        subject = Lockstep(settings, gains, Runtime(pathlib.Path(folder)), log=log)
+        subject = Lockstep(settings, gains, Runtime(pathlib.Path(folder)), log=log, law=law, correction=correction)
         try:
             yield subject
         finally:

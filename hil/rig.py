@@ -10,6 +10,7 @@ from hil.nodes.inclinometer import Inclinometer
 from hil.nodes.network import RigNetwork
 from hil.nodes.node import Node
 from hil.nodes.plain_sensors import PlainInclinometer, PlainTensionCell
+from hil.nodes.rail_encoder import RailEncoder
 from hil.nodes.simulator import Simulator
 from hil.nodes.tension_amplifier import TensionAmplifier
 from hil.plant import Plant
@@ -64,7 +65,9 @@ class SimulatedRig:
         self._devices = (self.cell, self.drive, self.inclinometer)
         eds = settings.file(settings.cylinder.eds).with_name("simulator.eds")
         self.simulator = Simulator(network, eds, self.plant, self.start_motion)
-        self.nodes = (*(device for device in self._devices if isinstance(device, Node)), self.simulator)
+        self.rail_encoder = RailEncoder(network, settings, self.plant) if settings.rail_encoder else None
+        encoders = (self.rail_encoder,) if self.rail_encoder else ()
+        self.nodes = (*(device for device in self._devices if isinstance(device, Node)), *encoders, self.simulator)
         self.receive = network.receive
         network.subscribe(objects.SYNC_COB, self._on_sync)
         for node in self.nodes:

@@ -8,6 +8,8 @@ from typing import cast
 import typer
 
 from rigctl import daemon
+from rigctl.commission import command as commission
+from rigctl.design import command as design
 from rigctl.operator import status, verbs, watch
 
 app = typer.Typer(
@@ -21,10 +23,13 @@ app = typer.Typer(
 
 for command in (daemon.run, daemon.demo, daemon.check):
     app.command()(command)
+app.command()(design.tune)
 app.command()(status.status)
 app.command()(watch.watch)
 for verb in (verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset):
     app.command()(verb)
+for trial in (commission.tare, commission.calibrate, commission.identify):
+    app.command()(trial)
 # A negative number is a number here, not an option.
 app.command(context_settings={"ignore_unknown_options": True})(verbs.target)
 

@@ -113,6 +113,33 @@ class InclinometerSettings(Settings):
     dbc: InclinationDbcSettings | None = Field(default=None, description="plain frames, null = CANopen")
 
 
+class RailEncoderSettings(Settings):
+    """Absolute encoder on the rail's shaft, CiA 406. The rig runs without one."""
+
+    node: NodeId = 5
+    eds: str = Field(default="eds/rail_encoder.eds", description="EDS file, relative to the rig file")
+    counts_per_turn: int = Field(ge=256, le=2**31, description="measuring units per revolution (0x6001)")
+    rate_hz: int = Field(ge=10, le=4000, description="sample rate; a divisor of the loop's")
+
+
+class RunOutSettings(Settings):
+    """Table of the rail's run-out against its angle, learnt move by move. Needs `rail_encoder`."""
+
+    angle_min_deg: float = Field(ge=-360, le=360, description="where the table begins, as the encoder counts")
+    angle_max_deg: float = Field(ge=-360, le=360, description="where it ends")
+    bins: int = Field(ge=4, le=360, description="equal parts of it, each with a slope of its own")
+    learning_rate: float = Field(gt=0, le=1, description="share of what is still found in a pass that is learnt")
+    min_speed_deg_s: float = Field(default=0.1, ge=0.01, le=5, description="a slower rail teaches nothing")
+
+    @model_validator(mode="after")
+    def _fits_in_a_turn(self) -> RunOutSettings:
+        low, high = self.angle_min_deg, self.angle_max_deg
+        require(low < high, "angle_min_deg", low, f"below angle_max_deg ({high:g})")
+        most = 360.0 * self.bins / (self.bins + 1)
+        require(high - low <= most, "angle_max_deg", high, f"up to {most:g} above angle_min_deg (a turn less one bin)")
+        return self
+
+
 class CylinderSettings(Settings):
     """Electric cylinder's drive, CiA 402, cyclic synchronous velocity."""
 
@@ -182,6 +209,15 @@ class EstimatorSettings(Settings):
     disturbance_walk_mm_s: float = Field(
         gt=0, le=10_000, description="process noise of disturbance speed, mm/s/sqrt(s)"
     )
+    gate_sigma: float = Field(default=5.0, ge=3, le=10, description="innovations beyond this many sigma are left out")
+    gate_speed_mm_s: float = Field(
+        default=20.0, gt=0, le=1000, description="burst of disturbance speed the gate allows for, one sigma"
+    )
+    reject_limit: int = Field(default=20, ge=2, le=1000, description="consecutive rejects of a sensor that are a fault")
+    inclination_noise_deg: float = Field(default=0.006, gt=0, le=10, description="inclinometer noise, rms")
+    inclination_walk_deg_s: float = Field(
+        default=0.3, gt=0, le=100, description="process noise of the rope's angular rate, deg/s/sqrt(s)"
+    )
 
 
 class DesignSettings(Settings):
@@ -192,6 +228,7 @@ class DesignSettings(Settings):
     command_weight: float = Field(gt=0, le=1e9, description="cost of commanded speed about the feed-forward, s^2/mm^2")
     ms_max: float = Field(default=1.6, gt=1, le=10, description="highest sensitivity peak over the family")
     waiver: str | None = Field(default=None, min_length=10, description="why a design above ms_max may run, in words")
+    gains_file: str | None = Field(default=None, min_length=1, description="from `rigctl tune --gains`, null = none")
 
 
 class SafetySettings(Settings):
@@ -205,6 +242,23 @@ class SafetySettings(Settings):
     bus_silent_ms: int = Field(ge=1, le=1000, description="no frame at all for this long")
     overrun_ticks: int = Field(ge=1, le=1000, description="periods skipped ...")
     overrun_window_ms: int = Field(ge=10, le=60_000, description="... within this time")
+
+
+class CalibrationSettings(Settings):
+    """Tare and calibration of the tension cell; what is found is kept in a ledger beside the rig file.
+
+    With this section the rig arms only while a calibration check has passed and is not overdue, or a waiver says why.
+    """
+
+    file: str | None = Field(
+        default=None, min_length=1, description="ledger, relative to the rig file; null = calibration/RIG.json"
+    )
+    due_days: int = Field(default=365, ge=1, le=3650, description="a check holds for this long")
+    reference_n: float = Field(gt=0, le=100_000, description="known weight, as force")
+    shunt_n: float | None = Field(default=None, gt=0, le=100_000, description="what the shunt makes the cell read")
+    tolerance_pct: float = Field(default=0.5, gt=0, le=5, description="largest deviation from the reference")
+    tare_limit_n: float = Field(default=10.0, gt=0, le=1000, description="largest zero a tare may set")
+    waiver: str | None = Field(default=None, min_length=10, description="why it may arm uncalibrated, in words")
 
 
 class TelemetrySettings(Settings):
@@ -243,12 +297,15 @@ class RigSettings(Settings):
     can: CanSettings
     tension_cell: TensionCellSettings
     inclinometer: InclinometerSettings
+    rail_encoder: RailEncoderSettings | None = None
     cylinder: CylinderSettings
     plant: PlantSettings
     tension: TensionSettings
     estimator: EstimatorSettings
+    run_out: RunOutSettings | None = None
     design: DesignSettings
     safety: SafetySettings
+    calibration: CalibrationSettings | None = None
     telemetry: TelemetrySettings = Field(default_factory=TelemetrySettings)
     demo: DemoSettings | None = None
     simulation: SimulationSettings | None = None
@@ -264,6 +321,11 @@ class RigSettings(Settings):
         rate, slope_rate = self.loop.rate_hz, self.inclinometer.rate_hz
         fits = rate % slope_rate == 0 and rate // slope_rate <= 240
         require(fits, "inclinometer.rate_hz", slope_rate, f"loop.rate_hz ({rate}) divided by 1 to 240")
+        if (rail := self.rail_encoder) is not None:
+            fits = rate % rail.rate_hz == 0 and rate // rail.rate_hz <= 240
+            require(fits, "rail_encoder.rate_hz", rail.rate_hz, f"loop.rate_hz ({rate}) divided by 1 to 240")
+        known = self.run_out is None or self.rail_encoder is not None
+        require(known, "run_out", "a section", "none without a rail_encoder section")
         limit = 2 * self.can.heartbeat_ms
         wait = self.cylinder.heartbeat_timeout_ms
         require(wait >= limit, "cylinder.heartbeat_timeout_ms", wait, f"at least twice can.heartbeat_ms ({limit})")
@@ -273,6 +335,11 @@ class RigSettings(Settings):
         require(trip <= scale, "safety.tension_high_n", trip, f"within tension_cell.range_n ({scale:g})")
         target, trip = self.tension.target_min_n, self.safety.tension_low_n
         require(target > trip, "tension.target_min_n", target, f"above safety.tension_low_n ({trip:g})")
+        if self.calibration is not None:
+            zero, low = self.calibration.tare_limit_n, self.safety.tension_low_n
+            require(zero < low, "calibration.tare_limit_n", zero, f"below safety.tension_low_n ({low:g})")
+            weight = self.calibration.reference_n
+            require(weight <= scale, "calibration.reference_n", weight, f"within tension_cell.range_n ({scale:g})")
         period_ms = 1000 / rate
         stale = min(self.safety.stale_ms, self.safety.bus_silent_ms)
         require(stale >= 2 * period_ms, "safety.stale_ms", stale, f"two loop periods ({2 * period_ms:g} ms) or more")
@@ -289,6 +356,7 @@ class RigSettings(Settings):
         cell, slope = self.tension_cell, self.inclinometer
         nodes = {"tension_cell": cell.node} if cell.dbc is None else {}
         nodes |= {"inclinometer": slope.node} if slope.dbc is None else {}
+        nodes |= {"rail_encoder": self.rail_encoder.node} if self.rail_encoder is not None else {}
         return {**nodes, "cylinder": self.cylinder.node}
 
     @property
@@ -305,6 +373,13 @@ class RigSettings(Settings):
                 if found[name] is None:
                     raise ValueError(f"{name}: its DBC file has not been read")
         return found
+
+    @property
+    def ledger(self) -> pathlib.Path | None:
+        """Where calibrations are written down; None without a calibration section."""
+        if self.calibration is None:
+            return None
+        return self.file(self.calibration.file or f"calibration/{self.rig}.json")
 
     def file(self, name: str) -> pathlib.Path:
         """A file the rig file names, relative to where the rig file stands."""

@@ -28,6 +28,26 @@ def _load(file: pathlib.Path) -> RigSettings:
         end(USAGE, "\nrigctl: ".join(error.findings))
 
 
+def _check_gain_file(settings: RigSettings) -> None:
+    """Before anything is started: a gain file that does not fit is a matter of the files."""
+    from rigctl.design import gain_file
+
+    try:
+        gain_file.read_for(settings)
+    except gain_file.GainFileError as error:
+        end(USAGE, str(error))
+
+
+def _check_ledger(settings: RigSettings) -> None:
+    """The same of a calibration ledger that cannot be believed."""
+    from rigctl.commission import ledger
+
+    try:
+        ledger.read(settings)
+    except ledger.LedgerError as error:
+        end(USAGE, str(error))
+
+
 def check(file: File, json: Json = False) -> None:
     """Validate a rig file; show the resolved rig and the worst-case load of its bus."""
     settings = _load(file)
@@ -52,6 +72,9 @@ def run(file: File) -> None:
 
     if not accepted(settings):
         end(BAD, f"{file}: {verdict(settings)}")
+    if settings.design.gains_file is not None:
+        _check_gain_file(settings)
+    _check_ledger(settings)
     try:
         code = Supervisor(settings, lambda text: say(f"{time.strftime('%H:%M:%S')} {text}")).run()
     except CannotRunError as error:

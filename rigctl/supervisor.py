@@ -21,6 +21,8 @@ from typing import IO, Any
 import msgspec
 
 from rigctl import __version__
+from rigctl.commission import ledger
+from rigctl.commission.ledger import IN_FORCE, Standing
 from rigctl.config import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.devices import busload
@@ -106,6 +108,7 @@ class Supervisor:
             "bus_load": busload.bus_load(settings),
         }
         self._runtime.write_json("active.json", self._active)
+        self._say_calibration()
         self._spawn("control", "rigctl.control")
         self._spawn("gateway", "rigctl.telemetry.gateway")
         self._design()
@@ -129,23 +132,46 @@ class Supervisor:
         _notify("READY=1")
 
     def _design(self) -> None:
-        from rigctl.design.gains import DesignError  # imports python-control: slow, beside the children's own start
-        from rigctl.design.margins import design_and_check
+        from rigctl.design.gain_file import design_in_use  # imports python-control: slow, beside the children's start
+        from rigctl.design.gains import DesignError
 
         try:
-            design = design_and_check(self.settings)
+            design = design_in_use(self.settings)
         except (DesignError, ArithmeticError, ValueError) as error:  # ... or numbers no plant has
             raise CannotRunError(f"{self.settings.rig}: no design: {error}") from None
         self._active["design"] = design.as_dict()
         if not design.accepted:
-            raise CannotRunError(
-                f"{self.settings.rig}: design refused: Ms {design.ms_max:.2f} over the family of plants, allowed "
-                f"{design.limit:g} (or a design.waiver in words)"
-            )
-        waived = f" - WARNING: waived: {design.waiver}" if design.waiver else ""
-        self._say(f"design: Ms {design.ms_max:.2f} over the family of plants (limit {design.limit:g}){waived}")
+            raise CannotRunError(f"{self.settings.rig}: {design.verdict()}")
+        self._say(f"design: {design.verdict()}")
+        for warning in design.warnings():
+            self._say(f"WARNING: design: {warning}")
         self._runtime.write_json("active.json", self._active)
         self._gains_line = msgspec.json.encode(design.gains) + b"\n"
+
+    def _say_calibration(self) -> None:
+        """What the ledger says of the cell, for the operator; from `_put_calibration`."""
+        standing = self._put_calibration()
+        if self.settings.calibration is None or standing is None:
+            return
+        words = f"calibration: due {standing.due}" if standing.due else "calibration: none on record"
+        if standing.overdue:
+            waiver = standing.waiver
+            words += f", waived: {waiver}" if waiver else " - WARNING: overdue, arming is refused"
+        self._say(words)
+
+    def _put_calibration(self) -> Standing | None:
+        """Zero, scale and due date as the ledger has them now, for a control process about to start.
+
+        A ledger that has become unreadable meanwhile leaves in force what was.
+        """
+        try:
+            entries = ledger.read(self.settings)
+        except ledger.LedgerError as error:
+            self._say(f"WARNING: {error}; zero and scale stay as they were")
+            return None
+        standing = ledger.standing(self.settings, entries, time.time_ns())
+        self._runtime.write_json(IN_FORCE, standing)
+        return standing
 
     def _spawn(self, name: str, module: str) -> None:
         command = [sys.executable, "-m", module, str(self._runtime.directory)]
@@ -177,6 +203,8 @@ class Supervisor:
                 comes = "comes back DISARMED" if child.name == "control" else "comes back, the loop is unaffected"
                 self._say(f"WARNING: {child.name} process {how}; {comes} in {wait:g} s")
             elif now >= child.retry_at:
+                if child.name == "control":
+                    self._put_calibration()
                 module = "rigctl.control" if child.name == "control" else "rigctl.telemetry.gateway"
                 self._spawn(child.name, module)
                 if child.name == "control":

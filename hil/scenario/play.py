@@ -16,11 +16,12 @@ from hil.plant.inputs import Track
 from hil.scenario.errors import ScenarioError
 from hil.truth import TRUTH_DTYPE
 from rigctl.config import RigSettings
+from rigctl.control.loop import LawFactory
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
+from rigctl.design.gain_file import design_in_use
 from rigctl.design.gains import DesignError
-from rigctl.design.margins import design_and_check
 
 LOCKED_PERIOD_NS = 1_000_000
 PREPARING = "preparing the plant (compiled once)"
@@ -70,6 +71,7 @@ def play(
     target_n: float,
     settle_s: float = 2.0,
     gains: Gains | None = None,
+    law: LawFactory | None = None,
     progress: Advance | None = None,
 ) -> Played:
     """Play tracks against a rig.
@@ -83,6 +85,7 @@ def play(
         target_n: vertical tension to hold.
         settle_s: time in COMPENSATING before time 0; ``loop`` only.
         gains: of the law; None designs them and refuses what ``rigctl run`` would refuse.
+        law: makes another law than ours, see `rigctl.control.loop.Loop`.
         progress: told what is done.
 
     Raises:
@@ -93,11 +96,11 @@ def play(
     if controller == "locked":
         return _play_locked(settings, tracks, seconds, target_n, tell)
     tell(0.0, "designing the law")
-    law = gains or design(settings)
+    designed = gains or design(settings)
     with contextlib.ExitStack() as stack:
         tell(0.0, PREPARING)
         try:
-            rig = stack.enter_context(lockstep(settings, law))
+            rig = stack.enter_context(lockstep(settings, designed, law=law))
         except (ValueError, OSError) as error:
             raise ScenarioError([f"{settings.rig}: {error}"]) from None
         _bring_to_target(rig, target_n, settle_s, tell)
@@ -111,7 +114,7 @@ def design(settings: RigSettings) -> Gains:
         ScenarioError: there are none, or it would refuse them.
     """
     try:
-        found = design_and_check(settings)
+        found = design_in_use(settings)
     except DesignError as error:
         raise ScenarioError([f"{settings.rig}: design: {error}"]) from None
     if found.accepted:

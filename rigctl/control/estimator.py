@@ -3,7 +3,9 @@
 State ``x = [tension N, drive speed mm/s, disturbance speed mm/s]``. The disturbance is whatever stretches the spring
 that the cylinder does not: the upper point lagging, the rail's level, the payload moving.
 
-    dT/dt = k (v + w),   dv/dt = (u(t - Td) - v) / tau,   dw/dt = white noise
+    dT/dt = k (v + w + f),   dv/dt = (u(t - Td) - v) / tau,   dw/dt = white noise
+
+with f the part of the disturbance that the inclination tells (`rigctl.control.stretch`); the law is given w + f.
 
 A sample latched by the SYNC of tick n - 1 is read in tick n, and the command sent in tick n reaches the cylinder
 ``delay_ticks`` after the SYNC of tick n. ``update`` therefore corrects the state of tick n - 1, ``predict`` carries
@@ -20,6 +22,7 @@ import numpy.typing as npt
 from filterpy.kalman import KalmanFilter
 
 from rigctl.config import RigSettings
+from rigctl.control.gate import Gate
 
 Array = npt.NDArray[np.float64]
 
@@ -38,6 +41,9 @@ class FilterModel:
     speed_variance_mm2_s2: float
     delay_ticks: int
     period_s: float
+    gate_sigma: float = 5.0
+    burst_mm_s: float = math.inf  # disturbance speed beyond the model that the gate allows for, one sigma
+    drive_burst_mm_s: float = math.inf  # the same per tick of drive speed
 
 
 def filter_model(settings: RigSettings) -> FilterModel:
@@ -60,15 +66,19 @@ def filter_model(settings: RigSettings) -> FilterModel:
         noise.speed_noise_mm_s**2,
         round(plant.command_delay_s / dt),
         dt,
+        noise.gate_sigma,
+        noise.gate_speed_mm_s,
+        settings.tension.acceleration_max_mm_s2 * dt,
     )
 
 
 @dataclass(frozen=True)
 class _Settled:
-    """Gain (3 rows of 2) that no longer changes, and the covariance before an update that goes with it."""
+    """Gain (3 rows of 2) that no longer changes, covariance before an update, variances of the innovations."""
 
     gain: list[list[float]]
     prior: Array
+    variances: tuple[float, float]
 
 
 def _inverse(s: Array) -> Array:
@@ -102,8 +112,10 @@ class TensionFilter:
         self._sent: list[float] = [0.0] * (model.delay_ticks + 1)  # oldest first
         carry, forced = self._lookahead(model)
         self._carry, self._forced = carry.tolist(), forced.tolist()
-        self.innovation_n = 0.0
-        self.innovation_n2 = 0.0
+        self.cell = Gate(model.gate_sigma, model.f.item(0, 2) * model.burst_mm_s)
+        self.drive = Gate(model.gate_sigma, model.drive_burst_mm_s)
+        self.known_mm_s = 0.0
+        """f: the part of the disturbance that is known from elsewhere."""
         self.refused = 0
         self.reset(0.0, 0.0)
 
@@ -124,36 +136,72 @@ class TensionFilter:
         kf.P = np.diag([self.model.cell_variance_n2, self.model.speed_variance_mm2_s2, 1.0])
         kf.K = np.zeros((3, 1))  # so that the first gain after this is never taken for a settled one
         self._settled = None
-        self.innovation_n = 0.0
+        self.cell.idle()
+        self.drive.idle()
 
     def update(self, tension_n: float | None, speed_mm_s: float | None) -> None:
         """Correct with the newest samples; ``None`` is absent, a non-finite one is counted and left out."""
-        if tension_n is not None and not math.isfinite(tension_n):
-            self.refused += 1
+        tension_n, speed_mm_s = self._finite(tension_n), self._finite(speed_mm_s)
+        t, v, w = self.state
+        y0 = tension_n - t if tension_n is not None else None
+        y1 = speed_mm_s - v if speed_mm_s is not None else None
+        ticks = self.cell.since
+        s00, s11 = self._variances()
+        if not self._believed(self.cell, y0, s00):
             tension_n = None
-        if speed_mm_s is not None and not math.isfinite(speed_mm_s):
-            self.refused += 1
+        elif self.cell.surprised:
+            self._follow(ticks)
+        if not self._believed(self.drive, y1, s11):
             speed_mm_s = None
-        settled = self._settled
         if tension_n is None or speed_mm_s is None:
             self._update_one(tension_n, speed_mm_s)
-        elif settled is not None:
-            t, v, w = self._x
-            y0, y1 = tension_n - t, speed_mm_s - v
-            (a, b), (c, d), (e, f) = settled.gain
+        elif self._settled is not None:
+            (a, b), (c, d), (e, f) = self._settled.gain
+            assert y0 is not None
+            assert y1 is not None
             self._x = t + a * y0 + b * y1, v + c * y0 + d * y1, w + e * y0 + f * y1
-            self.innovation_n = y0
         else:
             self._update_both(tension_n, speed_mm_s)
+
+    def _finite(self, value: float | None) -> float | None:
+        if value is None or math.isfinite(value):
+            return value
+        self.refused += 1
+        return None
+
+    def _variances(self) -> tuple[float, float]:
+        """Of the innovations of tension and speed."""
+        if self._settled is not None:
+            return self._settled.variances
+        p, r = self._kf.P, self._kf.R
+        return p.item(0, 0) + r.item(0, 0), p.item(1, 1) + r.item(1, 1)
+
+    @staticmethod
+    def _believed(gate: Gate, innovation: float | None, variance: float) -> bool:
+        if innovation is None:
+            gate.absent()
+            return False
+        return gate.believes(innovation, variance)
+
+    def _follow(self, ticks: int) -> None:
+        """Before a surprising tension is taken in: the disturbance may have been anything a burst can be."""
+        kf, model = self._kf, self.model
+        if self._settled is not None:
+            self._unsettle()
+            kf.P = self._prior
+        speed = model.burst_mm_s
+        burst = np.array([[model.f[0, 2] * speed * ticks], [0.0], [speed]])
+        kf.P = kf.P + burst @ burst.T
 
     def _update_both(self, tension_n: float, speed_mm_s: float) -> None:
         kf = self._kf
         before = kf.K
         kf.update(np.array([[tension_n], [speed_mm_s]]))
-        self.innovation_n, self.innovation_n2 = float(kf.y[0, 0]), float(kf.S[0, 0])
         if before.shape == kf.K.shape and np.abs(kf.K - before).max() < SETTLED_GAIN:
             self._x = self.state
-            self._settled = _Settled(kf.K.tolist(), kf.P_prior)
+            self._settled = _Settled(kf.K.tolist(), kf.P_prior, (kf.S.item(0, 0), kf.S.item(1, 1)))
+        else:
+            kf.P = 0.5 * (kf.P + kf.P.T)
 
     def _update_one(self, tension_n: float | None, speed_mm_s: float | None) -> None:
         kf = self._kf
@@ -162,9 +210,9 @@ class TensionFilter:
             kf.P = self._prior
         if tension_n is not None:
             kf.update(np.array([[tension_n]]), kf.R[:1, :1], kf.H[:1])
-            self.innovation_n, self.innovation_n2 = float(kf.y[0, 0]), float(kf.S[0, 0])
         elif speed_mm_s is not None:
             kf.update(np.array([[speed_mm_s]]), kf.R[1:, 1:], kf.H[1:])
+        kf.P = 0.5 * (kf.P + kf.P.T)
 
     def _unsettle(self) -> None:
         """Hand the state back to filterpy, whose covariance is that after an update."""
@@ -175,23 +223,32 @@ class TensionFilter:
     def predict(self, periods: int = 1) -> None:
         """Carry the state to this tick; ``periods`` > 1 after an overrun, the last command having stayed."""
         sent = self._sent
+        self.cell.pass_ticks(periods)
+        self.drive.pass_ticks(periods)
         if periods == 1 and self._settled is not None:
             t, v, w = self._x
             u = sent[0]
             (a, b, c, d), (e, f, g, h), (i, j, k, m) = self._transition
-            self._x = a * t + b * v + c * w + d * u, e * t + f * v + g * w + h * u, i * t + j * v + k * w + m * u
+            known = c * self.known_mm_s
+            self._x = (
+                a * t + b * v + c * w + d * u + known,
+                e * t + f * v + g * w + h * u,
+                i * t + j * v + k * w + m * u,
+            )
             sent.append(sent[-1])
             del sent[0]
             return
         self._unsettle()
         for _ in range(min(periods, MAX_CATCH_UP)):
             self._kf.predict(u=sent[0])
+            self._kf.x[0, 0] += self.model.f[0, 2] * self.known_mm_s
             sent.append(sent[-1])
             del sent[0]
 
     def ahead(self) -> tuple[float, float, float]:
-        """Tension, drive speed and disturbance speed when a command sent now will act."""
+        """Tension, drive speed and whole disturbance speed when a command sent now will act."""
         t, v, w = self.state
+        w += self.known_mm_s
         if not self.model.delay_ticks:
             return t, v, w
         # Plain floats: three rows of a handful of products cost numpy four times as much.

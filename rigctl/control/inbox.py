@@ -8,6 +8,7 @@ from collections.abc import Callable
 import can
 
 from rigctl.config import RigSettings
+from rigctl.control.correction import Correction
 from rigctl.devices import codecs, dbc
 from rigctl.devices import objects as od
 from rigctl.devices.plain import PlainMessage
@@ -27,13 +28,17 @@ class Inbox:
 
     def __init__(self, bus: can.BusABC, settings: RigSettings) -> None:
         self._bus = bus
-        self._slope_divisor = settings.inclinometer_divisor
+        rail = settings.rail_encoder
+        self._divisors: tuple[int, ...] = (1, settings.inclinometer_divisor, 1)
+        if rail is not None:
+            self._divisors = (*self._divisors, settings.loop.rate_hz // rail.rate_hz)
         nodes, plain = settings.canopen_nodes, settings.plain_messages
         self._handlers: dict[int, Callable[[bytes | bytearray, int], None]] = {}
         for device, base, on_frame in (
             ("tension_cell", od.CELL_TPDO.cob_base, self._on_cell),
             ("inclinometer", od.SLOPE_TPDO.cob_base, self._on_slope),
             ("cylinder", od.DRIVE_TPDO.cob_base, self._on_drive),
+            ("rail_encoder", od.ENCODER_TPDO.cob_base, self._on_rail),
         ):
             if device in nodes:
                 self._handlers[base + nodes[device]] = on_frame
@@ -46,18 +51,26 @@ class Inbox:
         for node in nodes.values():
             self._handlers[od.EMCY_BASE + node] = self._emergency_handler(node)
             self._handlers[od.HEARTBEAT_BASE + node] = self._heartbeat_handler(node)
-        self.tension_n = math.nan
+        self._rail_node = rail.node if rail is not None else 0
+        self._counts_per_turn = rail.counts_per_turn if rail is not None else 1
+        self.correction = Correction()
+        self.reading_n = math.nan  # as the cell sends it
+        self.tension_n = math.nan  # corrected
         self.cell_quality = _NEVER
         self.cell_t_ns = NEVER_NS
         self.tangential_rad = self.normal_rad = 0.0
         self.slope_quality = _NEVER
         self.slope_t_ns = NEVER_NS
+        self.rail_rad = 0.0
+        self.rail_quality = _NEVER
+        self.rail_t_ns = NEVER_NS
+        self._rail_in_error = self._rail_restarted = False
         self.statusword = 0
         self.stroke_mm = math.nan
         self.speed_mm_s = 0.0
         self.drive_t_ns = NEVER_NS
         self.bus_t_ns = NEVER_NS
-        self.cell_fresh = self.drive_fresh = False
+        self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
         self.received = self.refused = self.error_frames = self.receive_failures = 0
         self.emergencies: list[tuple[int, int]] = []  # (node, code) since last taken
         self.node_states: list[tuple[int, int]] = []  # (node, NMT state) changes since last taken
@@ -66,13 +79,13 @@ class Inbox:
         self._tension_max_n = settings.tension_cell.range_n * OVERRANGE
         self._slope_max_rad = math.radians(settings.inclinometer.range_deg)
         self._states: dict[int, int] = {}
-        self._counts = [0, 0, 0]  # cell, slope, drive frames since the first of each
-        self._bases = [-1, -1, -1]  # SYNCs sent when the first came
+        self._counts = [0, 0, 0, 0]  # cell, slope, drive, rail frames since the first of each
+        self._bases = [-1, -1, -1, -1]  # SYNCs sent when the first came
         self._syncs = 0
 
     def drain(self, now_ns: int, syncs_sent: int) -> None:
         """Read until the bus is empty; samples are stamped ``now_ns``."""
-        self.cell_fresh = self.drive_fresh = False
+        self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
         self._syncs = syncs_sent
         receive, handlers = self._bus.recv, self._handlers
         for _ in range(MAX_FRAMES_PER_TICK):
@@ -102,7 +115,7 @@ class Inbox:
         Plain frames answer no SYNC: none is ever due.
         """
         missing = 0
-        for i, divisor in enumerate((1, self._slope_divisor, 1)):
+        for i, divisor in enumerate(self._divisors):
             if self._bases[i] >= 0:
                 missing += max(0, (self._syncs - self._bases[i]) // divisor + 1 - self._counts[i])
         return missing
@@ -117,12 +130,19 @@ class Inbox:
         self._take_cell(tension_n, quality, now_ns)
         self._count(0)
 
-    def _take_cell(self, tension_n: float, quality: int, now_ns: int) -> None:
-        """Newest tension; one beyond the cell's range is saturated, whatever the device says."""
-        if not quality and abs(tension_n) > self._tension_max_n:
+    def correct(self, correction: Correction) -> None:
+        """Read the cell with another correction from now on, the newest sample included."""
+        self.correction = correction
+        self.tension_n = correction.applied(self.reading_n)
+
+    def _take_cell(self, reading_n: float, quality: int, now_ns: int) -> None:
+        """Newest tension; a reading beyond the cell's range is saturated, whatever the device says."""
+        if not quality and abs(reading_n) > self._tension_max_n:
             quality = _SATURATED
         if not quality:
-            self.tension_n = tension_n
+            self.reading_n = reading_n
+            correction = self.correction
+            self.tension_n = (reading_n - correction.zero_n) * correction.scale
         self.cell_quality = quality
         self.cell_t_ns = now_ns
         self.cell_fresh = quality == 0
@@ -135,6 +155,7 @@ class Inbox:
             self.tangential_rad, self.normal_rad = tangential_rad, normal_rad
         self.slope_quality = quality
         self.slope_t_ns = now_ns
+        self.slope_fresh = quality == 0
 
     def _on_slope(self, data: bytes | bytearray, now_ns: int) -> None:
         tangential, normal, quality = codecs.decode_inclination(data)
@@ -146,6 +167,17 @@ class Inbox:
         self.drive_t_ns = now_ns
         self.drive_fresh = True
         self._count(2)
+
+    def _on_rail(self, data: bytes | bytearray, now_ns: int) -> None:
+        """Newest angle of the rail; invalid while its encoder reports an error, or runs unverified after a restart."""
+        angle_rad = codecs.decode_encoder(data, self._counts_per_turn)
+        good = not (self._rail_in_error or self._rail_restarted)
+        if good:
+            self.rail_rad = angle_rad
+        self.rail_quality = 0 if good else _INVALID
+        self.rail_t_ns = now_ns
+        self.rail_fresh = good
+        self._count(3)
 
     def _plain_cell_handler(self, message: PlainMessage) -> Callable[[bytes | bytearray, int], None]:
         decode = dbc.tension_decoder(message)
@@ -171,8 +203,11 @@ class Inbox:
         def on_emergency(data: bytes | bytearray, _now_ns: int) -> None:
             if len(data) != _EMCY_SIZE:
                 raise ValueError("length")
+            code = data[0] | data[1] << 8
+            if node == self._rail_node:
+                self._rail_in_error = code != od.EmcyCode.NO_ERROR
             if len(self.emergencies) < MAX_NOTICES:
-                self.emergencies.append((node, data[0] | data[1] << 8))
+                self.emergencies.append((node, code))
 
         return on_emergency
 
@@ -181,7 +216,11 @@ class Inbox:
             if len(data) != 1:
                 raise ValueError("length")
             state = data[0] & 0x7F
-            self.restarted |= state == od.NmtState.BOOT_UP
+            if state == od.NmtState.BOOT_UP:
+                if node == self._rail_node:  # nothing hangs on it but the run-out table
+                    self._rail_restarted = True
+                else:
+                    self.restarted = True
             if self._states.get(node) != state and len(self.node_states) < MAX_NOTICES:
                 self.node_states.append((node, state))
             self._states[node] = state

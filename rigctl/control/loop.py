@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import can
 
 from rigctl.config import RigSettings
-from rigctl.control import modes, safety
+from rigctl.control import modes, safety, trials
 from rigctl.control.clock import Clock
+from rigctl.control.correction import Correction, tare_limit_n
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.inbox import Inbox
+from rigctl.control.inclination import InclinationFilter, Stretch
 from rigctl.control.machine import Machine
-from rigctl.control.modes import Event, Mode, Situation, Verb
+from rigctl.control.modes import Event, Mode, Setting, Situation, Verb
 from rigctl.control.outbox import Outbox
+from rigctl.control.run_out import RunOutTable, stale_ns
 from rigctl.control.safety import Check, Fault, Sight, Trip, Watch
+from rigctl.control.signs import SignCheck
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.devices.drive import Power, next_controlword
 from rigctl.devices.objects import DriveState, drive_state
@@ -29,9 +34,11 @@ STOP_LIMIT_NS = 2_000_000_000
 COMMANDS_PER_TICK = 4
 NOTICE_NS = 1_000_000_000
 NOTICES_KEPT = 64
+LEAST_COSINE = 0.5  # a rope at 60 deg: nothing beyond it is believed
 SKIP_NOTICE = 5  # ticks skipped at once that are worth an event
 _OFF = frozenset({DriveState.READY_TO_SWITCH_ON, DriveState.SWITCH_ON_DISABLED})
 _STALE = Quality.STALE.value
+LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]
 _ENABLED, _ARMING = Flag.DRIVE_ENABLED.value, Flag.ARMING.value
 
 
@@ -49,15 +56,30 @@ class Loop:
     """The fixed-rate loop. Bus and clock are passed in; nothing here knows whether they are real."""
 
     def __init__(
-        self, settings: RigSettings, gains: Gains, bus: can.BusABC, clock: Clock, rings: Rings, *, supervised: bool
+        self,
+        settings: RigSettings,
+        gains: Gains,
+        bus: can.BusABC,
+        clock: Clock,
+        rings: Rings,
+        *,
+        supervised: bool,
+        law: LawFactory | None = None,
+        correction: Correction | None = None,
     ) -> None:
-        """``supervised``: start-up has verified that the drive stops by itself when we go silent."""
+        """``supervised``: start-up has verified that the drive stops by itself when we go silent.
+
+        ``law``: makes another law than ours, to be compared with it; it may look into the inbox.
+        ``correction``: of the tension cell, from the ledger.
+        """
         self.settings = settings
         self.machine = Machine()
         self.inbox = Inbox(bus, settings)
         self.outbox = Outbox(bus, settings)
         self.filter = TensionFilter(filter_model(settings))
-        self.law = TensionLaw(settings, gains)
+        self.inclination = InclinationFilter(settings)
+        self._stretch = Stretch(settings.plant.rope_length_mm, 1.0 / settings.loop.rate_hz)
+        self.law = TensionLaw(settings, gains) if law is None else law(settings, gains, self.inbox)
         self.exceptions_untold = 0
         self.finished = False
         self.stop_requested = False
@@ -70,10 +92,20 @@ class Loop:
         self._window_ns = settings.safety.overrun_window_ms * 1_000_000
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._slope_stale_ns = settings.safety.inclination_stale_ms * 1_000_000
+        rail, run_out = settings.rail_encoder, settings.run_out
+        self._rail_stale_ns = stale_ns(rail) if rail is not None else 0
+        self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
+        self._run_out_mm_s, self._rail_age_ns = 0.0, 0
         self._slack_n = settings.tension.slack_n
         self._cosine, self._tension_n, self._power = 1.0, 0.0, Power.OFF
         self._stop_until = self._off_until = 0
+        self._trial: trials.Trial | None = None
+        self._signs = SignCheck(settings)
+        self._found = (0.0, 0.0)  # value and spread of the last trial
         rings.events.write(clock.now(), Kind.STARTED, 0, 0, 0.0, 0.0, b"")
+        if correction is not None:
+            self._sight.calibration_overdue = correction.overdue
+            self._correct(correction, clock.now())
 
     @property
     def drive_off(self) -> bool:
@@ -117,9 +149,11 @@ class Loop:
             self._skips.popleft()
         state = drive_state(inbox.statusword)
         sight.tension_n, sight.cell_quality = inbox.tension_n, inbox.cell_quality
+        sight.reading_n = inbox.reading_n
         sight.cell_age_ns = now_ns - inbox.cell_t_ns
         sight.inclination_quality = inbox.slope_quality
         sight.inclination_age_ns = now_ns - inbox.slope_t_ns
+        self._rail_age_ns = now_ns - inbox.rail_t_ns
         sight.stroke_mm = inbox.stroke_mm
         sight.drive_age_ns = now_ns - inbox.drive_t_ns
         sight.drive_enabled = state is DriveState.OPERATION_ENABLED
@@ -129,26 +163,56 @@ class Loop:
         sight.stroke_limited = self.law.limits & Flag.LIMITED_STROKE.value != 0
         sight.speed_error_mm_s = abs(inbox.speed_mm_s - self.law.command_mm_s) if sight.drive_enabled else 0.0
         sight.rope_lost, sight.device_restarted = self.law.rope_lost, inbox.restarted
+        if not self._signs.passed and self.machine.mode is Mode.TENSIONING:
+            self._check_signs(now_ns)
         sight.drive_wanted = self.machine.drive_wanted and not self.machine.stopping
 
     def _estimate(self, skipped: int) -> Estimate:
-        inbox, kalman = self.inbox, self.filter
+        inbox, kalman, slope = self.inbox, self.filter, self.inclination
+        if inbox.slope_fresh:
+            slope.update(inbox.tangential_rad, inbox.normal_rad)
+        else:
+            slope.absent()
+        tangential, _, normal, _ = slope.state
+        self._cosine = max(LEAST_COSINE, math.cos(tangential) * math.cos(normal))
+        stretch_mm_s = self._stretch.speed_mm_s(self._cosine)
         if inbox.cell_fresh:
             self._tension_n = inbox.tension_n
-            if not inbox.slope_quality:
-                self._cosine = math.cos(inbox.tangential_rad) * math.cos(inbox.normal_rad)
         if self._tension_n < self._slack_n:
             kalman.reset(self._tension_n, inbox.speed_mm_s)
+            kalman.known_mm_s = self._run_out_mm_s = 0.0
+            if self._run_out is not None:
+                self._run_out.lose()
         else:
+            if self._run_out is not None:
+                self._run_out_mm_s = self._run_out_speed(self._run_out, 1 + skipped)
+            kalman.known_mm_s = stretch_mm_s + self._run_out_mm_s
             kalman.update(
                 inbox.tension_n if inbox.cell_fresh else None, inbox.speed_mm_s if inbox.drive_fresh else None
             )
         kalman.predict(1 + skipped)
+        slope.pass_ticks(1 + skipped)
+        self._sight.rejects = max(kalman.cell.rejects, kalman.drive.rejects)
         tension_n, speed_mm_s, disturbance_mm_s = kalman.ahead()
         if not math.isfinite(tension_n + speed_mm_s + disturbance_mm_s):
             kalman.reset(self._tension_n, 0.0)
             raise ArithmeticError("the estimate is not finite")
+        if self._run_out is not None:
+            disturbance_mm_s += self._run_out.lead_mm_s
         return Estimate(tension_n, speed_mm_s, disturbance_mm_s, inbox.stroke_mm)
+
+    def _run_out_speed(self, table: RunOutTable, ticks: int) -> float:
+        """What the table knows; what the filter finds beside it in the tick before, it learns."""
+        inbox = self.inbox
+        if inbox.rail_quality or self._rail_age_ns > self._rail_stale_ns:
+            table.lose()
+            return 0.0
+        table.follow(inbox.rail_rad, ticks, fresh=inbox.rail_fresh)
+        if self.machine.mode is Mode.COMPENSATING:
+            table.learn(self.filter.state[2])
+        else:
+            table.forget_pass()
+        return table.speed_mm_s
 
     def _decide(self, t_ns: int, estimate: Estimate) -> None:
         machine, sight, law = self.machine, self._sight, self.law
@@ -161,6 +225,8 @@ class Loop:
             self._stop_until = t_ns + STOP_LIMIT_NS
             machine.stop()
         machine.follow_drive(sight.drive_enabled, t_ns)
+        if self._trial is not None:
+            self._attend(self._trial)
         if machine.mode is Mode.TENSIONING and law.tensioned(estimate):
             machine.on(Event.TENSIONED)
         elif machine.mode is Mode.RELEASING and law.slack(estimate):
@@ -168,6 +234,7 @@ class Loop:
         for change in machine.changes:
             if change.after in (Mode.TENSIONING, Mode.RELEASING):
                 law.begin(estimate.tension_n * self._cosine, estimate.speed_mm_s)
+                self._signs.begin(estimate.stroke_mm, self._tension_n)
 
     def _speed(self, estimate: Estimate) -> float:
         law, mode = self.law, self.machine.mode
@@ -181,6 +248,8 @@ class Loop:
             speed = law.compensating(estimate, self._cosine)
         elif mode is Mode.RELEASING:
             speed = law.releasing(estimate, self._cosine)
+        elif mode is Mode.HOLD and self._trial is not None:
+            speed = law.limited(self._trial.wanted_mm_s, estimate.stroke_mm)
         else:
             speed = law.hold(estimate)
         self.filter.command(speed)
@@ -209,11 +278,14 @@ class Loop:
     def _command(self, slot: object, t_ns: int) -> None:
         given_ns, id_, code, value = (slot[name].item() for name in ("t_ns", "id", "verb", "value"))  # type: ignore[index]
         machine, tension = self.machine, self.settings.tension
-        if code not in Verb._value2member_map_:
+        if code not in Verb._value2member_map_ and code not in Setting._value2member_map_:
             self._reply(t_ns, id_, modes.Refusal.UNKNOWN, 0, 0.0)
             return
         if abs(t_ns - given_ns) > COMMAND_LIFETIME_NS:
             self._reply(t_ns, id_, modes.Refusal.EXPIRED, 0, 0.0)
+            return
+        if code in Setting._value2member_map_:
+            self._reply(t_ns, id_, self._set(Setting(code), value, t_ns), 0, value)
             return
         situation = Situation(
             failed_checks=int(self._failed_checks()),
@@ -221,15 +293,60 @@ class Loop:
             drive_enabled=self._sight.drive_enabled and machine.drive_wanted,
             drive_faulted=self._sight.drive_faulted,
             slack=self._tension_n < self._slack_n,
+            unloaded=abs(self.inbox.reading_n) <= tare_limit_n(self.settings),
             target_min_n=tension.target_min_n,
             target_max_n=tension.target_max_n,
         )
         fault = machine.fault
         machine.command(id_, Verb(code), value, situation, t_ns)
+        self._trial = trials.begin(machine.trial, self.settings, self.inbox) if machine.trial is not None else None
         if fault is not machine.fault:
             self._rings.events.write(t_ns, Kind.RESET, fault, 0, 0.0, 0.0, b"")
         if code == Verb.TARGET and machine.answers and machine.answers[-1].refusal is modes.Refusal.NONE:
             self.law.target_n = value
+
+    def _check_signs(self, now_ns: int) -> None:
+        signs, inbox = self._signs, self.inbox
+        fault = signs.see(self.law.command_mm_s, inbox.stroke_mm, inbox.tension_n)
+        self._sight.drive_reversed, self._sight.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
+        if signs.passed:
+            stiffness = self.settings.plant.stiffness_n_mm
+            self._rings.events.write(now_ns, Kind.SIGNS, 0, 0, signs.slope_n_mm, stiffness, b"")
+
+    def _attend(self, trial: trials.Trial) -> None:
+        """Show a trial this tick; its answer is due when it is over, or when something has put an end to it."""
+        if self.machine.trial is not None:
+            verdict = trial.see(self.inbox, self._sight)
+            if verdict is None:
+                return
+            self._found = _number(trial.value), _number(trial.spread)
+            self.machine.end_trial(verdict)
+        self._trial = None
+
+    def _set(self, setting: Setting, value: float, t_ns: int) -> modes.Refusal:
+        """What is on record takes effect: standing still, and within its bounds."""
+        if setting is Setting.OVERDUE:
+            self._sight.calibration_overdue = value != 0.0
+            return modes.Refusal.NONE
+        inbox = self.inbox
+        if self.machine.mode not in (Mode.DISARMED, Mode.HOLD) or self.machine.stopping:
+            return modes.Refusal.WRONG_MODE
+        if setting is Setting.ZERO and not abs(inbox.reading_n) <= tare_limit_n(self.settings):
+            return modes.Refusal.LOADED
+        now = inbox.correction
+        wanted = replace(now, zero_n=value) if setting is Setting.ZERO else replace(now, scale=value)
+        if not wanted.fits(self.settings):
+            return modes.Refusal.OUT_OF_RANGE
+        self._correct(wanted, t_ns)
+        return modes.Refusal.NONE
+
+    def _correct(self, correction: Correction, t_ns: int) -> None:
+        """Read the cell anew; the filter starts again from there, for a step in what is seen is no innovation."""
+        self.inbox.correct(correction)
+        if math.isfinite(self.inbox.tension_n):
+            self._tension_n = self.inbox.tension_n
+            self.filter.reset(self._tension_n, self.inbox.speed_mm_s)
+        self._rings.events.write(t_ns, Kind.CORRECTION, 0, 0, correction.zero_n, correction.scale, b"")
 
     def _failed_checks(self) -> Check:
         verified = self._supervised and not self.inbox.restarted
@@ -266,7 +383,7 @@ class Loop:
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
         inbox, outbox, sight, law, kalman = self.inbox, self.outbox, self._sight, self.law, self.filter
-        x = kalman.state
+        x, slope = kalman.state, self.inclination
         flags = law.limits | (_ENABLED if sight.drive_enabled else 0) | (_ARMING if self.machine.arming else 0)
         self._rings.records.write(
             t_ns,
@@ -278,6 +395,7 @@ class Loop:
             self.machine.fault,
             flags,
             inbox.tension_n,
+            inbox.reading_n,
             sight.cell_age_ns,
             inbox.cell_quality | (_STALE if sight.cell_age_ns > self._stale_ns else 0),
             inbox.tangential_rad,
@@ -298,14 +416,33 @@ class Loop:
             x[1],
             x[2],
             law.integral_mm_s,
-            kalman.innovation_n,
-            kalman.innovation_n2,
+            kalman.cell.innovation,
+            kalman.cell.variance,
+            kalman.cell.verdict,
+            kalman.cell.nis,
+            kalman.drive.innovation,
+            kalman.drive.variance,
+            kalman.drive.verdict,
+            kalman.drive.nis,
+            *slope.state,
+            slope.tangential.innovation,
+            slope.tangential.variance,
+            slope.tangential.verdict,
+            slope.tangential.nis,
+            slope.normal.innovation,
+            slope.normal.variance,
+            slope.normal.verdict,
+            slope.normal.nis,
+            kalman.known_mm_s - self._run_out_mm_s,
             outbox.sent,
             inbox.received,
             inbox.frames_missing(),
             inbox.refused,
             outbox.failures,
             inbox.error_frames,
+            inbox.rail_rad,
+            inbox.rail_quality | (_STALE if self._rail_age_ns > self._rail_stale_ns else 0),
+            self._run_out_mm_s,
         )
 
     def _publish(self, t_ns: int) -> None:
@@ -321,7 +458,12 @@ class Loop:
                 value = self.law.target_n if answer.verb in (Verb.TARGET, Verb.TENSION) else _number(self._tension_n)
                 if answer.refusal is modes.Refusal.CAUSE_PRESENT:
                     value = float(self._watch.present(self._sight))
-                self._reply(t_ns, answer.id, answer.refusal, checks, value)
+                elif answer.refusal is modes.Refusal.LOADED:
+                    value = _number(self.inbox.reading_n)
+                spread = 0.0
+                if answer.verb in modes.TRIED_IN and answer.refusal is modes.Refusal.NONE:
+                    value, spread = self._found
+                self._reply(t_ns, answer.id, answer.refusal, checks, value, spread)
             machine.answers.clear()
         inbox = self.inbox
         for kind, notices in (
@@ -347,9 +489,11 @@ class Loop:
             self._noticed[kind, a, b] = t_ns + NOTICE_NS
             self._rings.events.write(t_ns, kind, a, b, 0.0, 0.0, text)
 
-    def _reply(self, t_ns: int, id_: int, refusal: modes.Refusal, checks: int, value: float) -> None:
+    def _reply(
+        self, t_ns: int, id_: int, refusal: modes.Refusal, checks: int, value: float, spread: float = 0.0
+    ) -> None:
         accepted = refusal is modes.Refusal.NONE
-        self._rings.replies.write(t_ns, id_, accepted, refusal, checks, self.machine.mode, value)
+        self._rings.replies.write(t_ns, id_, accepted, refusal, checks, self.machine.mode, value, spread)
 
 
 def _number(value: float) -> float:

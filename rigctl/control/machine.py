@@ -47,6 +47,12 @@ class Machine:
         self._arm_until = 0
         self._reset_until = 0
         self._powered = False
+        self._trial: tuple[int, Verb] | None = None
+
+    @property
+    def trial(self) -> Verb | None:
+        """The trial under way; whoever runs it calls ``end_trial``."""
+        return None if self._trial is None else self._trial[1]
 
     @property
     def arming(self) -> bool:
@@ -75,11 +81,16 @@ class Machine:
         self._go(Event.TRIP)
         if self._arm_id is not None:
             self._finish_arming(Refusal.PREFLIGHT)
+        self.end_trial(Refusal.ABORTED)
 
     def command(self, id_: int, verb: Verb, value: float, situation: Situation, t_ns: int) -> None:
         """An operator's command; its answer may come later (arm waits for the drive)."""
+        self.end_trial(Refusal.ABORTED)
         if self.stopping:
             self.answers.append(Answer(id_, verb, Refusal.STOPPING))
+            return
+        if verb in modes.TRIED_IN and self.arming:
+            self.answers.append(Answer(id_, verb, Refusal.WRONG_MODE))
             return
         if verb is Verb.DISARM and self.arming:
             self._finish_arming(Refusal.DRIVE_TIMEOUT)
@@ -91,6 +102,9 @@ class Machine:
         decision = modes.decide(self.mode, verb, value, situation)
         if decision.refusal is Refusal.NONE and verb is Verb.ARM:
             self._arm_id, self._arm_until = id_, t_ns + ARM_LIMIT_NS
+            return
+        if decision.refusal is Refusal.NONE and verb in modes.TRIED_IN:
+            self._trial = (id_, verb)
             return
         if decision.refusal is Refusal.NONE:
             self._accept(verb, decision.event, t_ns)
@@ -106,10 +120,17 @@ class Machine:
         elif t_ns >= self._arm_until:
             self._finish_arming(Refusal.DRIVE_TIMEOUT)
 
+    def end_trial(self, refusal: Refusal) -> None:
+        """Answer the trial under way, if there is one."""
+        if self._trial is not None:
+            self.answers.append(Answer(*self._trial, refusal))
+            self._trial = None
+
     def stop(self) -> None:
         """The process is to end: hold the stroke, take no more commands."""
         if not self.stopping:
             self.stopping = True
+            self.end_trial(Refusal.ABORTED)
             if self._arm_id is not None:
                 self._finish_arming(Refusal.STOPPING)
             self._go(Event.STOP)
@@ -133,6 +154,7 @@ class Machine:
         if after is before:
             return
         self.mode = after
+        self.end_trial(Refusal.ABORTED)
         if after is Mode.DISARMED:
             self._powered = False
         elif after is not Mode.FAULT:

@@ -69,6 +69,17 @@ class Verb(IntEnum):
     DISARM = 5
     RESET = 6
     TARGET = 7
+    TARE = 8  # these three measure first and answer when they are over, see rigctl.control.trials
+    CALIBRATE = 9
+    IDENTIFY = 10
+
+
+class Setting(IntEnum):
+    """What the gateway sets once it is on record; on the same ring as the verbs, but no operator's to give."""
+
+    ZERO = 128  # value: N
+    SCALE = 129  # value: factor
+    OVERDUE = 130  # value: 1 the calibration is overdue, 0 it is not
 
 
 class Refusal(IntEnum):
@@ -84,6 +95,12 @@ class Refusal(IntEnum):
     UNKNOWN = 7
     STOPPING = 8
     DRIVE_TIMEOUT = 9  # the drive did not follow
+    ABORTED = 10  # a command, a trip or a change of mode came in between
+    LOADED = 11  # the rope is not unloaded
+    UNSTEADY = 12  # it moves, or the reading does
+    NO_SAMPLES = 13  # the cell gives no good samples
+    SLACK = 14  # there is nothing to be found on a slack rope
+    STRAYED = 15  # tension or stroke left the bounds of the excitation
 
 
 @dataclass(frozen=True)
@@ -95,6 +112,7 @@ class Situation:
     drive_enabled: bool = False
     drive_faulted: bool = False
     slack: bool = False
+    unloaded: bool = False  # the cell reads no more than a tare may take away
     target_min_n: float = 0.0
     target_max_n: float = 0.0
 
@@ -108,12 +126,24 @@ class Decision:
 
 
 _EVENT_OF = {Verb.TENSION: Event.TENSION, Verb.RELEASE: Event.RELEASE, Verb.HOLD: Event.HOLD}
+TRIED_IN = {
+    Verb.TARE: (Mode.DISARMED, Mode.HOLD),
+    Verb.CALIBRATE: (Mode.DISARMED, Mode.HOLD),
+    Verb.IDENTIFY: (Mode.HOLD,),
+}
 _ALREADY = {
     (Mode.TENSIONING, Verb.TENSION),
     (Mode.COMPENSATING, Verb.TENSION),
     (Mode.RELEASING, Verb.RELEASE),
     (Mode.DISARMED, Verb.DISARM),
 }
+
+
+def _unfit(verb: Verb, value: float, situation: Situation) -> Refusal:
+    """What a trial needs of the rope."""
+    if verb is Verb.TARE and not situation.unloaded:
+        return Refusal.LOADED
+    return Refusal.SLACK if verb is Verb.IDENTIFY and value and situation.slack else Refusal.NONE
 
 
 def decide(mode: Mode, verb: Verb, value: float, situation: Situation) -> Decision:
@@ -135,6 +165,8 @@ def decide(mode: Mode, verb: Verb, value: float, situation: Situation) -> Decisi
         case Verb.RESET if mode is Mode.DISARMED and situation.drive_faulted:
             # The drive's own fault, from before this daemon; one that is not seen now cannot be cleared.
             return Decision(Refusal.CAUSE_PRESENT) if situation.cause_present else Decision()
+        case Verb.TARE | Verb.CALIBRATE | Verb.IDENTIFY if mode in TRIED_IN[verb]:
+            return Decision(_unfit(verb, value, situation))
         case Verb.RELEASE if mode is Mode.HOLD and situation.slack:
             return Decision(Refusal.ALREADY)
         case Verb.DISARM if mode is Mode.FAULT:

@@ -16,6 +16,7 @@ import can
 import msgspec
 from can.typechecking import CanFilters
 
+from rigctl.commission.ledger import in_force
 from rigctl.config import RigSettings
 from rigctl.control import realtime
 from rigctl.control.clock import GridClock, SimulatedClock
@@ -81,6 +82,7 @@ def _answer(bus: can.BusABC, settings: RigSettings) -> None:
     samples = {
         "tension_cell": (od.CELL_TPDO, (300_000, 0)),
         "inclinometer": (od.SLOPE_TPDO, (10, 0)),
+        "rail_encoder": (od.ENCODER_TPDO, (0,)),
         "cylinder": (od.DRIVE_TPDO, (0x0237, 50_000, 1)),
     }
     frames = {}
@@ -122,7 +124,8 @@ def run(directory: str) -> int:
     if settings.can.interface in FILTERS_IN_FULL:
         bus.set_filters(receive_filters(settings))
     clock = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000)
-    loop = Loop(settings, gains, bus, clock, open_rings(runtime), supervised=True)
+    correction = in_force(runtime).correction
+    loop = Loop(settings, gains, bus, clock, open_rings(runtime), supervised=True, correction=correction)
     signal.signal(signal.SIGTERM, _stop_on_signal(loop))
     applied = [*realtime.apply(settings.loop), realtime.freeze_garbage_collector()]
     runtime.write_json(

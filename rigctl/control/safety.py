@@ -32,6 +32,9 @@ class Fault(IntEnum):
     STROKE_END = 12
     DRIVE_NOT_FOLLOWING = 13
     DEVICE_RESTARTED = 14
+    INNOVATION = 15  # tension or drive speed went on contradicting what the filter expects
+    SIGN_DRIVE = 16  # a positive command does not move the stroke up
+    SIGN_CELL = 17  # a shorter rope does not pull harder, or far from what the plant says
 
 
 class Check(IntFlag):
@@ -46,6 +49,7 @@ class Check(IntFlag):
     TENSION_HIGH = 64
     STROKE_RANGE = 128
     DRIVE_SUPERVISION = 256  # the drive's own stop was not verified (0x1016, 0x6007, 0x605E, deadline)
+    CALIBRATION = 512  # the cell's calibration is missing or overdue, and not waived
 
 
 @dataclass(slots=True)
@@ -53,6 +57,7 @@ class Sight:
     """What one tick sees: values, ages in ns, quality bits (0 good), counters."""
 
     tension_n: float = math.nan
+    reading_n: float = math.nan  # the same before zero and scale
     cell_age_ns: int = 1 << 62
     cell_quality: int = 0
     inclination_age_ns: int = 1 << 62
@@ -68,6 +73,10 @@ class Sight:
     speed_error_mm_s: float = 0.0
     rope_lost: bool = False
     device_restarted: bool = False
+    drive_reversed: bool = False  # see rigctl.control.signs
+    cell_reversed: bool = False
+    rejects: int = 0
+    calibration_overdue: bool = False
 
 
 @dataclass(frozen=True)
@@ -84,6 +93,7 @@ class Row:
 
 _ARMED = frozenset({Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING, Mode.FAULT})
 _CLOSED = frozenset({Mode.TENSIONING, Mode.COMPENSATING})
+_TENSIONING = frozenset({Mode.TENSIONING})
 _MOVING = _CLOSED | {Mode.RELEASING}
 _REGULATED = frozenset({Mode.COMPENSATING})
 _EVERY = frozenset(Mode)
@@ -93,6 +103,11 @@ DRIVE_GRACE_NS = 20 * _MS  # the drive's answer to enable or disable may take th
 STROKE_SPARE_MM = 2.0
 SPEED_ERROR_MM_S = 2.0  # drive against command; the lag passes it, but not for as long as this:
 SPEED_ERROR_NS = 100 * _MS
+
+
+def _highest_n(sight: Sight) -> float:
+    """A correction of the cell can bring this trip forward, never put it off."""
+    return max(sight.tension_n, sight.reading_n)
 
 
 def table(settings: RigSettings) -> tuple[Row, ...]:
@@ -114,11 +129,14 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
             _ARMED - {Mode.FAULT},
             "",
         ),
+        Row(Fault.SIGN_DRIVE, lambda x: x.drive_reversed, 0, 0, _TENSIONING, ""),
+        Row(Fault.SIGN_CELL, lambda x: x.cell_reversed, 0, 0, _TENSIONING, ""),
         Row(Fault.CELL_INVALID, lambda x: x.cell_quality, 0, 0, _ARMED, ""),
         Row(Fault.INCLINATION_INVALID, lambda x: x.inclination_quality, 0, 0, _ARMED, ""),
-        Row(Fault.TENSION_HIGH, lambda x: x.tension_n, s.tension_high_n, persist, _EVERY, "N"),
+        Row(Fault.TENSION_HIGH, _highest_n, s.tension_high_n, persist, _EVERY, "N"),
         Row(Fault.TENSION_LOW, lambda x: -x.tension_n, -s.tension_low_n, persist, _REGULATED, "N"),
         Row(Fault.TENSION_LOW, lambda x: x.rope_lost, 0, persist, frozenset({Mode.TENSIONING}), ""),
+        Row(Fault.INNOVATION, lambda x: x.rejects, settings.estimator.reject_limit - 1, 0, _MOVING, "samples"),
         Row(Fault.STROKE_END, lambda x: x.stroke_limited, 0, STROKE_END_NS, _MOVING, ""),
         Row(Fault.DEVICE_RESTARTED, lambda x: x.device_restarted, 0, 0, _ARMED, ""),
         Row(
@@ -193,9 +211,10 @@ def preflight(sight: Sight, settings: RigSettings, *, supervision_verified: bool
         Check.INCLINATION_INVALID: sight.inclination_quality != 0,
         Check.DRIVE_STALE: sight.drive_age_ns > s.stale_ms * _MS,
         Check.DRIVE_FAULT: sight.drive_faulted,
-        Check.TENSION_HIGH: not sight.tension_n <= s.tension_high_n,
+        Check.TENSION_HIGH: not _highest_n(sight) <= s.tension_high_n,
         Check.STROKE_RANGE: not low <= sight.stroke_mm <= high,
         Check.DRIVE_SUPERVISION: not supervision_verified,
+        Check.CALIBRATION: sight.calibration_overdue,
     }
     result = Check(0)
     for check, fails in failing.items():

@@ -2,7 +2,7 @@
 
 State feedback with integral action about a disturbance feed-forward,
 
-    u = -w + r/k - K_T (T - T_sp) - K_v (v + w - r/k) - I,    dI/dt = K_i (T - T_sp)
+    u = -w + r/k - K_T (T - T_sp) - K_v (v + w - r/k) - I,    dI/dt = K_i sat(T - T_sp)
 
 with T, v, w predicted to the instant at which ``u`` acts (delay compensation), r the slope of the set-point ramp.
 The operator's target is the vertical component, so the rope's set-point is ``target / (cos theta_x cos theta_y)``.
@@ -19,6 +19,8 @@ from rigctl.telemetry.record import Flag
 
 SETTLED_FRACTION = 0.005  # of the target: tensioning is over within this error
 RAMP_EASE_S = 0.25  # a ramp takes this long to reach its slope and to leave it
+INTEGRAL_STRETCH_MM = 0.05
+"""The integral takes in no more error than this as stretch: a jolt is the feedback's affair, and leaves no tail."""
 PAY_OUT_SPARE_MM = 1.0  # rope paid out beyond the last of the stretch, so that slack is slack
 _SPEED, _STROKE = Flag.LIMITED_SPEED.value, Flag.LIMITED_STROKE.value  # as numbers: an IntFlag's | costs 1 us
 _ACCELERATION = Flag.LIMITED_ACCELERATION.value
@@ -51,6 +53,7 @@ class TensionLaw:
         self._gains = gains
         self._dt = 1.0 / settings.loop.rate_hz
         self._stiffness = settings.plant.stiffness_n_mm
+        self._integrand_n = INTEGRAL_STRETCH_MM * self._stiffness
         self._slack_n = tension.slack_n
         self._ramp_n_s = tension.ramp_n_s
         self._ramp_n_s2 = tension.ramp_n_s / RAMP_EASE_S
@@ -93,7 +96,7 @@ class TensionLaw:
     def hold(self, estimate: Estimate) -> float:
         """Stroke held: command zero, reached at the acceleration limit."""
         self.integral_mm_s = 0.0
-        return self._limited(0.0, estimate.stroke_mm)
+        return self.limited(0.0, estimate.stroke_mm)
 
     def tensioning(self, estimate: Estimate, cosine: float) -> float:
         """Take up slack at a fixed speed, then follow a ramp to the target."""
@@ -103,7 +106,7 @@ class TensionLaw:
             return self.hold(estimate)
         if estimate.tension_n < self._slack_n:
             self.start_ramp(estimate.tension_n, estimate.speed_mm_s)
-            return self._limited(self._take_up, estimate.stroke_mm)
+            return self.limited(self._take_up, estimate.stroke_mm)
         return self._closed(estimate, cosine, self._ramp_towards(self.target_n))
 
     def compensating(self, estimate: Estimate, cosine: float) -> float:
@@ -116,7 +119,7 @@ class TensionLaw:
             return self._closed(estimate, cosine, self._ramp_towards(0.0))
         if self._slack_stroke_mm is None:
             self._slack_stroke_mm = estimate.stroke_mm
-        return self._limited(-self._take_up, estimate.stroke_mm)
+        return self.limited(-self._take_up, estimate.stroke_mm)
 
     def tensioned(self, estimate: Estimate) -> bool:
         """The ramp has ended and the tension is on the target."""
@@ -160,13 +163,14 @@ class TensionLaw:
             - gains.k_speed * (estimate.speed_mm_s - feed_forward)
             - self.integral_mm_s
         )
-        command = self._limited(wanted, estimate.stroke_mm)
+        command = self.limited(wanted, estimate.stroke_mm)
         # Anti-windup: integrate only what the limits let through, or what leads back inside them.
         if command == wanted or (wanted - command) * error > 0.0:
-            self.integral_mm_s += gains.k_integral * error * self._dt
+            bounded = max(-self._integrand_n, min(self._integrand_n, error))
+            self.integral_mm_s += gains.k_integral * bounded * self._dt
         return command
 
-    def _limited(self, wanted: float, stroke_mm: float) -> float:
+    def limited(self, wanted: float, stroke_mm: float) -> float:
         """Apply the stroke, speed and acceleration limits; a non-finite demand is a demand to stop."""
         limits = 0
         command = wanted if math.isfinite(wanted) else 0.0

@@ -14,8 +14,8 @@ from rigctl.config import DemoSettings, RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.demo.script import DemoError, Moment, Show, play
 from rigctl.demo.summary import Summary, summarise
+from rigctl.design.gain_file import design_in_use
 from rigctl.design.gains import DesignError
-from rigctl.design.margins import design_and_check
 
 
 class LockstepStage:
@@ -74,11 +74,11 @@ def play_lockstep(settings: RigSettings, demo: DemoSettings, show: Show) -> Summ
         DemoError: it could not be played to its end.
     """
     try:
-        design = design_and_check(settings)
+        design = design_in_use(settings)
     except DesignError as error:
         raise DemoError(f"no design: {error}") from None
     if not design.accepted:
-        raise DemoError(f"design refused: Ms {design.ms_max:.2f}, allowed {design.limit:g}")
+        raise DemoError(design.verdict())
     with lockstep(settings, design.gains) as rig:
         stage = LockstepStage(rig)
         stage.pass_time(0.2)

@@ -6,14 +6,15 @@ closed. With plant responses P_T, P_v and controller responses C_T, C_v (positiv
     S_input = 1 / (1 - C_T P_T - C_v P_v),    S_output = (1 - C_v P_v) S_input
 
 Ms is the largest modulus of S from MIN_HZ to the Nyquist frequency. Gain, phase and delay margin are of
-``L = -(C_T P_T + C_v P_v)`` at the plant's input.
+``L = -(C_T P_T + C_v P_v)`` at the plant's input. S_output is also what a disturbance leaves of the true tension,
+over what it makes of it with the stroke locked.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,63 +24,14 @@ from rigctl.control.tension import Gains
 from rigctl.design import plant_family
 from rigctl.design.closed_loop import Controller, closed_loop, controller
 from rigctl.design.gains import design, filter_gain
-from rigctl.design.performance import Performance, performance
+from rigctl.design.performance import performance
 from rigctl.design.plant_family import Array, ComplexArray, Member
+from rigctl.design.verdict import Design, MemberMargins, Source
 
 MIN_HZ = 0.01
 POINTS_PER_DECADE = 150
 RESONANCE_POINTS, RESONANCE_BAND = 41, 0.1  # extra points within +-10 % of each resonance: 2 % of damping is narrow
 REAL_RAD = 1e-6
-
-
-@dataclass(frozen=True)
-class MemberMargins:
-    """Robustness of one plant of the family; an unstable loop has ``ms`` infinite and no margins."""
-
-    k_m: float | None  # mechanism's stiffness N/mm, None = rigid
-    k_scale: float
-    delay_scale: int
-    ms: float  # at the plant's input
-    ms_output: float  # at the tension output
-    gm_db: float  # smallest change of gain, up or down, that ends stability
-    pm_deg: float
-    dm_ms: float  # smallest further delay that ends stability
-    stable: bool
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON: what is infinite is null."""
-        return {name: None if value in (math.inf, -math.inf) else value for name, value in asdict(self).items()}
-
-
-@dataclass(frozen=True)
-class Design:
-    """Gains with their verdict.
-
-    ``accepted``: stable and below the limit everywhere, or waived in words. A waiver excuses plants the rig does not
-    have; with the mechanism in the file the loop must be stable at every k and delay all the same.
-    """
-
-    gains: Gains
-    margins: tuple[MemberMargins, ...]
-    reported: tuple[MemberMargins, ...]  # K_m = 2 N/mm: shown, not judged
-    ms_max: float  # over the family, both places
-    limit: float
-    accepted: bool
-    waiver: str | None  # the words, only where they were needed
-    performance: Performance | None  # None where the loop is unstable with the plant in the file
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON: what is infinite is null."""
-        return {
-            "gains": asdict(self.gains),
-            "margins": [member.as_dict() for member in self.margins],
-            "reported": [member.as_dict() for member in self.reported],
-            "ms_max": self.ms_max if math.isfinite(self.ms_max) else None,
-            "limit": self.limit,
-            "accepted": self.accepted,
-            "waiver": self.waiver,
-            "performance": asdict(self.performance) if self.performance else None,
-        }
 
 
 def design_and_check(settings: RigSettings) -> Design:
@@ -88,16 +40,26 @@ def design_and_check(settings: RigSettings) -> Design:
     Raises:
         DesignError: there are no gains for these settings.
     """
-    gains, model = design(settings), filter_model(settings)
+    return judge(settings, design(settings))
+
+
+def judge(settings: RigSettings, gains: Gains, source: Source | None = None) -> Design:
+    """Close the loop with these gains around every member of the family, against the limit in the settings.
+
+    Raises:
+        DesignError: the filter has no steady state.
+    """
+    model = filter_model(settings)
     law = controller(model, gains, filter_gain(model))
     members, beside = plant_family.family(settings), plant_family.reported(settings)
     grid = frequency_grid([*members, *beside], model.period_s)
     margins = tuple(margins_over(members, law, grid, model.period_s))
     reported = tuple(margins_over(beside, law, grid, model.period_s))
-    ms_max = max(max(member.ms, member.ms_output) for member in margins)
-    limit, waiver = settings.design.ms_max, settings.design.waiver
+    ms_max = max(member.ms_worst for member in margins)
+    limit = settings.design.ms_max
     robust = ms_max <= limit
     own = all(member.stable for member in margins if member.k_m == settings.plant.mechanism_n_mm)
+    waiver = None if robust or (source is not None and source.edited) else settings.design.waiver
     return Design(
         gains,
         margins,
@@ -105,8 +67,9 @@ def design_and_check(settings: RigSettings) -> Design:
         ms_max,
         limit,
         accepted=robust or (own and waiver is not None),
-        waiver=None if robust else waiver,
+        waiver=waiver,
         performance=performance(settings, law) if own else None,
+        source=source,
     )
 
 
@@ -122,23 +85,38 @@ def frequency_grid(members: list[Member], period_s: float) -> Array:
     return grid
 
 
+@dataclass(frozen=True)
+class Responses:
+    """Frequency responses with one plant, each of the grid's shape; of an unstable loop too."""
+
+    loop: ComplexArray  # L, broken at the plant's input
+    s_input: ComplexArray
+    s_output: ComplexArray
+    disturbance: ComplexArray  # true tension per disturbance speed with the stroke locked, N s/mm
+
+
+def responses(members: list[Member], law: Controller, grid_hz: Array, period_s: float) -> Iterator[Responses]:
+    """Responses of every member with one controller, one after the other."""
+    z = np.exp(2j * np.pi * grid_hz * period_s)
+    per_tension, per_speed = law.response(z)
+    for plant in members:
+        tension, speed, disturbance = plant.response(z)
+        loop = -(per_tension * tension + per_speed * speed)
+        sensitivity = 1.0 / (1.0 + loop)
+        yield Responses(loop, sensitivity, (1.0 - per_speed * speed) * sensitivity, disturbance)
+
+
 def margins_over(members: list[Member], law: Controller, grid_hz: Array, period_s: float) -> list[MemberMargins]:
     """Margins of every member with one controller; ``grid_hz`` from ``frequency_grid``."""
     omega = 2.0 * np.pi * grid_hz
-    z = np.exp(1j * omega * period_s)
-    per_tension, per_speed = law.response(z)
     found = []
-    for plant in members:
+    for plant, answer in zip(members, responses(members, law, grid_hz, period_s), strict=True):
         names = (plant.k_m, plant.k_scale, plant.delay_scale)
         if closed_loop(plant, law).spectral_radius >= 1.0:
             found.append(MemberMargins(*names, math.inf, math.inf, 0.0, 0.0, 0.0, stable=False))
             continue
-        tension, speed, _ = plant.response(z)
-        loop = -(per_tension * tension + per_speed * speed)
-        sensitivity = 1.0 / (1.0 + loop)
-        at_output = np.abs((1.0 - per_speed * speed) * sensitivity)
-        gm_db, pm_deg, dm_ms = classical_margins(loop, omega)
-        ms, ms_output = float(np.abs(sensitivity).max()), float(at_output.max())
+        gm_db, pm_deg, dm_ms = classical_margins(answer.loop, omega)
+        ms, ms_output = (float(np.abs(at).max()) for at in (answer.s_input, answer.s_output))
         found.append(MemberMargins(*names, ms, ms_output, gm_db, pm_deg, dm_ms, stable=True))
     return found
 

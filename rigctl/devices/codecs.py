@@ -18,6 +18,7 @@ _NOT_VALID = od.AiStatus.NOT_VALID.value
 
 _CELL = od.CELL_TPDO.codec
 _SLOPE = od.SLOPE_TPDO.codec
+_ENCODER = od.ENCODER_TPDO.codec
 _DRIVE = od.DRIVE_TPDO.codec
 _COMMAND = od.DRIVE_RPDO.codec
 _RAD_PER_SLOPE_UNIT = math.radians(od.SLOPE_RESOLUTION_MDEG * 1e-3)
@@ -42,6 +43,16 @@ def decode_inclination(data: bytes | bytearray) -> tuple[float, float, int]:
     long, lateral = _SLOPE.unpack(data)
     quality = _INVALID if od.SLOPE_INVALID in (long, lateral) else 0
     return long * _RAD_PER_SLOPE_UNIT, lateral * _RAD_PER_SLOPE_UNIT, quality
+
+
+def decode_encoder(data: bytes | bytearray, counts_per_turn: int) -> float:
+    """Angle of the rail's shaft in rad, -pi up to pi (CiA 406: 0x6004, of any number of turns)."""
+    if len(data) != 4:
+        raise ValueError("length")
+    counts = _ENCODER.unpack(data)[0] % counts_per_turn
+    if 2 * counts >= counts_per_turn:
+        counts -= counts_per_turn
+    return float(counts * math.tau / counts_per_turn)
 
 
 def decode_drive(data: bytes | bytearray) -> tuple[int, float, float]:

@@ -67,6 +67,12 @@ SLOPE_LATERAL = 0x6020  # INTEGER16, normal angle of the rope
 SLOPE_RESOLUTION_MDEG = 10
 SLOPE_INVALID = -0x8000  # both slopes while the sensor cannot measure
 
+# -- CiA 406: rail encoder --------------------------------------------------------------------------------------
+DEVICE_TYPE_406 = 0x00010196  # absolute rotary encoder, single turn, profile 406
+ENCODER_COUNTS_PER_TURN = 0x6001  # UNSIGNED32
+ENCODER_TOTAL_RANGE = 0x6002  # UNSIGNED32, counts after which the position begins at 0 again
+ENCODER_POSITION = 0x6004  # UNSIGNED32, counts
+
 # -- CiA 402: cylinder drive ------------------------------------------------------------------------------------
 DEVICE_TYPE_402 = 0x00020192  # servo drive of profile 402
 ABORT_CONNECTION_OPTION = 0x6007
@@ -179,6 +185,7 @@ class PdoLayout:
 
 CELL_TPDO = PdoLayout(TPDO1_BASE, ((AI_PROCESS_VALUE, 1, "i"), (AI_STATUS, 1, "B")))
 SLOPE_TPDO = PdoLayout(TPDO1_BASE, ((SLOPE_LONG, 0, "h"), (SLOPE_LATERAL, 0, "h")))
+ENCODER_TPDO = PdoLayout(TPDO1_BASE, ((ENCODER_POSITION, 0, "I"),))
 DRIVE_TPDO = PdoLayout(TPDO1_BASE, ((STATUSWORD, 0, "H"), (POSITION_ACTUAL, 0, "i"), (VELOCITY_ACTUAL_16, 0, "h")))
 DRIVE_RPDO = PdoLayout(RPDO1_BASE, ((CONTROLWORD, 0, "H"), (TARGET_VELOCITY, 0, "i")))
 

@@ -22,6 +22,7 @@ _LISTENED_HEARTBEATS = 2.5
 _DEVICES = {
     "tension_cell": ("tension cell", od.DEVICE_TYPE_404),
     "inclinometer": ("inclinometer", od.DEVICE_TYPE_410),
+    "rail_encoder": ("rail encoder", od.DEVICE_TYPE_406),
     "cylinder": ("cylinder drive", od.DEVICE_TYPE_402),
 }
 
@@ -73,7 +74,7 @@ class _Node:
         self._channel = f"{settings.can.interface}:{settings.can.channel}"
         self.remote = network.add_node(canopen.RemoteNode(node, str(settings.file(eds))))
 
-    def _where(self, index: int, sub: int) -> str:
+    def where(self, index: int, sub: int) -> str:
         return f"{self.name} (node {self.id}), object 0x{index:04X}:{sub:02X}"
 
     def _variable(self, index: int, sub: int) -> Any:
@@ -84,29 +85,29 @@ class _Node:
         try:
             return int(self._variable(index, sub).raw)
         except canopen.SdoAbortedError as error:
-            raise StartupError(f"{self._where(index, sub)}: cannot be read: {error}") from None
+            raise StartupError(f"{self.where(index, sub)}: cannot be read: {error}") from None
         except canopen.SdoCommunicationError:
             raise StartupError(
                 f"{self.name} (node {self.id}) does not answer on {self._channel}: is the rig on and connected?"
             ) from None
         except KeyError:
-            raise StartupError(f"{self._where(index, sub)}: not in its EDS file") from None
+            raise StartupError(f"{self.where(index, sub)}: not in its EDS file") from None
 
     def write(self, value: int, index: int, sub: int = 0, *, verify: bool = True) -> int:
         try:
             self._variable(index, sub).raw = value
         except canopen.SdoAbortedError as error:
-            raise StartupError(f"{self._where(index, sub)}: {value:#x} refused: {error}") from None
+            raise StartupError(f"{self.where(index, sub)}: {value:#x} refused: {error}") from None
         except canopen.SdoCommunicationError:
             raise StartupError(f"{self.name} (node {self.id}) stopped answering on {self._channel}") from None
         except KeyError:
-            raise StartupError(f"{self._where(index, sub)}: not in its EDS file") from None
+            raise StartupError(f"{self.where(index, sub)}: not in its EDS file") from None
         return self.expect(value, index, sub) if verify else value
 
     def expect(self, value: int, index: int, sub: int = 0) -> int:
         found = self.read(index, sub)
         if found != value:
-            raise StartupError(f"{self._where(index, sub)}: found {found:#x}, allowed {value:#x}")
+            raise StartupError(f"{self.where(index, sub)}: found {found:#x}, allowed {value:#x}")
         return found
 
     def identity(self, profile: int) -> Device:
@@ -188,6 +189,8 @@ def _configure(network: canopen.Network, settings: RigSettings) -> Report:
     if slope := nodes.get("inclinometer"):
         slope.expect(od.SLOPE_RESOLUTION_MDEG, od.SLOPE_RESOLUTION)
         slope.map_pdo(od.SLOPE_TPDO, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, settings.inclinometer_divisor)
+    if encoder := nodes.get("rail_encoder"):
+        _check_encoder(encoder, settings)
     drive = nodes["cylinder"]
     drive.expect(od.SI_MICROMETRE, od.SI_UNIT_POSITION)
     drive.expect(od.SI_MICROMETRE_PER_SECOND, od.SI_UNIT_VELOCITY)
@@ -200,6 +203,20 @@ def _configure(network: canopen.Network, settings: RigSettings) -> Report:
     for node in nodes.values():
         node.remote.nmt.state = "OPERATIONAL"
     return Report((*devices, *_plain_devices(settings)), supervision)
+
+
+def _check_encoder(encoder: _Node, settings: RigSettings) -> None:
+    """One turn is what the rig file says, and the position begins again at the end of a turn, not within one."""
+    rail = settings.rail_encoder
+    assert rail is not None  # there is no node without it
+    encoder.expect(rail.counts_per_turn, od.ENCODER_COUNTS_PER_TURN)
+    total = encoder.read(od.ENCODER_TOTAL_RANGE)
+    if total == 0 or total % rail.counts_per_turn:
+        raise StartupError(
+            f"{encoder.where(od.ENCODER_TOTAL_RANGE, 0)}: found {total}, allowed whole turns of {rail.counts_per_turn}"
+        )
+    divisor = settings.loop.rate_hz // rail.rate_hz
+    encoder.map_pdo(od.ENCODER_TPDO, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, divisor)
 
 
 def _plain_devices(settings: RigSettings) -> list[PlainDevice]:

@@ -61,6 +61,16 @@ def inclination(state: dict[str, Any]) -> str:
     return f"tangential {tangential}  normal {normal}{flaw}"
 
 
+def calibration(state: dict[str, Any]) -> tuple[str, str]:
+    """Zero and scale of the tension cell and until when they hold, with a style."""
+    found = state.get("calibration") or {}
+    text = f"zero {number(found.get('zero_n'), 3, 'N', sign=True)}, scale {number(found.get('scale'), 5)}"
+    if found.get("overdue"):
+        waiver = found.get("waiver")
+        return f"{text}, waived: {waiver}" if waiver else f"{text}, OVERDUE: no arming", "yellow" if waiver else "red"
+    return (f"{text}, due {found['due'][:10]}" if found.get("due") else text), ""
+
+
 def percentiles(figures: dict[str, float] | None) -> str:
     """p50, p99, p99.9, max of the last second in microseconds."""
     if figures is None:

@@ -36,12 +36,14 @@ def rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
             ("target", n(state["target_n"], 1, "N"), ""),
             ("stroke", f"{n(state['stroke_mm'], 2, 'mm')}, {n(state['speed_mm_s'], 2, 'mm/s', sign=True)}", ""),
             ("inclination", figures.inclination(state), ""),
+            ("calibration", *figures.calibration(state)),
             *([("signals", flaws, "bold yellow")] if flaws else []),
             ("lateness", late, ""),
             ("work", figures.percentiles(state["work_us"]), ""),
             ("skipped", f"{state['skipped']} of {state['tick']} ticks", "bold yellow" if state["skipped"] else ""),
             ("bus", figures.counters(state), ""),
             ("age", n(state["age_ms"], 1, "ms"), ""),
+            *([("design", state["design"], "")] if state.get("design") else []),
         ]
     return result + [("warning", text, "yellow") for text in state["warnings"]]
 

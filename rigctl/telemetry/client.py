@@ -21,7 +21,9 @@ from rigctl.telemetry.session import SessionError, close, open_client
 
 OPEN_S = 2.0
 ASK_S = 2.0
-COMMAND_S = 6.0  # the gateway answers within 4 s, arm included
+COMMAND_S = 6.0  # the gateway answers within 4 s, arm included ...
+TRIAL_S = 20.0  # ... or when a trial is over: 1 s for an average, up to 10 s for an identification
+_TRIALS = ("tare", "calibrate", "identify")
 _POLL_S = 0.01
 
 
@@ -136,14 +138,18 @@ class Client:
         """Events after a sequence number that are still held, oldest first."""
         return list(self._json(f"{self.keys.events_past}?after={after}"))
 
-    def command(self, verb: str, operator: str, value: float | None = None) -> dict[str, Any]:
+    def command(self, verb: str, operator: str, value: float | None = None, **options: bool) -> dict[str, Any]:
         """Give a command; the answer, whose ``accepted`` and ``text`` say what happened.
+
+        ``options``: see `rigctl.telemetry.request.Request`.
 
         Raises:
             NoDaemonError: no answer; whether the command was carried out is not known.
         """
         body: dict[str, Any] = {"operator": operator} | ({} if value is None else {"value": value})
-        _, payload = self.ask(self.keys.command(verb), msgspec.json.encode(body), COMMAND_S)
+        body |= {name: True for name, wanted in options.items() if wanted}
+        limit_s = TRIAL_S if verb in _TRIALS else COMMAND_S
+        _, payload = self.ask(self.keys.command(verb), msgspec.json.encode(body), limit_s)
         return dict(msgspec.json.decode(payload))
 
     def follow(self, key: str, depth: int = 64) -> Feed:

@@ -13,7 +13,8 @@ from typing import Any
 import msgspec
 import zenoh
 
-from rigctl.control.modes import Verb
+from rigctl.commission.clerk import Clerk, Filed
+from rigctl.control.modes import TRIED_IN, Setting, Verb
 from rigctl.control.safety import Fault
 from rigctl.telemetry.keys import Keys
 from rigctl.telemetry.record import COMMAND_LIFETIME_NS
@@ -22,8 +23,13 @@ from rigctl.telemetry.ring import RingReader, RingWriter
 from rigctl.telemetry.session import finish
 
 POLL_S = 0.002
-ARM_NS = 4_000_000_000  # the loop gives the drive up to 3 s
 ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # after its lifetime the loop would not carry it out any more
+WAIT_NS = {
+    Verb.ARM: 4_000_000_000,  # the loop gives the drive up to 3 s
+    Verb.TARE: ANSWER_NS + 2_000_000_000,
+    Verb.CALIBRATE: ANSWER_NS + 2_000_000_000,
+    Verb.IDENTIFY: ANSWER_NS + 10_000_000_000,
+}
 _PENDING_MAX = 64
 
 
@@ -34,6 +40,33 @@ class Pending:
     query: zenoh.Query
     request: Request
     until_ns: int
+    recorded: Recorded | None = None  # waits for the loop to take what is on record
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A command that has come."""
+
+    query: zenoh.Query
+    request: Request
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What the clerk has made of a trial's answer; ``message`` is that answer."""
+
+    query: zenoh.Query
+    request: Request
+    message: dict[str, Any]
+    filed: Filed
+
+
+@dataclass(frozen=True)
+class Told:
+    """Something the loop is to be told by the daemon itself."""
+
+    setting: Setting
+    value: float
 
 
 def send_answer(query: zenoh.Query, key: str, message: dict[str, Any]) -> None:
@@ -57,11 +90,13 @@ class Desk:
         replies: RingReader,
         sight: Callable[[], Sight],
         limits_n: tuple[float, float],
+        clerk: Clerk,
     ) -> None:
         """``sight``: what the newest record says; ``limits_n``: lowest and highest target."""
+        self._clerk = clerk
         self._keys, self._commands, self._replies = keys, commands, replies
         self._sight, self._limits_n = sight, limits_n
-        self._asked: queue.SimpleQueue[tuple[zenoh.Query, Request] | None] = queue.SimpleQueue()
+        self._asked: queue.SimpleQueue[Asked | Recorded | Told | None] = queue.SimpleQueue()
         self._pending: dict[int, Pending] = {}
         self._last_id = 0
         self._thread = threading.Thread(target=self._serve, name="desk", daemon=True)
@@ -70,6 +105,10 @@ class Desk:
         """Take queries from ``session``."""
         self._thread.start()
         session.declare_queryable(self._keys.command("*"), self._take)
+
+    def tell(self, setting: Setting, value: float) -> None:
+        """Tell the loop something that no operator gives."""
+        self._asked.put(Told(setting, value))
 
     def close(self) -> None:
         """Answer no more."""
@@ -88,7 +127,7 @@ class Desk:
         except RequestError as error:
             send_answer(query, key, refused(name, "", "bad_request", str(error)))
             return
-        self._asked.put((query, request))
+        self._asked.put(Asked(query, request))
 
     def _serve(self) -> None:
         while True:
@@ -96,36 +135,83 @@ class Desk:
                 asked = self._asked.get(timeout=POLL_S if self._pending else None)
                 if asked is None:
                     return
-                self._give(*asked)
+                self._do(asked)
             self._collect(time.monotonic_ns())
+
+    def _do(self, asked: Asked | Recorded | Told) -> None:
+        match asked:
+            case Asked(query, request):
+                self._give(query, request)
+            case Recorded():
+                self._put_in_force(asked)
+            case Told(setting, value):
+                self._write(setting, value)
+
+    def _write(self, code: Verb | Setting, value: float) -> int:
+        """Hand the loop a command; returns its id: never that of one given before, by this gateway or another."""
+        now = time.monotonic_ns()
+        self._last_id = max(self._last_id + 1, now)
+        self._commands.write(now, self._last_id, int(code), value)
+        return self._last_id
 
     def _give(self, query: zenoh.Query, request: Request) -> None:
         if len(self._pending) >= _PENDING_MAX:
             self._answer(query, request, silent(request.verb.name.lower(), request.operator))
             return
-        now = time.monotonic_ns()
-        # Never the id of a command given before, by this gateway or by one before it.
-        self._last_id = max(self._last_id + 1, now)
-        wait = ARM_NS if request.verb is Verb.ARM else ANSWER_NS
-        self._pending[self._last_id] = Pending(query, request, now + wait)
-        self._commands.write(now, self._last_id, int(request.verb), request.value)
+        if (why := self._clerk.impossible(request)) is not None:
+            self._answer(query, request, refused(request.verb.name.lower(), request.operator, "not_possible", why))
+            return
+        until_ns = time.monotonic_ns() + WAIT_NS.get(request.verb, ANSWER_NS)
+        self._pending[self._write(request.verb, request.number)] = Pending(query, request, until_ns)
+
+    def _put_in_force(self, recorded: Recorded) -> None:
+        """What is on record now takes effect; the operator is answered when the loop has taken it."""
+        request, finding = recorded.request, recorded.filed.finding
+        if finding is None:
+            name, filed = request.verb.name.lower(), recorded.filed
+            self._answer(recorded.query, request, refused(name, request.operator, filed.reason, filed.text))
+            return
+        message = recorded.message
+        message |= {"text": f"{request.verb.name}: {finding.text}", "entry": msgspec.to_builtins(finding.entry)}
+        message |= {} if finding.good else {"accepted": False, "reason": "bad_result"}
+        number = 0
+        for setting, value in finding.settings:
+            number = self._write(setting, value)
+        if number:
+            until_ns = time.monotonic_ns() + ANSWER_NS
+            self._pending[number] = Pending(recorded.query, request, until_ns, recorded)
+        else:
+            self._answer(recorded.query, request, message)
 
     def _collect(self, now_ns: int) -> None:
         for reply in self._replies.read():
             given = self._pending.pop(int(reply["id"]), None)
-            if given is None:
-                continue
-            request = given.request
-            try:
-                message = answer(request, reply, self._sight(), self._limits_n)
-            except (ValueError, KeyError) as error:
-                text = f"the control loop's answer makes no sense: {error}"
-                message = refused(request.verb.name.lower(), request.operator, "unknown", text)
-            self._answer(given.query, request, message)
+            if given is not None:
+                self._answered(given, reply)
         for number in [number for number, given in self._pending.items() if now_ns > given.until_ns]:
             given = self._pending.pop(number)
             name, operator = given.request.verb.name.lower(), given.request.operator
             self._answer(given.query, given.request, silent(name, operator))
+
+    def _answered(self, given: Pending, reply: Any) -> None:
+        """The loop's reply goes to the operator; that of a trial goes to the clerk first."""
+        query, request = given.query, given.request
+        try:
+            message = answer(request, reply, self._sight(), self._limits_n)
+        except (ValueError, KeyError) as error:
+            text = f"the control loop's answer makes no sense: {error}"
+            message = refused(request.verb.name.lower(), request.operator, "unknown", text)
+        if given.recorded is not None:
+            if message["accepted"]:
+                self._clerk.put_in_force(given.recorded.filed)
+                message = given.recorded.message
+            else:
+                self._clerk.withdraw(given.recorded.filed)
+                message["text"] += "; withdrawn from the ledger"
+        elif request.verb in TRIED_IN and message["accepted"]:
+            self._clerk.file(request, reply, lambda filed: self._asked.put(Recorded(query, request, message, filed)))
+            return
+        self._answer(query, request, message)
 
     def _answer(self, query: zenoh.Query, request: Request, message: dict[str, Any]) -> None:
         send_answer(query, self._keys.command(request.verb.name.lower()), message)

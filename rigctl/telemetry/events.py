@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
-from rigctl.control.modes import Event, Mode, Refusal, Verb
+from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
 from rigctl.control.safety import Check, Fault
 
 
@@ -24,6 +25,8 @@ class Kind(IntEnum):
     STARTED = 9  # loop running
     STOPPED = 10  # loop ended, value: stroke, limit: tension
     CLOCK = 11  # a: ticks skipped at once
+    CORRECTION = 12  # value: zero of the tension cell in N, limit: its scale
+    SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,9 @@ FAULT_TEXT: dict[Fault, str] = {
     Fault.LOOP_EXCEPTION: "exception in the loop",
     Fault.STROKE_END: "stroke limit reached before the tension was",
     Fault.DRIVE_NOT_FOLLOWING: "drive does not do what it is told (enabled state or speed)",
+    Fault.INNOVATION: "tension or cylinder speed contradicts what the filter expects",
+    Fault.SIGN_DRIVE: "the stroke does not go where the drive is told: check the drive's sign and scale",
+    Fault.SIGN_CELL: "the tension does not follow the stroke as the plant says: check the signs of cell and drive",
     Fault.DEVICE_RESTARTED: "a device restarted and lost its settings; start the daemon anew",
 }
 
@@ -67,6 +73,7 @@ CHECK_TEXT: dict[Check, str] = {
     Check.TENSION_HIGH: "tension above its limit",
     Check.STROKE_RANGE: "stroke outside its limits",
     Check.DRIVE_SUPERVISION: "drive's own stop on loss of the controller is not verified",
+    Check.CALIBRATION: "tension cell's calibration is missing or overdue: rigctl calibrate (or calibration.waiver)",
 }
 
 _EVENT_TEXT: dict[Event, str] = {
@@ -98,9 +105,15 @@ def failed_checks(bits: int) -> list[str]:
 
 
 def refusal_text(
-    refusal: Refusal, verb: Verb, mode: Mode, checks: int, fault: Fault, limits: tuple[float, float]
+    refusal: Refusal,
+    verb: Verb,
+    mode: Mode,
+    checks: int,
+    fault: Fault,
+    limits: tuple[float, float],
+    value: float = math.nan,
 ) -> str:
-    """Why a command was refused, in one line."""
+    """Why a command was refused, in one line; ``value`` is the reply's."""
     match refusal:
         case Refusal.ALREADY:
             return (
@@ -108,6 +121,8 @@ def refusal_text(
             )
         case Refusal.PREFLIGHT:
             return "; ".join(failed_checks(checks)) + (_SILENT_HINT if checks & _UNSEEN else "")
+        case Refusal.LOADED:
+            return f"the rope is not unloaded: the cell reads {value:z.2f} N, more than calibration.tare_limit_n"
         case Refusal.OUT_OF_RANGE:
             return f"target must be {limits[0]:g} to {limits[1]:g} N"
         case Refusal.CAUSE_PRESENT:
@@ -121,18 +136,29 @@ def refusal_text(
         case Refusal.DRIVE_TIMEOUT:
             return "drive did not become enabled"
         case _:
-            return "unknown command"
+            return _TRIAL_TEXT.get(refusal, "unknown command")
 
 
+_TRIAL_TEXT = {
+    Refusal.ABORTED: "cut short by a command, a trip or a change of mode; nothing was changed",
+    Refusal.UNSTEADY: "it moves, or the reading does: wait until everything is at rest",
+    Refusal.NO_SAMPLES: "the cell gives no good samples",
+    Refusal.SLACK: "the rope is slack",
+    Refusal.STRAYED: "tension or stroke left the bounds of the excitation, or would have; the stroke is held",
+}
 _SILENT = frozenset(
     {Fault.DEVICE_RESTARTED, Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE}
 )
 _UNSEEN = Check.DRIVE_SUPERVISION | Check.CELL_STALE | Check.INCLINATION_STALE | Check.DRIVE_STALE
 _SILENT_HINT = " (a device that was switched off needs the daemon started anew)"
 _HINT: dict[tuple[Mode, Verb], str] = {
-    **{(Mode.FAULT, verb): ": reset first" for verb in (Verb.ARM, Verb.TENSION, Verb.RELEASE, Verb.HOLD)},
-    **{(Mode.DISARMED, verb): ": arm first" for verb in (Verb.TENSION, Verb.RELEASE, Verb.HOLD)},
-    **{(mode, Verb.DISARM): ": hold first" for mode in (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)},
+    **{(Mode.FAULT, verb): ": reset first" for verb in (Verb.ARM, Verb.TENSION, Verb.RELEASE, Verb.HOLD, *TRIED_IN)},
+    **{(Mode.DISARMED, verb): ": arm first" for verb in (Verb.TENSION, Verb.RELEASE, Verb.HOLD, Verb.IDENTIFY)},
+    **{
+        (mode, verb): ": hold first"
+        for mode in (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
+        for verb in (Verb.DISARM, *TRIED_IN)
+    },
     **{(mode, Verb.RESET): ": there is no fault" for mode in Mode if mode is not Mode.FAULT},
 }
 
@@ -159,6 +185,10 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.SEND_FAILED: lambda _a, _b, _v, _l, t: Worded("warning", f"frame not sent: {t}"),
     Kind.STARTED: lambda _a, _b, _v, _l, _t: Worded("info", "loop started, DISARMED"),
     Kind.STOPPED: lambda _a, _b, v, m, _t: Worded("info", f"loop stopped, stroke {v:.2f} mm, tension {m:z.1f} N"),
+    Kind.SIGNS: lambda _a, _b, v, m, _t: Worded(
+        "info", f"signs checked: the stroke follows, tension rises by {v:.2f} N/mm (plant: {m:.2f})"
+    ),
+    Kind.CORRECTION: lambda _a, _b, v, m, _t: Worded("info", f"tension cell: zero {v:+z.3f} N, scale {m:.5f}"),
     Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{a} ticks skipped at once"),
 }  # fmt: skip
 

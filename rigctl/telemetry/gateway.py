@@ -18,7 +18,10 @@ import msgspec
 import zenoh
 from pydantic import ValidationError
 
+from rigctl.commission.clerk import Clerk
+from rigctl.commission.ledger import Standing
 from rigctl.config import RigSettings
+from rigctl.control.modes import Setting
 from rigctl.control.realtime import die_with_parent
 from rigctl.telemetry.commands import Desk, sight_of
 from rigctl.telemetry.cursor import Cursor
@@ -27,7 +30,7 @@ from rigctl.telemetry.ring import RingError
 from rigctl.telemetry.runtime import Runtime
 from rigctl.telemetry.schema import schema
 from rigctl.telemetry.session import SessionError, close, finish, open_client, open_router
-from rigctl.telemetry.state import Recent, Trip, state_of, warnings_of
+from rigctl.telemetry.state import Recent, Trip, design_of, state_of, warnings_of
 from rigctl.telemetry.streams import EventStream, FastStream, event_message, event_publishers, past_block
 
 _JSON = zenoh.Encoding.APPLICATION_JSON
@@ -44,20 +47,25 @@ class StateView:
         self._records.cursor = max(0, self._records.head - settings.loop.rate_hz)
         self._recent, self._trip = Recent(), Trip()
         self._warnings: list[str] = []
+        self._design: str | None = None
         self._look_ns = 0
         self._started_wall_ns = time.time_ns()
         self.newest = b"{}"
 
-    def make(self, now_ns: int, samples_lost: int) -> bytes:
+    def make(self, now_ns: int, samples_lost: int, standing: Standing) -> bytes:
         """Read what is new and encode it."""
         self._recent.add(self._records.read())
         self._trip.note(self._events.read())
         if now_ns >= self._look_ns:
-            self._warnings, self._look_ns = warnings_of(control_of(self._runtime)), now_ns + _LOOK_NS
+            self._look_ns = now_ns + _LOOK_NS
+            self._design, of_design = design_of(written(self._runtime, "active.json"))
+            self._warnings = [*of_design, *warnings_of(written(self._runtime, "control.json"))]
         state = state_of(self._records.latest(), self._trip, self._recent, now_ns, time.time_ns())
         own = {
             "rig": self._rig,
             "samples_lost": samples_lost,
+            "design": self._design,
+            "calibration": standing,
             "warnings": self._warnings,
             "gateway_wall_ns": self._started_wall_ns,
         }
@@ -65,10 +73,10 @@ class StateView:
         return self.newest
 
 
-def control_of(runtime: Runtime) -> dict[str, Any]:
-    """What the control process wrote down; nothing while it is unreadable."""
+def written(runtime: Runtime, name: str) -> dict[str, Any]:
+    """What another process of the daemon wrote down; nothing while it is unreadable."""
     try:
-        return runtime.read_json("control.json")
+        return runtime.read_json(name)
     except (OSError, msgspec.MsgspecError):
         return {}
 
@@ -108,7 +116,7 @@ def _declare_queryables(
         return keys.events_past, msgspec.json.encode([event_message(event, offset)[1] for event in events.read()])
 
     def active(_query: zenoh.Query) -> tuple[str, bytes]:
-        message = {**runtime.read_json("active.json"), "control": control_of(runtime)}
+        message = {**runtime.read_json("active.json"), "control": written(runtime, "control.json")}
         return keys.active, msgspec.json.encode(message)
 
     for key, answer in (
@@ -149,8 +157,11 @@ class Gateway:
 
         limits_n = (settings.tension.target_min_n, settings.tension.target_max_n)
         newest = runtime.record_reader()
-        self._desk = Desk(keys, runtime.command_writer(), runtime.reply_reader(), lambda: sight_of(newest), limits_n)
-        self._view.make(now, 0)
+        self._clerk = Clerk(runtime, settings)
+        self._desk = Desk(
+            keys, runtime.command_writer(), runtime.reply_reader(), lambda: sight_of(newest), limits_n, self._clerk
+        )
+        self._view.make(now, 0, self._clerk.standing)
         _declare_queryables(self._session, keys, runtime, settings, self._view, self._cursor.stream)
         self._desk.open(self._command_session)
         self._token = self._session.liveliness().declare_token(keys.daemon)
@@ -160,7 +171,10 @@ class Gateway:
         now = time.monotonic_ns()
         self._fast.publish(self._per_call, now)
         self._events.publish(time.time_ns() - now, now)
-        self._state.put(self._view.make(now, self._fast.lost))
+        overdue = self._clerk.overdue(now, time.time_ns())
+        if overdue is not None:
+            self._desk.tell(Setting.OVERDUE, overdue)
+        self._state.put(self._view.make(now, self._fast.lost, self._clerk.standing))
 
     def run(self, stop: threading.Event) -> None:
         """Publish on an absolute grid until ``stop``; periods that were missed are left out."""
@@ -173,6 +187,7 @@ class Gateway:
 
     def close(self) -> None:
         """Publish what is left and end the sessions."""
+        self._clerk.close()
         self._desk.close()
         self.publish()
         close(self._command_session)

@@ -16,7 +16,16 @@ VERBS = {verb.name.lower(): verb for verb in Verb}
 _OPERATOR_LENGTH = 64
 _PAYLOAD_BYTES = 4096
 _ALLOWED = '{"operator": "NAME"}'
-_ALLOWED_TARGET = '{"operator": "NAME", "value": NEWTONS}'
+_ALLOWED_MORE = {
+    Verb.TARGET: '{"operator": "NAME", "value": NEWTONS}',
+    Verb.CALIBRATE: '{"operator": "NAME"} and "value": NEWTONS or "shunt": true, "adopt": true',
+    Verb.IDENTIFY: '{"operator": "NAME"} and "tight": true',
+}
+_OPTIONS: dict[Verb, frozenset[str]] = {
+    Verb.TARGET: frozenset({"value"}),
+    Verb.CALIBRATE: frozenset({"value", "shunt", "adopt"}),
+    Verb.IDENTIFY: frozenset({"tight"}),
+}
 
 
 class RequestError(ValueError):
@@ -26,15 +35,30 @@ class RequestError(ValueError):
 class _Payload(msgspec.Struct, forbid_unknown_fields=True):
     operator: str
     value: float | None = None
+    shunt: bool = False
+    adopt: bool = False
+    tight: bool = False
 
 
 @dataclass(frozen=True)
 class Request:
-    """A command as an operator gives it; ``value`` is newtons for TARGET, else NaN."""
+    """A command as an operator gives it.
+
+    ``value``: newtons, the target of TARGET or the known weight of CALIBRATE, else NaN. ``shunt``: CALIBRATE compares
+    with the shunt. ``adopt``: it sets a new scale. ``tight``: IDENTIFY wants a tight rope.
+    """
 
     verb: Verb
     operator: str
     value: float = math.nan
+    shunt: bool = False
+    adopt: bool = False
+    tight: bool = False
+
+    @property
+    def number(self) -> float:
+        """What the loop is told."""
+        return float(self.tight) if self.verb is Verb.IDENTIFY else self.value
 
 
 def verb_of(name: str) -> Verb:
@@ -55,7 +79,7 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
     Raises:
         RequestError: bad JSON, an unknown key, a missing or non-finite value, a wrong type.
     """
-    allowed = _ALLOWED_TARGET if verb is Verb.TARGET else _ALLOWED
+    allowed = _ALLOWED_MORE.get(verb, _ALLOWED)
     if not payload:
         raise RequestError(f"found no payload, allowed {allowed}")
     if len(payload) > _PAYLOAD_BYTES:
@@ -67,15 +91,16 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
     operator = found.operator.strip()
     if not operator or len(operator) > _OPERATOR_LENGTH or not operator.isprintable():
         raise RequestError(f"found operator {found.operator[:80]!r}, allowed 1 to {_OPERATOR_LENGTH} printable letters")
-    if verb is not Verb.TARGET:
-        if found.value is not None:
-            raise RequestError(f"found a value, allowed {allowed}")
-        return Request(verb, operator)
-    if found.value is None:
+    options = _OPTIONS.get(verb, frozenset())
+    for name in ("value", "shunt", "adopt", "tight"):
+        if name not in options and getattr(found, name) not in (None, False):
+            raise RequestError(f"found {name}, allowed {allowed}")
+    if found.value is None and verb is Verb.TARGET:
         raise RequestError(f"found no value, allowed {allowed}")
-    if not math.isfinite(found.value):
+    if found.value is not None and not math.isfinite(found.value):
         raise RequestError(f"found value {found.value}, allowed a finite number of newtons")
-    return Request(verb, operator, found.value)
+    value = math.nan if found.value is None else found.value
+    return Request(verb, operator, value, found.shunt, found.adopt, found.tight)
 
 
 @dataclass(frozen=True)
@@ -105,6 +130,10 @@ def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
             return f"fault cleared, {mode.name}"
         case Verb.TARGET:
             return f"{value:g} N, {mode.name}"
+        case Verb.IDENTIFY:
+            return f"excited for {value:.1f} s, {mode.name}, stroke {sight.stroke_mm:.2f} mm"
+        case _:
+            return f"the cell reads {value:.3f} N, {mode.name}"
 
 
 def refused(name: str, operator: str, reason: str, text: str, **more: Any) -> dict[str, Any]:
@@ -133,6 +162,6 @@ def answer(request: Request, reply: Any, sight: Sight, limits_n: tuple[float, fl
     refusal, checks = Refusal(int(reply["reason"])), int(reply["checks"])
     named = refusal is Refusal.CAUSE_PRESENT and value in Fault._value2member_map_
     cause = Fault(int(value)) if named else sight.fault
-    text = refusal_text(refusal, verb, mode, checks, cause, limits_n)
+    text = refusal_text(refusal, verb, mode, checks, cause, limits_n, value)
     more = {"checks": failed_checks(checks)} if refusal is Refusal.PREFLIGHT else {}
     return refused(name, request.operator, refusal.name.lower(), text, **about, **more)

@@ -1,8 +1,8 @@
 """The running daemon's folder in memory: rings, the resolved configuration, and the lock that makes it the only one.
 
 ``/dev/shm/rigctl-<rig>/``: ``records events commands replies`` (rings), ``active.json`` (what runs),
-``control.json`` (what the control process read back), ``gateway.*`` (the gateway's own), ``lock`` (held by the
-supervisor, with its pid in it).
+``control.json`` (what the control process read back), ``calibration.json`` (the cell's zero, scale and due date in
+force), ``gateway.*`` (the gateway's own), ``lock`` (held by the supervisor, with its pid in it).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rigctl.telemetry.ring import RingReader, RingWriter, create
 _BASE = pathlib.Path("/dev/shm")
 _SMALL_RING = 4096
 _FILES = (
-    "records", "events", "commands", "replies", "active.json", "control.json",
+    "records", "events", "commands", "replies", "active.json", "control.json", "calibration.json",
     "gateway.cursor", "gateway.sock", "gateway.sock.lock",
 )  # fmt: skip
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from enum import IntEnum, IntFlag
 from typing import Any
 
+from rigctl.control.gate import Verdict
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Check, Fault
 from rigctl.telemetry import block
@@ -14,7 +15,7 @@ from rigctl.telemetry.record import RECORD, Flag, Quality
 from rigctl.telemetry.state import DERIVED
 
 _ENUMS: dict[str, type[IntEnum | IntFlag]] = {
-    "modes": Mode, "faults": Fault, "flags": Flag, "quality": Quality,
+    "modes": Mode, "faults": Fault, "flags": Flag, "quality": Quality, "verdicts": Verdict,
     "checks": Check, "refusals": Refusal, "verbs": Verb, "event_kinds": Kind,
 }  # fmt: skip
 
@@ -73,7 +74,13 @@ def schema(rig: str) -> dict[str, Any]:
         },
         "commands": {
             "keys": {verb.name.lower(): keys.command(verb.name.lower()) for verb in Verb},
-            "payload": {"operator": "text, who gives it", "value": "newtons, with target only"},
+            "payload": {
+                "operator": "text, who gives it",
+                "value": "newtons: the target, or the known weight of calibrate",
+                "shunt": "true: calibrate against the shunt",
+                "adopt": "true: calibrate sets the scale",
+                "tight": "true: identify only a tight rope",
+            },
         },
         "enums": {name: {member.name: int(member) for member in kind if member.name} for name, kind in _ENUMS.items()},
         "fault_texts": {fault.name: text for fault, text in FAULT_TEXT.items()},

@@ -115,10 +115,19 @@ def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wa
     }
 
 
-def warnings_of(control: dict[str, Any]) -> list[str]:
-    """Warnings the control process wrote down, whatever it wrote."""
-    found = control.get("warnings")
+def warnings_of(said: dict[str, Any]) -> list[str]:
+    """Warnings another process wrote down, whatever it wrote."""
+    found = said.get("warnings")
     return [str(item) for item in found] if isinstance(found, Sequence) and not isinstance(found, str) else []
+
+
+def design_of(active: dict[str, Any]) -> tuple[str | None, list[str]]:
+    """Verdict on the design that runs, None before there is one, and its warnings: words of a waiver among them."""
+    design = active.get("design")
+    if not isinstance(design, dict):
+        return None, []
+    verdict = design.get("verdict")
+    return (verdict if isinstance(verdict, str) else None), warnings_of(design)
 
 
 DERIVED: tuple[tuple[str, str, str], ...] = (
@@ -140,7 +149,9 @@ DERIVED: tuple[tuple[str, str, str], ...] = (
     ("lateness_us", "us", "p50, p99, p999 and max over the last second"),
     ("work_us", "us", "p50, p99, p999 and max over the last second"),
     ("samples_lost", "", "records overwritten before a gateway could publish them, so far"),
-    ("warnings", "", "what the operator should know, e.g. real-time settings that were refused"),
+    ("design", "", "how robust the law in use is, and where its gains come from; null before there is one"),
+    ("calibration", "", "of the tension cell: zero_n, scale, due (null without a valid check), overdue, waiver"),
+    ("warnings", "", "what the operator should know: real-time settings refused, a design waived and why"),
     ("gateway_wall_ns", "ns", "when this gateway started; changes when it was restarted"),
 )
 

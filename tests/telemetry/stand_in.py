@@ -44,7 +44,7 @@ class StandIn:
 
     def reply(self, now: int, number: int, decision: Decision, checks: int = 0) -> None:
         accepted = decision.refusal is Refusal.NONE
-        self.replies.write(now, number, accepted, int(decision.refusal), checks, int(self.mode), self.target)
+        self.replies.write(now, number, accepted, int(decision.refusal), checks, int(self.mode), self.target, 0.0)
 
     def take(self, now: int, command: Any) -> None:
         verb, value, number = Verb(int(command["verb"])), float(command["value"]), int(command["id"])

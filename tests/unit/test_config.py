@@ -51,6 +51,42 @@ def test_the_plain_rig_is_the_papers_but_for_its_sensors_and_name() -> None:
     assert plain == paper
 
 
+ENCODER = "rail_encoder: {counts_per_turn: 1048576, rate_hz: 1000}\n"
+RUN_OUT = "run_out: {angle_min_deg: -3.0, angle_max_deg: 16.0, bins: 38, learning_rate: 0.5}\n"
+
+
+def test_no_rig_has_a_rail_encoder_or_a_run_out_table_unless_it_says_so(tmp_path: pathlib.Path) -> None:
+    settings = config.load(ROOT / "config/paper_rig.yaml")
+    assert settings.rail_encoder is settings.run_out is None
+    assert "rail_encoder" not in settings.canopen_nodes
+    (tmp_path / "eds").symlink_to(ROOT / "config/eds")
+    file = tmp_path / "rig.yaml"
+    file.write_text(PAPER + ENCODER + RUN_OUT)
+    settings = config.load(file)
+    assert settings.canopen_nodes["rail_encoder"] == 5
+    assert settings.run_out is not None
+    assert settings.run_out.min_speed_deg_s == 0.1
+
+
+@pytest.mark.parametrize(
+    ("new", "key", "allowed"),
+    [
+        (RUN_OUT, "run_out", "none without a rail_encoder section"),
+        (ENCODER.replace("1000", "300"), "rail_encoder.rate_hz", "divided by 1 to 240"),
+        (ENCODER.replace("{", "{node: 3, "), "rail_encoder.node", "a node id of its own"),
+        (ENCODER.replace("{", "{eds: none.eds, "), "rail_encoder.eds", "an EDS file"),
+        (ENCODER + RUN_OUT.replace("16.0", "-4.0"), "run_out.angle_min_deg", "below angle_max_deg"),
+        (ENCODER + RUN_OUT.replace("16.0", "350.0"), "run_out.angle_max_deg", "a turn less one bin"),
+    ],
+)
+def test_a_rail_encoder_and_a_table_that_do_not_fit_are_refused(
+    refuse: Refuse, new: str, key: str, allowed: str
+) -> None:
+    (line,) = refuse("rig: paper_rig\n", f"rig: paper_rig\n{new}")
+    assert f" {key}: " in line
+    assert allowed in line
+
+
 @pytest.mark.parametrize(
     ("old", "new", "key", "found", "allowed"),
     [

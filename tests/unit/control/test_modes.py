@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.control.machine import ARM_LIMIT_NS, Machine
-from rigctl.control.modes import TRANSITIONS, Event, Mode, Refusal, Situation, Verb, decide, next_mode
+from rigctl.control.machine import ARM_LIMIT_NS, Answer, Machine
+from rigctl.control.modes import TRANSITIONS, TRIED_IN, Event, Mode, Refusal, Situation, Verb, decide, next_mode
 from rigctl.control.safety import Fault, Trip
 from rigctl.devices.drive import Power
 
-READY = Situation(target_min_n=50.0, target_max_n=350.0)
+READY = Situation(unloaded=True, target_min_n=50.0, target_max_n=350.0)
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -35,8 +36,8 @@ def test_the_closed_loop_is_reached_only_through_tensioning() -> None:
 
 
 ACCEPTED = {
-    Mode.DISARMED: {Verb.ARM, Verb.TARGET},
-    Mode.HOLD: {Verb.TENSION, Verb.RELEASE, Verb.HOLD, Verb.DISARM, Verb.TARGET},
+    Mode.DISARMED: {Verb.ARM, Verb.TARGET, Verb.TARE, Verb.CALIBRATE},
+    Mode.HOLD: {Verb.TENSION, Verb.RELEASE, Verb.HOLD, Verb.DISARM, Verb.TARGET, *TRIED_IN},
     Mode.TENSIONING: {Verb.RELEASE, Verb.HOLD, Verb.TARGET},
     Mode.COMPENSATING: {Verb.RELEASE, Verb.HOLD, Verb.TARGET},
     Mode.RELEASING: {Verb.TENSION, Verb.HOLD, Verb.TARGET},
@@ -65,6 +66,8 @@ def test_guards() -> None:
     unseen = Situation(drive_faulted=True, cause_present=True)
     assert decide(Mode.DISARMED, Verb.RESET, 0, unseen).refusal is Refusal.CAUSE_PRESENT
     assert decide(Mode.HOLD, Verb.RELEASE, 0, Situation(slack=True)).refusal is Refusal.ALREADY
+    assert decide(Mode.HOLD, Verb.TARE, 0, Situation()).refusal is Refusal.LOADED
+    assert decide(Mode.HOLD, Verb.IDENTIFY, 1.0, Situation(slack=True)).refusal is Refusal.SLACK
 
 
 def armed() -> Machine:
@@ -98,6 +101,22 @@ def test_a_drive_that_dropped_out_is_not_switched_on_again_by_itself() -> None:
     machine.trip(Trip(Fault.CELL_STALE, 20.0, 15.0))
     assert machine.power(5, drive_enabled=True, drive_faulted=False) is Power.ON
     assert machine.power(5, drive_enabled=False, drive_faulted=False) is Power.OFF
+
+
+@pytest.mark.parametrize("verb", TRIED_IN)
+@pytest.mark.parametrize("what", ["command", "trip", "stop"])
+def test_a_trial_is_answered_when_it_is_over_or_when_anything_comes_in_between(verb: Verb, what: str) -> None:
+    machine = armed()
+    machine.command(2, verb, 0.0, replace(READY, drive_enabled=True), 5)
+    assert (machine.trial, machine.answers) == (verb, [])
+    if what == "command":
+        machine.command(3, Verb.HOLD, 0.0, READY, 6)
+    elif what == "trip":
+        machine.trip(Trip(Fault.CELL_STALE, 20.0, 15.0))
+    else:
+        machine.stop()
+    assert machine.trial is None
+    assert machine.answers[0] == Answer(2, verb, Refusal.ABORTED)
 
 
 def test_the_first_fault_stays_named_until_reset() -> None:
@@ -149,4 +168,5 @@ def test_whatever_happens_a_fault_stays_until_a_reset_and_every_command_is_answe
         assert (machine.fault is not Fault.NONE) == (machine.mode is Mode.FAULT)
         assert machine.mode is not Mode.DISARMED or not machine.drive_wanted
     machine.follow_drive(False, ARM_LIMIT_NS * 2)
+    machine.end_trial(Refusal.NONE)
     assert sorted(answer.id for answer in machine.answers) == list(range(1, asked + 1))

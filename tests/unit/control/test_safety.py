@@ -39,6 +39,9 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.TENSION_HIGH, "N"): {"tension_n": 400.1},
     (Fault.TENSION_LOW, "N"): {"tension_n": 19.9},
     (Fault.TENSION_LOW, ""): {"rope_lost": True},
+    (Fault.INNOVATION, "samples"): {"rejects": 20},
+    (Fault.SIGN_DRIVE, ""): {"drive_reversed": True},
+    (Fault.SIGN_CELL, ""): {"cell_reversed": True},
     (Fault.STROKE_END, ""): {"stroke_limited": True},
     (Fault.DEVICE_RESTARTED, ""): {"device_restarted": True},
     (Fault.OVERRUN, "ticks"): {"skipped_in_window": 50},
@@ -110,6 +113,8 @@ def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -
         ({"drive_age_ns": 16 * MS}, Check.DRIVE_STALE),
         ({"drive_faulted": True}, Check.DRIVE_FAULT),
         ({"tension_n": 401.0}, Check.TENSION_HIGH),
+        ({"reading_n": 401.0}, Check.TENSION_HIGH),
+        ({"calibration_overdue": True}, Check.CALIBRATION),
         ({"tension_n": float("nan")}, Check.TENSION_HIGH),
         ({"stroke_mm": 123.0}, Check.STROKE_RANGE),
         ({"stroke_mm": float("nan")}, Check.STROKE_RANGE),
@@ -125,3 +130,12 @@ def test_preflight_names_what_failed(bad: dict[str, object], check: Check) -> No
 def test_nothing_has_been_seen_at_first() -> None:
     unseen = preflight(Sight(), SETTINGS, supervision_verified=True)
     assert Check.CELL_STALE | Check.DRIVE_STALE | Check.INCLINATION_STALE | Check.STROKE_RANGE in unseen
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> None:
+    watch = Watch(SETTINGS)
+    sight = replace(GOOD, tension_n=395.0, reading_n=400.1)
+    trips = [watch.trips(sight, mode, t * MS) for t in range(40)]
+    assert trips[-1] is not None
+    assert trips[-1].fault is Fault.TENSION_HIGH

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import control
 import numpy as np
@@ -16,10 +17,10 @@ from rigctl.config import RigSettings, load
 from rigctl.control.estimator import filter_model
 from rigctl.control.tension import Gains
 from rigctl.design import plant_family
-from rigctl.design.closed_loop import controller
+from rigctl.design.closed_loop import closed_loop, controller
 from rigctl.design.gains import design, filter_gain
 from rigctl.design.margins import classical_margins, design_and_check, frequency_grid, margins_over
-from rigctl.design.plant_family import ComplexArray
+from rigctl.design.plant_family import ComplexArray, Member
 
 Rig = Callable[..., RigSettings]
 CONFIG = Path(__file__).parents[3] / "config"
@@ -86,6 +87,64 @@ def test_both_places_agree_with_python_control(rig: Rig, k_m: float | None, dela
     speed_closed = control.feedback(control.ss([], [], [], [[1.0]], dt), delayed[1, 0] * out[0, 1], sign=1)
     at_output = control.frd(-delayed[0, 0] * speed_closed * out[0, 0], omega)
     assert 1 / control.stability_margins(at_output)[2] == pytest.approx(found.ms_output, rel=1e-3)
+
+
+def _at_input(settings: RigSettings, gains: Gains, plant: Member) -> Any:
+    """Loop at the plant's input, put together by python-control from the state spaces."""
+    model = filter_model(settings)
+    law = controller(model, gains, filter_gain(model))
+    out = control.ss(law.a, law.b, law.c[None, :], np.zeros((1, 2)), model.period_s)
+    late = control.ss(control.tf([1], [1, *[0] * plant.delay_ticks], model.period_s))
+    rows = np.eye(2, len(plant.a))
+    system = control.ss(plant.a, plant.b_command[:, None], rows, np.zeros((2, 1)), model.period_s)
+    return -control.series(late, system, out)
+
+
+@pytest.mark.parametrize("stretch_weight", [10.0, 50.0, 400.0])
+@pytest.mark.parametrize(
+    ("k_m", "k_scale", "delay_scale"),
+    [(None, 0.8, 1), (None, 1.0, 2), (1000.0, 1.2, 2), (60.0, 1.2, 2), (20.0, 0.8, 1), (6.0, 1.0, 2), (2.0, 0.8, 2)],
+)
+def test_every_margin_is_python_controls(
+    rig: Rig, k_m: float | None, k_scale: float, delay_scale: int, stretch_weight: float
+) -> None:
+    settings = rig(design={"stretch_weight": stretch_weight})
+    gains, model = design(settings), filter_model(settings)
+    plant = plant_family.member(settings, k_m, k_scale, delay_scale)
+    grid = frequency_grid([plant], model.period_s)
+    law = controller(model, gains, filter_gain(model))
+    (found,) = margins_over([plant], law, grid, model.period_s)
+    omega = 2 * np.pi * grid[:-1]  # python-control refuses Nyquist for a chain of delays
+    loop = _at_input(settings, gains, plant)
+    gm, pm, sm, _, crossover, _ = control.stability_margins(control.frd(loop, omega), returnall=True)
+    # 1e-3: both interpolate between samples, one the modulus and the phase, the other real and imaginary part.
+    # At a sharp resonance (K_m = 2) that makes up to 0.03 dB of gain.
+    assert found.gm_db == pytest.approx(np.abs(20 * np.log10(gm)).min(), abs=0.05)
+    assert found.pm_deg == pytest.approx(np.abs(pm).min(), rel=1e-3)
+    assert found.dm_ms == pytest.approx((1000 * np.radians(pm % 360) / crossover).min(), rel=1e-3)
+    assert found.ms == pytest.approx(1 / sm.min(), rel=1e-3)
+    # The disk margin of skew 1 is the distance to -1; the largest disks' gain and phase lie within the classical ones.
+    distance, _, _ = control.disk_margins(loop, omega, skew=1.0)
+    assert found.ms == pytest.approx(1 / distance, rel=1e-3)
+    _, disk_db, disk_deg = control.disk_margins(loop, omega, skew=0.0)
+    assert found.gm_db >= disk_db * (1 - 1e-3)
+    assert found.pm_deg >= disk_deg * (1 - 1e-3)
+
+
+@pytest.mark.parametrize("k_m", [None, 60.0, 6.0])
+def test_margins_are_where_stability_ends(rig: Rig, k_m: float | None) -> None:
+    # By eigenvalues, not by a frequency response: more delay than dm_ms, or more gain than gm_db, and it is unstable.
+    settings = rig()
+    gains, model = design(settings), filter_model(settings)
+    law = controller(model, gains, filter_gain(model))
+    plant = plant_family.member(settings, k_m)
+    (found,) = margins_over([plant], law, frequency_grid([plant], model.period_s), model.period_s)
+    spare = int(found.dm_ms / (1000 * model.period_s))
+    for more, stable in ((spare, True), (spare + 1, False)):
+        late = replace(plant, delay_ticks=plant.delay_ticks + more)
+        assert (closed_loop(late, law).spectral_radius < 1.0) == stable
+    for factor, stable in ((10 ** (found.gm_db / 20) * 0.999, True), (10 ** (found.gm_db / 20) * 1.001, False)):
+        assert (closed_loop(replace(plant, b_command=factor * plant.b_command), law).spectral_radius < 1.0) == stable
 
 
 def test_grid_is_fine_enough_for_the_peaks(rig: Rig) -> None:

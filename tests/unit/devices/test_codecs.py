@@ -31,6 +31,7 @@ def pdo(eds: str, direction: str) -> Any:
 
 
 CELL, SLOPE = pdo("tension_amplifier.eds", "tpdo"), pdo("inclinometer.eds", "tpdo")
+ENCODER = pdo("rail_encoder.eds", "tpdo")
 STATUS, COMMAND = pdo("cylinder_drive.eds", "tpdo"), pdo("cylinder_drive.eds", "rpdo")
 
 
@@ -57,6 +58,20 @@ def test_inclination_is_what_canopen_reads(data: bytes) -> None:
     assert bool(quality) == (-0x8000 in (long, lateral))
 
 
+@given(st.binary(min_size=4, max_size=4), st.integers(256, 2**31))
+def test_a_rail_angle_is_what_canopen_reads_within_one_turn(data: bytes, per_turn: int) -> None:
+    (counts,) = oracle(ENCODER, data)
+    angle_rad = codecs.decode_encoder(data, per_turn)
+    assert -math.pi <= angle_rad < math.pi
+    turns = counts / per_turn - angle_rad / math.tau
+    assert turns == pytest.approx(round(turns), abs=1e-6 / 256)
+
+
+def test_a_rail_angle_goes_through_zero_where_the_counts_begin_again() -> None:
+    angles = [codecs.decode_encoder(struct.pack("<I", counts), 4096) for counts in (4094, 4095, 0, 1, 4096, 8191)]
+    assert [angle * 4096 / math.tau for angle in angles] == pytest.approx([-2, -1, 0, 1, 0, -1])
+
+
 @given(st.binary(min_size=8, max_size=8))
 def test_drive_status_is_what_canopen_reads(data: bytes) -> None:
     statusword, position, velocity = oracle(STATUS, data)
@@ -76,7 +91,13 @@ def test_what_is_not_a_speed_leaves_as_zero(speed: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("decode", "size"), [(codecs.decode_tension, 5), (codecs.decode_inclination, 4), (codecs.decode_drive, 8)]
+    ("decode", "size"),
+    [
+        (codecs.decode_tension, 5),
+        (codecs.decode_inclination, 4),
+        (codecs.decode_drive, 8),
+        (lambda data: codecs.decode_encoder(data, 4096), 4),
+    ],
 )
 def test_a_wrong_length_is_refused(decode: Any, size: int) -> None:
     for wrong in set(range(9)) - {size}:
@@ -87,6 +108,7 @@ def test_a_wrong_length_is_refused(decode: Any, size: int) -> None:
 def test_the_layouts_are_the_eds_files_mappings() -> None:
     for layout, pdo_map in (
         (od.CELL_TPDO, CELL), (od.SLOPE_TPDO, SLOPE), (od.DRIVE_TPDO, STATUS), (od.DRIVE_RPDO, COMMAND),
+        (od.ENCODER_TPDO, ENCODER),
     ):  # fmt: skip
         assert layout.mapping == tuple(v.index << 16 | v.subindex << 8 | v.length for v in pdo_map)
 

@@ -15,7 +15,9 @@ from rigctl.devices.objects import PdoLayout
 from tests.unit.hil.rig_bench import REPOSITORY
 
 EDS = REPOSITORY / "config/eds"
-CELL, SLOPE, DRIVE, SIMULATOR = FILES = ("tension_amplifier", "inclinometer", "cylinder_drive", "simulator")
+CELL, SLOPE, DRIVE, ENCODER, SIMULATOR = FILES = (
+    "tension_amplifier", "inclinometer", "cylinder_drive", "rail_encoder", "simulator",
+)  # fmt: skip
 U8, U16, U32 = datatypes.UNSIGNED8, datatypes.UNSIGNED16, datatypes.UNSIGNED32
 I8, I16, I32 = datatypes.INTEGER8, datatypes.INTEGER16, datatypes.INTEGER32
 ANY = object()
@@ -32,7 +34,7 @@ OBJECTS = [  # file, index, subindex, type, access, default
     ],
     *[
         row
-        for file in (CELL, SLOPE, DRIVE)
+        for file in (CELL, SLOPE, DRIVE, ENCODER)
         for row in (
             (file, objects.TPDO1_COMMUNICATION, 1, U32, "rw", objects.TPDO1_BASE + 5),
             (file, objects.TPDO1_COMMUNICATION, 2, U8, "rw", 10 if file == SLOPE else 1),
@@ -48,6 +50,10 @@ OBJECTS = [  # file, index, subindex, type, access, default
     (SLOPE, objects.SLOPE_RESOLUTION, 0, U16, "rw", objects.SLOPE_RESOLUTION_MDEG),
     (SLOPE, objects.SLOPE_LONG, 0, I16, "ro", None),
     (SLOPE, objects.SLOPE_LATERAL, 0, I16, "ro", None),
+    (ENCODER, objects.DEVICE_TYPE, 0, U32, "ro", objects.DEVICE_TYPE_406),
+    (ENCODER, objects.ENCODER_COUNTS_PER_TURN, 0, U32, "rw", 1 << 20),
+    (ENCODER, objects.ENCODER_TOTAL_RANGE, 0, U32, "rw", 1 << 20),
+    (ENCODER, objects.ENCODER_POSITION, 0, U32, "ro", None),
     (DRIVE, objects.DEVICE_TYPE, 0, U32, "ro", objects.DEVICE_TYPE_402),
     (DRIVE, objects.CONSUMER_HEARTBEAT, 1, U32, "rw", 0),
     (DRIVE, objects.RPDO1_COMMUNICATION, 1, U32, "rw", objects.RPDO1_BASE + 5),
@@ -103,6 +109,7 @@ def test_object(file: str, index: int, subindex: int, data_type: int, access: st
         (CELL, objects.TPDO1_MAPPING, objects.CELL_TPDO),
         (SLOPE, objects.TPDO1_MAPPING, objects.SLOPE_TPDO),
         (DRIVE, objects.TPDO1_MAPPING, objects.DRIVE_TPDO),
+        (ENCODER, objects.TPDO1_MAPPING, objects.ENCODER_TPDO),
         (DRIVE, objects.RPDO1_MAPPING, objects.DRIVE_RPDO),
     ],
 )

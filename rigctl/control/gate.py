@@ -1,0 +1,95 @@
+"""Innovation gate of one sensor: what is believed, what is left out, and how the innovations are distributed."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+NIS_SAMPLES = 1000
+"""The running mean of NIS forgets with this many samples."""
+
+
+class Verdict(IntEnum):
+    """What became of a sensor's sample in a tick."""
+
+    ABSENT = 0  # none came, or it was not a number
+    USED = 1
+    REJECTED = 2  # outside the gate
+    IDLE = 3  # the rope is slack: there is nothing to estimate from it
+
+
+_USED, _REJECTED = Verdict.USED.value, Verdict.REJECTED.value
+
+
+class Gate:
+    """Believes an innovation y of variance S while ``y^2 <= sigma^2 (S + (burst n)^2)``.
+
+    n counts ticks since a sample was believed; ``burst`` is what the quantity may change in a tick beyond the filter's
+    own model, one sigma. A spike is left out; a jolt is followed, ``surprised`` tells the filter to follow it faster;
+    and a jump no rig can make is left out for so many ticks that it becomes a fault.
+
+    Args:
+        sigma: width of the gate.
+        burst: per tick, in the sensor's unit.
+    """
+
+    __slots__ = (
+        "_burst2",
+        "_forget",
+        "_sigma2",
+        "innovation",
+        "nis",
+        "rejects",
+        "since",
+        "surprised",
+        "variance",
+        "verdict",
+    )
+
+    def __init__(self, sigma: float, burst: float) -> None:
+        self._sigma2 = sigma * sigma
+        self._burst2 = burst * burst
+        self._forget = 1.0 / NIS_SAMPLES
+        self.innovation = 0.0
+        self.variance = 0.0
+        self.verdict = Verdict.ABSENT.value
+        self.rejects = 0
+        """Consecutive samples outside the gate."""
+        self.since = 1
+        """Ticks since the last sample that was believed, this one included."""
+        self.surprised = False
+        """The last sample was believed for the burst's sake only."""
+        self.nis = 1.0
+        """Running mean of y^2 / S over the samples within sigma; 1 where the filter's model is right."""
+
+    def believes(self, innovation: float, variance: float) -> bool:
+        """Judge one sample; its innovation and variance stay for the record."""
+        self.innovation, self.variance = innovation, variance
+        n = self.since
+        square = innovation * innovation
+        self.surprised = square > self._sigma2 * variance
+        if square > self._sigma2 * (variance + self._burst2 * n * n):
+            self.verdict = _REJECTED
+            self.rejects += 1
+            return False
+        self.verdict = _USED
+        self.rejects = 0
+        self.since = 0
+        if not self.surprised:
+            self.nis += self._forget * (square / variance - self.nis)
+        return True
+
+    def absent(self) -> None:
+        """No sample in this tick."""
+        self.verdict = Verdict.ABSENT.value
+        self.innovation = 0.0
+        self.surprised = False
+
+    def idle(self) -> None:
+        """Nothing is estimated: start afresh."""
+        self.verdict = Verdict.IDLE.value
+        self.innovation = 0.0
+        self.rejects = self.since = 0
+
+    def pass_ticks(self, periods: int) -> None:
+        """Time goes on."""
+        self.since += periods

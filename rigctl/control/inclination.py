@@ -1,0 +1,119 @@
+"""Kalman filter of the rope's inclination, and the speed at which that inclination stretches the rope.
+
+Per axis ``x = [angle rad, rate rad/s]`` with white angular acceleration. Samples come at the inclinometer's own rate,
+10 to 100 Hz; between them the angle goes on at the rate estimated last.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+
+from rigctl.config import RigSettings
+from rigctl.control.gate import Gate
+
+BURST_RAD_S = math.radians(5.0)
+"""Change of rate within a sample interval that the gate allows for, one sigma: a rope that is struck."""
+MOST_AHEAD_S = 0.1
+"""The angle is not carried on for longer than this without a sample."""
+
+
+class InclinationFilter:
+    """Tangential and normal angle with their rates; both axes share one gain, samples are judged together."""
+
+    def __init__(self, settings: RigSettings) -> None:
+        noise, self._dt = settings.estimator, 1.0 / settings.loop.rate_hz
+        self._walk2 = math.radians(noise.inclination_walk_deg_s) ** 2
+        self._kf = kf = KalmanFilter(dim_x=4, dim_z=2)
+        kf.H = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
+        kf.R = np.eye(2) * math.radians(noise.inclination_noise_deg) ** 2
+        burst = BURST_RAD_S * self._dt
+        self.tangential, self.normal = Gate(noise.gate_sigma, burst), Gate(noise.gate_sigma, burst)
+        self._ticks = 0  # since the state's time
+        self._known = False
+        self._most_ahead = round(MOST_AHEAD_S / self._dt)
+        self._x = (0.0, 0.0, 0.0, 0.0)
+
+    def update(self, tangential_rad: float, normal_rad: float) -> None:
+        """Correct with a sample; the first one starts the filter."""
+        kf = self._kf
+        if not self._known:
+            self._start(tangential_rad, normal_rad)
+            return
+        self._carry()
+        s = kf.P.item(0, 0) + kf.R.item(0, 0)
+        believed = self.tangential.believes(tangential_rad - kf.x.item(0, 0), s)
+        believed &= self.normal.believes(normal_rad - kf.x.item(2, 0), s)
+        if believed and (self.tangential.surprised or self.normal.surprised):
+            self._start(tangential_rad, normal_rad)
+            return
+        if believed:
+            kf.update(np.array([[tangential_rad], [normal_rad]]))
+            kf.P = 0.5 * (kf.P + kf.P.T)
+        t, tr, n, nr = kf.x[:, 0].tolist()
+        self._x = (t, tr, n, nr)
+
+    def _start(self, tangential_rad: float, normal_rad: float) -> None:
+        """Begin at a sample, the rates unknown."""
+        kf = self._kf
+        kf.x = np.array([[tangential_rad], [0.0], [normal_rad], [0.0]])
+        kf.P = np.diag([kf.R[0, 0], BURST_RAD_S**2, kf.R[1, 1], BURST_RAD_S**2])
+        self._known, self._ticks = True, 0
+        self._x = (tangential_rad, 0.0, normal_rad, 0.0)
+
+    def absent(self) -> None:
+        """No sample in this tick."""
+        self.tangential.absent()
+        self.normal.absent()
+
+    def pass_ticks(self, periods: int) -> None:
+        """Time goes on to the next tick."""
+        self._ticks += periods
+        self.tangential.pass_ticks(periods)
+        self.normal.pass_ticks(periods)
+
+    @property
+    def state(self) -> tuple[float, float, float, float]:
+        """Tangential angle and rate, normal angle and rate, now; rad and rad/s."""
+        t, tr, n, nr = self._x
+        ahead = min(self._ticks, self._most_ahead) * self._dt
+        return t + tr * ahead, tr, n + nr * ahead, nr
+
+    def _carry(self) -> None:
+        """Bring state and covariance to the present."""
+        kf, dt = self._kf, max(1, self._ticks) * self._dt
+        one = np.array([[1.0, dt], [0.0, 1.0]])
+        noise = self._walk2 * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
+        none = np.zeros((2, 2))
+        kf.predict(F=np.block([[one, none], [none, one]]), Q=np.block([[noise, none], [none, noise]]))
+        self._ticks = 0
+
+
+class Stretch:
+    """Speed at which the inclination stretches the rope, from its position form ``L (1/cos - 1)``.
+
+    The low-pass' own input less its output, over its time constant: the derivative of the low-passed stretch. The
+    derivative of the angle itself would be all noise.
+
+    Args:
+        length_mm: between the lifting points.
+        period_s: of the loop.
+    """
+
+    LOW_PASS_S = 0.1
+
+    def __init__(self, length_mm: float, period_s: float) -> None:
+        self._length = length_mm
+        self._blend = -math.expm1(-period_s / self.LOW_PASS_S)
+        self._slow_mm: float | None = None
+
+    def speed_mm_s(self, cosine: float) -> float:
+        """One tick on, with the product of the inclinations' cosines."""
+        stretch_mm = self._length * (1.0 / cosine - 1.0)
+        if self._slow_mm is None:
+            self._slow_mm = stretch_mm
+        behind_mm = stretch_mm - self._slow_mm
+        self._slow_mm += self._blend * behind_mm
+        return behind_mm / self.LOW_PASS_S

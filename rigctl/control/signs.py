@@ -1,0 +1,79 @@
+"""Sign checks in the first tensioning after a start: before the loop is closed on them, drive and cell must agree.
+
+A positive command must move the stroke up, and a shorter rope must pull harder, by about the stiffness of the plant.
+A rig that is wired, mounted or configured the other way round would run away as soon as the loop closes on it; here it
+is caught within a millimetre, or within the tension that counts as slack. As long as a tensioning has been too short
+to tell, the next one is watched again.
+"""
+
+from __future__ import annotations
+
+import math
+
+from rigctl.config import RigSettings
+from rigctl.control.safety import Fault
+
+TRAVEL_MM = 0.1  # expected of the drive before it is judged: more than its delay hides
+PATIENCE_MM = 1.0  # ... and by then it must have moved
+FOLLOWS, OPPOSES = 0.5, -0.25  # of what was expected
+SLOPE_N, SLOPE_MM = 15.0, 0.2  # the tension's slope is judged over this stretch: far above noise and the screw's play
+SLOPE_FACTOR = 3.0  # what the plant in the rig file may be wrong by
+FALL_NOISES = 20.0
+
+
+class SignCheck:
+    """Fed every tick of TENSIONING until ``passed``; ``slope_n_mm`` is what it found."""
+
+    def __init__(self, settings: RigSettings) -> None:
+        plant, tension = settings.plant, settings.tension
+        self._stiffness = plant.stiffness_n_mm
+        self._dt = 1.0 / settings.loop.rate_hz
+        self._share = 1.0 - math.exp(-self._dt / plant.cylinder_lag_s)
+        self._tight_n = 2.0 * tension.slack_n
+        self._fall_n = max(tension.slack_n, FALL_NOISES * settings.tension_cell.noise_n)
+        self._span_mm = max(SLOPE_N / self._stiffness, SLOPE_MM)
+        self.passed = False
+        self.slope_n_mm = math.nan
+        self.begin(0.0, 0.0)
+
+    def begin(self, stroke_mm: float, tension_n: float) -> None:
+        """A tensioning starts here."""
+        self._start_mm, self._start_n = stroke_mm, tension_n
+        self._tight_at: tuple[float, float] | None = None
+        self._expected_mm = self._speed_mm_s = 0.0
+        self._drive_follows = False
+
+    def see(self, command_mm_s: float, stroke_mm: float, tension_n: float) -> Fault:
+        """One tick: the command that acts in it, and what drive and cell say; the fault there is, or NONE."""
+        self._speed_mm_s += (command_mm_s - self._speed_mm_s) * self._share
+        self._expected_mm += self._speed_mm_s * self._dt
+        if not self._drive_follows and self._drive_opposes(stroke_mm):
+            return Fault.SIGN_DRIVE
+        if self._cell_opposes(stroke_mm, tension_n):
+            return Fault.SIGN_CELL
+        return Fault.NONE
+
+    def _drive_opposes(self, stroke_mm: float) -> bool:
+        if abs(self._expected_mm) < TRAVEL_MM:
+            return False
+        share = (stroke_mm - self._start_mm) / self._expected_mm
+        self._drive_follows = share >= FOLLOWS
+        return share <= OPPOSES or (not self._drive_follows and abs(self._expected_mm) >= PATIENCE_MM)
+
+    def _cell_opposes(self, stroke_mm: float, tension_n: float) -> bool:
+        moved_mm, gained_n = stroke_mm - self._start_mm, tension_n - self._start_n
+        if moved_mm * gained_n < 0.0 and abs(gained_n) >= self._fall_n:
+            # What falls more steeply than the rope can is not the stroke's doing, but a load that moves.
+            return abs(moved_mm) * self._stiffness * SLOPE_FACTOR >= abs(gained_n)
+        if self._tight_at is None:
+            if tension_n >= self._tight_n:
+                self._tight_at = stroke_mm, tension_n
+            return False
+        at_mm, at_n = self._tight_at
+        moved_mm = stroke_mm - at_mm
+        if abs(moved_mm) < self._span_mm:
+            return False
+        self.slope_n_mm = (tension_n - at_n) / moved_mm
+        plausible = self._stiffness / SLOPE_FACTOR <= self.slope_n_mm <= self._stiffness * SLOPE_FACTOR
+        self.passed = plausible and self._drive_follows
+        return not plausible

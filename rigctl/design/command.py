@@ -1,0 +1,122 @@
+"""``rigctl tune FILE``: gains from the plant in a rig file, with their margins over the family of plants."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rigctl.operator.options import BAD, DONE, USAGE, end, say
+
+if TYPE_CHECKING:
+    from rigctl.config import RigSettings
+    from rigctl.design.verdict import Design
+
+STANDARD_OUTPUT = pathlib.Path("-")
+SUFFIXES = (".png", ".svg", ".pdf")
+
+
+def tune(
+    file: Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.")],
+    json: Annotated[
+        pathlib.Path | None, typer.Option(metavar="FILE", help="Write the figures here, - to print them instead.")
+    ] = None,
+    plot: Annotated[
+        pathlib.Path | None, typer.Option(metavar="FILE", help="Draw Bode, Nyquist and sensitivity: png, svg, pdf.")
+    ] = None,
+    gains: Annotated[
+        pathlib.Path | None, typer.Option(metavar="FILE", help="Write a gain file, for design.gains_file.")
+    ] = None,
+) -> None:
+    """Compute gains from the plant in a rig file; show and judge their margins over the family of plants."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from rigctl import config
+
+    try:
+        settings = config.load(file)
+    except config.ConfigError as error:
+        end(USAGE, "\nrigctl: ".join(error.findings))
+    _check_outputs(file, {"--json": None if json == STANDARD_OUTPUT else json, "--plot": plot, "--gains": gains})
+    found = _design(file, settings)
+    _write(file, settings, found, json, plot, gains)
+    if json != STANDARD_OUTPUT:
+        from rigctl.design import table
+
+        for line in table.lines(settings, found):
+            say(line)
+        for written in (json, plot, gains):
+            if written is not None:
+                say(f"written: {written}")
+        kept = settings.design.gains_file
+        if kept is not None and (gains is None or gains.resolve() != settings.file(kept).resolve()):
+            say(f"note: `rigctl run` takes the gains of {settings.file(kept)}, not these")
+    end(DONE if found.accepted else BAD, None if found.accepted else f"{file}: {found.verdict()}")
+
+
+def _check_outputs(file: pathlib.Path, outputs: dict[str, pathlib.Path | None]) -> None:
+    """Refuse what could not be written, or would destroy something, before there is anything to write."""
+    from rigctl.design import gain_file
+
+    taken = {file.resolve(): "the rig file"}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        if not path.parent.is_dir():
+            end(USAGE, f"{option}: {path}: there is no folder {path.parent}")
+        if path.is_dir():
+            end(USAGE, f"{option}: found the folder {path}, allowed a file")
+        if path.resolve() in taken:
+            end(USAGE, f"{option}: {path} is {taken[path.resolve()]}, allowed a file of its own")
+        taken[path.resolve()] = f"the file of {option}"
+        if option == "--plot" and path.suffix.lower() not in SUFFIXES:
+            end(USAGE, f"--plot: found {path}, allowed a name ending in {', '.join(SUFFIXES)}")
+        if option == "--gains" and path.exists():
+            try:
+                gain_file.read(path)
+            except gain_file.GainFileError:
+                end(USAGE, f"--gains: {path} is there and is no gain file, allowed a new file or a gain file")
+
+
+def _design(file: pathlib.Path, settings: RigSettings) -> Design:
+    from rigctl.design.margins import design_and_check
+
+    try:
+        return design_and_check(settings)
+    except (ArithmeticError, ValueError) as error:  # no gains, or numbers no plant has
+        end(USAGE, f"{file}: no design: {' '.join(str(error).split())}")
+
+
+def _write(
+    file: pathlib.Path,
+    settings: RigSettings,
+    found: Design,
+    json: pathlib.Path | None,
+    plot: pathlib.Path | None,
+    gains: pathlib.Path | None,
+) -> None:
+    import msgspec
+
+    from rigctl.design import gain_file
+
+    made = gain_file.provenance(settings, file, datetime.now(UTC))
+    said = {"rig": settings.rig, **found.as_dict(), "provenance": made.model_dump()}
+    text = msgspec.json.format(msgspec.json.encode(said), indent=2).decode()
+    writing = json
+    try:
+        if json is not None and json != STANDARD_OUTPUT:
+            json.write_text(text + "\n", encoding="utf-8")
+        if plot is not None:
+            writing = plot
+            from rigctl.design import picture
+
+            picture.draw(settings, found, plot)
+        if gains is not None:
+            writing = gains
+            gain_file.write(gains, found, made)
+    except OSError as error:
+        end(USAGE, f"{writing}: cannot be written: {error.strerror or error}")
+    if json == STANDARD_OUTPUT:
+        say(text)

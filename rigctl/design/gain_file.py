@@ -1,0 +1,240 @@
+"""Gains kept in a file (YAML): with the inputs they were computed from, and what with, when and for which rig.
+
+``rigctl tune RIG --gains FILE`` writes it; ``design.gains_file: FILE`` in the rig file makes the daemon use it. It
+fits as long as the inputs in the rig file are those it was made from; the limit and the waiver are not among them,
+they are of the verdict, which is given anew every time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import math
+import os
+import pathlib
+import platform
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import Any
+
+import yaml
+from pydantic import Field, ValidationError
+
+from rigctl import __version__, strict_yaml
+from rigctl.config import RigSettings
+from rigctl.config_base import Settings
+from rigctl.config_wording import Wording
+from rigctl.control.tension import Gains
+from rigctl.design.gains import DesignError, design
+from rigctl.design.margins import design_and_check, judge
+from rigctl.design.verdict import Design, Source
+
+# What gains, margins and performance follow from, key by key.
+INPUTS: dict[str, tuple[str, ...]] = {
+    "loop": ("rate_hz",),
+    "tension_cell": ("noise_n",),
+    "plant": ("spring_n_mm", "rope_n_mm", "cylinder_lag_s", "command_delay_s", "payload_kg", "mechanism_n_mm"),
+    "estimator": (
+        "speed_noise_mm_s", "cell_noise_scale", "tension_walk_n", "speed_walk_mm_s", "disturbance_walk_mm_s",
+    ),
+    "design": ("stretch_weight", "integral_weight", "command_weight"),
+}  # fmt: skip
+SAME_GAIN = 1e-6  # relative: between versions of the libraries a gain moves in its last digits
+_PACKAGES = {"python-control": "control", "numpy": "numpy", "scipy": "scipy"}
+_HEADING = """\
+# Gains of the tension law, written by `rigctl tune`. To use them: `gains_file` under `design` in the rig file.
+# They hold for the inputs below: when those change in the rig file, `rigctl run` refuses this file until `rigctl tune`
+# has written it anew. Margins are computed again at every start.
+# Units: k_tension mm/s per N, k_speed 1, k_integral mm/s per N s.
+"""
+
+Inputs = dict[str, dict[str, float | None]]
+
+
+class GainFileError(DesignError):
+    """A gain file that is not to be used; ``str()`` is one line that names it."""
+
+
+class GainValues(Settings):
+    """The gains, see `Gains`."""
+
+    k_tension: float = Field(ge=-1e9, le=1e9)
+    k_speed: float = Field(ge=-1e9, le=1e9)
+    k_integral: float = Field(ge=-1e9, le=1e9)
+
+
+class VerdictThen(Settings):
+    """What was found when the file was written; to read, not to rely on."""
+
+    ms_max: float | None  # null = unstable somewhere in the family
+    limit: float
+    accepted: bool
+    waiver: str | None
+
+
+class Provenance(Settings):
+    """Where the gains come from."""
+
+    rig: str
+    rig_file: str
+    date_utc: str  # ISO 8601
+    versions: dict[str, str]
+    inputs_sha256: str  # of ``inputs`` as canonical JSON
+    inputs: Inputs
+
+
+class GainFile(Settings):
+    """The whole file."""
+
+    gains: GainValues
+    verdict: VerdictThen
+    provenance: Provenance
+
+
+def inputs(settings: RigSettings) -> Inputs:
+    """What a design follows from, by section and key of the rig file."""
+    return {
+        section: {key: _number(getattr(getattr(settings, section), key)) for key in keys}
+        for section, keys in INPUTS.items()
+    }
+
+
+def sha256(found: Inputs) -> str:
+    """Hash of inputs: SHA-256 of JSON with sorted keys, no spaces, every number as a float."""
+    plain = {section: {key: _number(value) for key, value in keys.items()} for section, keys in found.items()}
+    text = json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def provenance(settings: RigSettings, rig_file: pathlib.Path, now: datetime) -> Provenance:
+    """Provenance of a design made from these settings at ``now`` (with its time zone)."""
+    found = inputs(settings)
+    return Provenance(
+        rig=settings.rig,
+        rig_file=str(rig_file),
+        date_utc=now.astimezone(UTC).isoformat(timespec="seconds"),
+        versions={"rigctl": __version__}
+        | {name: importlib.metadata.version(package) for name, package in _PACKAGES.items()}
+        | {"python": platform.python_version()},
+        inputs_sha256=sha256(found),
+        inputs=found,
+    )
+
+
+def write(file: pathlib.Path, found: Design, made: Provenance) -> None:
+    """Write a gain file, at once: a reader sees the old file or the new one.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    content = {
+        "gains": asdict(found.gains),
+        "verdict": {
+            "ms_max": found.ms_max if math.isfinite(found.ms_max) else None,
+            "limit": found.limit,
+            "accepted": found.accepted,
+            "waiver": found.waiver,
+        },
+        "provenance": made.model_dump(),
+    }
+    text = yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=10_000)
+    file = file.resolve()  # a link stays a link
+    part = file.with_name(f".{file.name}.{os.getpid()}")
+    try:
+        part.write_text(_HEADING + text, encoding="utf-8")
+        part.replace(file)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def read(file: pathlib.Path) -> GainFile:
+    """Read a gain file, whatever rig it is for.
+
+    Raises:
+        GainFileError: it cannot be read or is none, or its inputs do not give its hash.
+    """
+    try:
+        if file.exists() and not file.is_file():
+            raise GainFileError(f"{file}: cannot be read: not a file")
+        text = file.read_text(encoding="utf-8")
+        document = strict_yaml.load(text)
+        found = GainFile.model_validate(document.data)
+    except OSError as error:
+        raise GainFileError(f"{file}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise GainFileError(f"{file}: not UTF-8 text (byte {error.start})") from None
+    except strict_yaml.StrictYamlError as error:
+        raise GainFileError(f"{file}:{error.line}: {error.message}") from None
+    except ValidationError as error:
+        if not isinstance(document.data, dict):
+            raise GainFileError(f"{file}:1: found no gain file, allowed one from `rigctl tune --gains`") from None
+        first, *more = Wording(GainFile, frozenset(), document, file).lines(error)
+        raise GainFileError(first + (f" (and {len(more)} more)" if more else "")) from None
+    if sha256(found.provenance.inputs) != found.provenance.inputs_sha256:
+        raise GainFileError(f"{file}: its inputs do not give its inputs_sha256, edited? Run `rigctl tune` again")
+    return found
+
+
+def read_for(settings: RigSettings) -> tuple[Gains, Provenance] | None:
+    """What the gain file in the settings holds; None where they name none.
+
+    Raises:
+        GainFileError: it cannot be read, or was made for other settings.
+    """
+    if settings.design.gains_file is None:
+        return None
+    file = settings.file(settings.design.gains_file)
+    found = read(file)
+    now, then = inputs(settings), found.provenance.inputs
+    if sha256(now) != found.provenance.inputs_sha256:
+        raise GainFileError(f"{file}: made for other settings ({_difference(then, now)}): run `rigctl tune` again")
+    return Gains(**found.gains.model_dump()), found.provenance
+
+
+def design_in_use(settings: RigSettings) -> Design:
+    """The design a rig runs with, judged now: that of its gain file, or without one a new one.
+
+    Raises:
+        DesignError: there are no gains for these settings, or the gain file does not fit them.
+    """
+    kept = read_for(settings)
+    if kept is None:
+        return design_and_check(settings)
+    gains, made = kept
+    own = design(settings)
+    edited = not all(math.isclose(asdict(gains)[k], g, rel_tol=SAME_GAIN) for k, g in asdict(own).items())
+    name = str(settings.design.gains_file)
+    try:
+        return judge(settings, gains, Source(name, made.model_dump(), edited))
+    except (ArithmeticError, ValueError) as error:  # numbers no law has
+        raise GainFileError(f"{settings.file(name)}: no margins for its gains: {error}") from None
+
+
+class _Dumper(yaml.SafeDumper):
+    """Text between quotes, so that a hash or a version is never taken for a number; keys as plain words."""
+
+    def represent_mapping(self, tag: str, mapping: Any, flow_style: bool | None = None) -> yaml.MappingNode:
+        node = super().represent_mapping(tag, mapping, flow_style)
+        for _, value in node.value:
+            if isinstance(value, yaml.ScalarNode) and value.tag == "tag:yaml.org,2002:str":
+                value.style = '"'
+        return node
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None else float(value)
+
+
+def _difference(then: Inputs, now: Inputs) -> str:
+    """The first input that differs, in words."""
+    for section, keys in now.items():
+        for key, value in keys.items():
+            old = then.get(section, {}).get(key)
+            if old != value:
+                return f"{section}.{key} was {_shown(old)}, is {_shown(value)}"
+    return "it has inputs this version does not know"
+
+
+def _shown(value: float | None) -> str:
+    return "null" if value is None else f"{value:.10g}"

@@ -1,0 +1,112 @@
+"""What a design comes to: margins per plant, the verdict over the family, and both in words."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rigctl.control.tension import Gains
+from rigctl.design.performance import Performance
+
+
+@dataclass(frozen=True)
+class MemberMargins:
+    """Robustness of one plant of the family; an unstable loop has ``ms`` infinite and no margins."""
+
+    k_m: float | None  # mechanism's stiffness N/mm, None = rigid
+    k_scale: float
+    delay_scale: int
+    ms: float  # at the plant's input
+    ms_output: float  # at the tension output
+    gm_db: float  # smallest change of gain, up or down, that ends stability
+    pm_deg: float
+    dm_ms: float  # smallest further delay that ends stability
+    stable: bool
+
+    @property
+    def ms_worst(self) -> float:
+        """The larger of the two peaks, which is what is judged."""
+        return max(self.ms, self.ms_output)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON: what is infinite is null."""
+        return {name: None if value in (math.inf, -math.inf) else value for name, value in asdict(self).items()}
+
+
+@dataclass(frozen=True)
+class Source:
+    """The gain file that gave the gains."""
+
+    file: str  # as the rig file names it
+    provenance: dict[str, Any]  # what it says of its making
+    edited: bool  # the gains are not those its inputs give
+
+
+@dataclass(frozen=True)
+class Design:
+    """Gains with their verdict.
+
+    ``accepted``: stable and below the limit everywhere, or waived in words. A waiver excuses plants the rig does not
+    have; with the mechanism in the file the loop must be stable at every k and delay all the same. It excuses the
+    design it was written for, not gains that were edited since.
+    """
+
+    gains: Gains
+    margins: tuple[MemberMargins, ...]
+    reported: tuple[MemberMargins, ...]  # K_m = 2 N/mm: shown, not judged
+    ms_max: float  # over the family, both places
+    limit: float
+    accepted: bool
+    waiver: str | None  # the words, only where they were needed
+    performance: Performance | None  # None where the loop is unstable with the plant in the file
+    source: Source | None = None  # None = designed from the settings
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON: what is infinite is null."""
+        return {
+            "gains": asdict(self.gains),
+            "margins": [member.as_dict() for member in self.margins],
+            "reported": [member.as_dict() for member in self.reported],
+            "ms_max": self.ms_max if math.isfinite(self.ms_max) else None,
+            "limit": self.limit,
+            "accepted": self.accepted,
+            "waiver": self.waiver,
+            "performance": asdict(self.performance) if self.performance else None,
+            "source": asdict(self.source) if self.source else None,
+            "verdict": self.verdict(),
+            "warnings": self.warnings(),
+        }
+
+    def ms_in_words(self) -> str:
+        """``Ms 1.585 over the family of plants``."""
+        if not math.isfinite(self.ms_max):
+            return f"unstable with {sum(not m.stable for m in self.margins)} of {len(self.margins)} plants"
+        digits = 3 if abs(self.ms_max - self.limit) > 0.001 else 6  # never "1.600, allowed 1.6"
+        return f"Ms {self.ms_max:.{digits}f} over the family of plants"
+
+    def verdict(self) -> str:
+        """One line: what the gains are worth, whether they are accepted, and where they come from."""
+        origin = ""
+        if self.source:
+            made = self.source.provenance
+            origin = f"; gains of {self.source.file}, {made['date_utc']}, inputs {made['inputs_sha256'][:12]}"
+        if not self.accepted:
+            return f"design refused: {self.ms_in_words()}, allowed {self.limit:g}{self._way_out()}{origin}"
+        return f"{self.ms_in_words()} (limit {self.limit:g}{', waived' if self.waiver else ''}){origin}"
+
+    def warnings(self) -> list[str]:
+        """What an operator should know while the design runs, a line each."""
+        found = []
+        if self.source and self.source.edited:
+            found.append(f"gains of {self.source.file} are not those its inputs give: edited by hand?")
+        if self.accepted and self.waiver:
+            found.append(f"{self.ms_in_words()}, allowed {self.limit:g}, waived: {' '.join(self.waiver.split())}")
+        return found
+
+    def _way_out(self) -> str:
+        if self.source and self.source.edited:
+            return " (its gains were edited by hand, no waiver covers that)"
+        if self.waiver:
+            return " (unstable with the mechanism in the file, no waiver helps)"
+        return " (or a design.waiver in words)"

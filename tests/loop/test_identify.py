@@ -1,0 +1,149 @@
+"""Identification on the simulated rig, whose truth is known: found within its error, bounded, and ended by anything."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from hil.lockstep import Lockstep, lockstep
+from rigctl.commission import proposal
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.safety import Fault
+from rigctl.control.tension import Gains
+from tests.loop.test_trials import cell_reads, give
+
+Enter = Callable[[Mode], None]
+LIMIT_S = 8.0  # within the records any rig file keeps
+
+
+def with_drive(settings: RigSettings, **drive: float) -> RigSettings:
+    simulation = settings.simulation
+    assert simulation is not None
+    changed = simulation.model_copy(update={"drive": simulation.drive.model_copy(update=drive)})
+    return settings.model_copy(update={"simulation": changed})
+
+
+def excite(rig: Lockstep) -> npt.NDArray[Any]:
+    """Identify, and return the records of it."""
+    rig.read_records()
+    assert rig.command(Verb.IDENTIFY, limit_s=LIMIT_S) is Refusal.NONE
+    records = rig.read_records()
+    found: npt.NDArray[Any] = records[records["t_ns"] > rig.reply["t_ns"] - round(float(rig.reply["value"]) * 1e9)]
+    return found
+
+
+def found(rig: Lockstep, records: npt.NDArray[Any]) -> dict[str, Any]:
+    rows = proposal.rows(proposal.signals_of(records, 1e-3), rig.settings)
+    return {row["key"]: row["found"] for row in rows}
+
+
+@pytest.fixture
+def held(rig: Lockstep, enter: Enter) -> Iterator[Lockstep]:
+    """HOLD with 300 N on the rope."""
+    enter(Mode.COMPENSATING)
+    assert rig.command(Verb.HOLD) is Refusal.NONE
+    rig.run(1.0)
+    yield rig
+
+
+def test_under_tension_it_finds_the_plant_as_it_is(held: Lockstep) -> None:
+    before = held.rig.truth
+    records = excite(held)
+    truth, plant = found(held, records), held.settings.plant
+    assert truth["plant.cylinder_lag_s"] == pytest.approx(plant.cylinder_lag_s, abs=0.5e-3)
+    # The frames take 0.1 ms, and the drive's speed is the mean over its last millisecond.
+    assert truth["plant.command_delay_s"] == pytest.approx(plant.command_delay_s + 0.6e-3, abs=0.1e-3)
+    # The screw's ripple of 0.003 mm is up to 0.8 % of this stroke.
+    assert truth["stiffness"] == pytest.approx(plant.stiffness_n_mm, rel=0.01)
+    assert truth["plant.spring_n_mm"] == pytest.approx(6.0, rel=0.01)
+    assert truth["tension_cell.noise_n"] == pytest.approx(held.settings.tension_cell.noise_n, rel=0.2)
+    assert truth["backlash"] == pytest.approx(0.0, abs=0.005)  # the load seats the nut
+    assert truth["drive speed / command"] == pytest.approx(1.0, abs=0.002)
+    assert held.loop.machine.mode is Mode.HOLD
+    assert held.rig.truth.stroke_mm == pytest.approx(before.stroke_mm, abs=0.01)
+    assert np.ptp(records["stroke_mm"]) < 1.0
+    assert np.ptp(records["tension_n"]) < 10.0
+
+
+@pytest.mark.parametrize(("lag_s", "delay_s"), [(0.01, 0.004), (0.03, 0.002)])
+def test_a_drive_that_is_not_the_files_is_seen(
+    settings: RigSettings, gains: Gains, lag_s: float, delay_s: float
+) -> None:
+    true = settings.model_copy(
+        update={"plant": settings.plant.model_copy(update={"cylinder_lag_s": lag_s, "command_delay_s": delay_s})}
+    )
+    with lockstep(true, gains) as rig:
+        rig.run(0.2)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        rows = proposal.rows(proposal.signals_of(excite(rig), 1e-3), settings)
+    truth = {row["key"]: row["found"] for row in rows}
+    assert truth["plant.cylinder_lag_s"] == pytest.approx(lag_s, abs=0.5e-3)
+    assert truth["plant.command_delay_s"] == pytest.approx(delay_s + 0.6e-3, abs=0.2e-3)
+    assert truth["stiffness"] is None  # a slack rope tells nothing of it
+
+
+def test_a_play_that_the_load_does_not_seat_is_found(settings: RigSettings, gains: Gains) -> None:
+    with lockstep(with_drive(settings, backlash_mm=0.3), gains) as rig:
+        rig.run(0.2)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        assert rig.command(Verb.TENSION) is Refusal.NONE
+        while rig.loop.inbox.tension_n < 9.5:
+            rig.loop.tick()
+        assert rig.command(Verb.HOLD) is Refusal.NONE
+        rig.run(1.0)
+        truth = found(rig, excite(rig))
+    assert truth["backlash"] == pytest.approx(0.3, abs=0.02)
+    assert truth["stiffness"] == pytest.approx(settings.plant.stiffness_n_mm, rel=0.02)
+
+
+@pytest.mark.parametrize("what", ["hold", "tension", "disarm", "trip", "stop", "load"])
+def test_anything_ends_it_within_a_tick_and_the_stroke_is_held(held: Lockstep, what: str) -> None:
+    before = held.rig.truth.stroke_mm
+    give(held, Verb.IDENTIFY)
+    held.run(0.7)
+    assert abs(held.run(0.001)["command_mm_s"][0]) > 2.0
+    verbs = {"hold": Verb.HOLD, "tension": Verb.TENSION, "disarm": Verb.DISARM}
+    if what in verbs:
+        give(held, verbs[what])
+    elif what == "trip":
+        held.rig.receive(b"\0\0\0\0\2\0\0\0\2" + bytes([held.settings.tension_cell.node]) + bytes(6))
+        held.run(0.02)
+    elif what == "stop":
+        held.loop.stop_requested = True
+    else:
+        cell_reads(held, lambda n: n + 11.0)
+    records = held.run(0.005)
+    assert held.loop.machine.trial is None
+    reply = held._replies.read()[0]
+    assert reply["reason"] == (Refusal.STRAYED if what == "load" else Refusal.ABORTED)
+    if what != "tension":
+        assert records["command_mm_s"][-1] == 0.0
+        held.run(0.3)
+        assert held.rig.truth.stroke_mm == pytest.approx(before, abs=1.0)
+        assert held.rig.truth.speed_mm_s == pytest.approx(0.0, abs=1e-6)
+    assert (held.loop.machine.fault is Fault.NONE) == (what != "trip")
+
+
+@pytest.mark.parametrize("mode", [mode for mode in Mode if mode not in (Mode.HOLD, Mode.FAULT)])
+def test_only_a_held_stroke_is_excited(rig: Lockstep, enter: Enter, mode: Mode) -> None:
+    enter(mode)
+    assert rig.command(Verb.IDENTIFY) is Refusal.WRONG_MODE
+
+
+def test_where_a_tight_rope_is_asked_for_a_slack_one_is_refused(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.HOLD)
+    assert rig.command(Verb.IDENTIFY, 1.0) is Refusal.SLACK
+
+
+def test_it_does_not_begin_where_the_stroke_would_end(settings: RigSettings, gains: Gains) -> None:
+    cylinder = settings.cylinder.model_copy(update={"stroke_min_mm": -1.0, "stroke_max_mm": 0.7})
+    with lockstep(settings.model_copy(update={"cylinder": cylinder}), gains) as rig:
+        rig.run(0.2)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        assert rig.command(Verb.IDENTIFY) is Refusal.STRAYED
+        assert np.ptp(rig.run(1.0)["stroke_mm"]) == 0.0

@@ -1,0 +1,140 @@
+"""A rail encoder on the bus, and what the run-out table makes of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.lockstep import Lockstep, lockstep
+from hil.plant.layout import MECHANISM, RUN_OUT
+from hil.scenario import disturbances, kinds
+from hil.scenario.play import play
+from hil.wire import FRAME
+from rigctl.config import RailEncoderSettings, RigSettings, RunOutSettings
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.safety import Fault
+from rigctl.control.tension import Gains
+from rigctl.devices import busload, objects, startup
+from rigctl.telemetry.record import Quality
+from tests.unit.hil.rig_bench import changed
+
+ENCODER = RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=1000)
+TABLE = RunOutSettings(angle_min_deg=-3.0, angle_max_deg=16.0, bins=76, learning_rate=0.5)
+NODE = ENCODER.node
+
+
+def fitted(settings: RigSettings, table: RunOutSettings | None = TABLE, **encoder: Any) -> RigSettings:
+    update = {"rail_encoder": ENCODER.model_copy(update=encoder), "run_out": table}
+    return settings.model_copy(update=update)
+
+
+def compensate(rig: Lockstep) -> None:
+    rig.run(0.2)
+    assert rig.command(Verb.ARM) is Refusal.NONE
+    assert rig.command(Verb.TENSION) is Refusal.NONE
+    rig.run_until(Mode.COMPENSATING, 12.0)
+
+
+def test_the_error_on_an_uneven_rail_shrinks_from_move_to_move(settings: RigSettings, gains: Gains) -> None:
+    move = kinds.OutAndBack(
+        kind="out_and_back", angle_deg=13.0, speed_deg_s=6.0, acceleration_deg_s2=12.0, start_s=0.5, dwell_s=1.5,
+        repeats=4,
+    )  # fmt: skip
+    # 0.07 mm over 3 deg is 8 mm/rad: a steeper rail would, with its friction of 0.012, roll downhill by itself
+    rail = disturbances.level_wave(kinds.LevelWave(kind="sine", amplitude_mm=0.07, period_deg=3.0))
+    tracks = {MECHANISM: disturbances.rotation(move), RUN_OUT: rail}
+    one_s = (tracks[MECHANISM].end + move.dwell_s - move.start_s) / move.repeats
+
+    def rms_by_move(rig: RigSettings) -> list[float]:
+        seconds = move.start_s + move.repeats * one_s
+        run = play(rig, tracks, seconds=seconds, controller="loop", target_n=300.0, gains=gains)
+        assert not run.ended.tripped
+        error = run.truth["vertical_n"] - 300.0
+        index = ((run.t_s - move.start_s) // one_s).astype(int)
+        return [float(np.sqrt(np.mean(error[index == i] ** 2))) for i in range(move.repeats)]
+
+    without, learning = rms_by_move(settings), rms_by_move(fitted(settings))
+    assert learning[0] == pytest.approx(without[0], rel=0.02)  # nothing is known on the first move
+    assert learning[-1] < 0.6 * learning[0]
+    assert learning[-1] < 0.7 * without[-1]
+
+
+def test_an_encoder_alone_changes_no_command(settings: RigSettings, gains: Gains) -> None:
+    def commands(rig_settings: RigSettings) -> list[bytes]:
+        with lockstep(rig_settings, gains, log=True) as rig:
+            compensate(rig)
+            rig.rig.start_motion()
+            rig.run(1.0)
+            frames = [FRAME.unpack(frame) for _, frame in rig.frames]
+        return [data for can_id, _, data in frames if can_id == objects.RPDO1_BASE + settings.cylinder.node]
+
+    bare, encoder, empty = (commands(s) for s in (settings, fitted(settings, table=None), fitted(settings)))
+    assert bare == encoder == empty  # an empty table says nothing, on its first way
+
+
+def test_records_show_the_rails_angle_and_no_frame_is_missed(settings: RigSettings, gains: Gains) -> None:
+    with lockstep(fitted(settings, rate_hz=100), gains) as rig:
+        compensate(rig)
+        rig.rig.start_motion()
+        records = rig.run(6.0)
+        assert rig.report.devices[2].name == "rail encoder"
+        assert records["rail_rad"][-1] == pytest.approx(rig.rig.truth.rail_rad, abs=1e-3)  # one sample old
+    assert records["rail_rad"][-1] != 0.0
+    assert not records["rail_quality"].any()
+    assert not records["frames_lost"].any()
+
+
+def test_without_an_encoder_the_record_says_so(rig: Lockstep) -> None:
+    records = rig.run(0.1)
+    assert (records["rail_quality"] & Quality.NEVER).all()
+    assert not records["rail_rad"].any()
+    assert not records["run_out_mm_s"].any()
+
+
+def test_a_lost_encoder_ends_the_feed_forward_and_nothing_else(settings: RigSettings, gains: Gains) -> None:
+    with lockstep(fitted(settings), gains) as rig:
+        compensate(rig)
+        table = rig.loop._run_out
+        assert table is not None
+        table.slopes_mm_rad[1:-1] = [5.0] * TABLE.bins
+        assert rig.rig.start_motion()
+        assert np.abs(rig.run(6.0)["run_out_mm_s"]).max() > 0.01
+
+        encoder = rig.rig.rail_encoder
+        assert encoder is not None
+        encoder.raise_error(objects.EmcyCode.SENSOR_INVALID, 0x81)
+        records = rig.run(0.5)[5:]
+        assert (records["rail_quality"] == Quality.INVALID).all()
+        assert not records["run_out_mm_s"].any()
+        encoder.clear_error(objects.EmcyCode.SENSOR_INVALID)
+        assert not rig.run(0.5)["rail_quality"][-1]
+
+        rig.inject(FRAME.pack(objects.NMT_COB, 2, bytes([0x02, NODE])))
+        records = rig.run(0.5)[10:]
+        assert (records["rail_quality"] == Quality.STALE).all()
+        assert not records["run_out_mm_s"].any()
+
+        rig.inject(FRAME.pack(objects.NMT_COB, 2, bytes([0x81, NODE])))  # back with a scale nobody has checked
+        rig.inject(FRAME.pack(objects.NMT_COB, 2, bytes([0x01, NODE])))
+        records = rig.run(0.5)[10:]
+        assert (records["rail_quality"] == Quality.INVALID).all()
+        assert rig.loop.machine.mode is Mode.COMPENSATING
+        assert rig.loop.machine.fault is Fault.NONE
+        assert not rig.loop.inbox.restarted
+
+
+def test_an_encoder_that_counts_otherwise_ends_the_start(settings: RigSettings, gains: Gains) -> None:
+    with (
+        pytest.raises(startup.StartupError, match=r"rail encoder \(node 5\), object 0x6001:00: found 0x100000"),
+        lockstep(fitted(settings, counts_per_turn=4096), gains),
+    ):
+        pass
+
+
+def test_the_bus_load_counts_the_encoder(settings: RigSettings) -> None:
+    on_wire = changed(settings, can={"bitrate_bit_s": 1_000_000})
+    before, after = (busload.bus_load(s) for s in (on_wire, fitted(on_wire)))
+    assert before is not None
+    assert after == pytest.approx(before + (95 * 1000 + 65 * 10) / 1e6, abs=2e-4)  # 4 bytes, and a heartbeat

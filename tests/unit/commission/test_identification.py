@@ -1,0 +1,86 @@
+"""The fits against signals made by other means: a drive integrated in small steps, a rope with play and noise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rigctl.commission import identification as ident
+from rigctl.commission.identification import IdentificationError, Signals
+from rigctl.commission.proposal import rounded
+
+STEPS = 50  # per tick: the reference is integrated with 20 us
+
+
+def steps(pairs: int = 6, speed: float = 3.0) -> ident.Array:
+    one = [speed] * 250 + [0.0] * 150 + [-speed] * 250 + [0.0] * 150
+    return np.array([0.0] * 500 + one * pairs)
+
+
+def simulated(lag_s: float, delay_s: float, *, noise_mm_s: float = 0.0, play_mm: float = 0.0) -> Signals:
+    """Speed and tension (6 N/mm, 0.03 N noise) as a loop would read them: one tick after they were latched."""
+    rng, command = np.random.default_rng(7), steps()
+    fine = np.repeat(command, STEPS)
+    late = np.concatenate([np.zeros(round(delay_s * 1e3 * STEPS)), fine])[: len(fine)]
+    speed, speeds, stroke, strokes = 0.0, [], 0.0, []
+    share = 1.0 - math.exp(-1e-3 / STEPS / lag_s)
+    for value in late.tolist():
+        speeds.append(speed)
+        strokes.append(stroke)
+        stroke += speed * 1e-3 / STEPS
+        speed += (value - speed) * share
+    latched = [np.concatenate([[0.0], np.array(x)[::STEPS]])[:-1] for x in (speeds, strokes)]
+    tension = 15.0 + 6.0 * ident.behind_play(latched[1], play_mm) + rng.normal(0.0, 0.03, len(command))
+    return Signals(1e-3, command, latched[1], latched[0] + rng.normal(0.0, noise_mm_s, len(command)), tension)
+
+
+@given(lag_s=st.floats(0.004, 0.06), delay_s=st.floats(0.0, 0.015))
+@settings(max_examples=8, deadline=None)
+def test_lag_and_delay_are_found_between_the_ticks(lag_s: float, delay_s: float) -> None:
+    delay_s = round(delay_s * 5e4) / 5e4  # on the reference's own steps
+    found = ident.drive(simulated(lag_s, delay_s))
+    assert found.lag_s.value == pytest.approx(lag_s, rel=0.01)
+    assert found.delay_s.value == pytest.approx(delay_s, abs=5e-5)
+    assert found.gain.value == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_standard_errors_cover_the_noise() -> None:
+    found = ident.drive(simulated(0.02, 0.002, noise_mm_s=0.1))
+    for estimate, truth in ((found.lag_s, 0.02), (found.delay_s, 0.002), (found.gain, 1.0)):
+        assert estimate.error > 0.0
+        assert abs(estimate.value - truth) < 4.0 * estimate.error
+
+
+@pytest.mark.parametrize("play_mm", [0.0, 0.05, 0.3])
+def test_stiffness_and_play_are_told_apart(play_mm: float) -> None:
+    found = ident.rope(simulated(0.02, 0.002, play_mm=play_mm))
+    assert found.stiffness_n_mm.value == pytest.approx(6.0, rel=0.005)
+    assert found.backlash_mm.value == pytest.approx(play_mm, abs=0.003)
+
+
+def test_noise_is_what_is_quicker_than_a_tenth_of_a_second() -> None:
+    time = np.arange(1000) * 1e-3
+    swing = 0.2 * np.sin(2.0 * math.pi * 0.4 * time)
+    found = ident.noise(swing + np.random.default_rng(3).normal(0.0, 0.03, 1000), 1e-3)
+    assert found.value == pytest.approx(0.03, rel=0.1)  # three standard errors
+    assert found.error == pytest.approx(0.03 / math.sqrt(2000), rel=0.1)
+
+
+@pytest.mark.parametrize("command", [np.zeros(1000), steps(pairs=2)])
+def test_too_little_is_said(command: ident.Array) -> None:
+    with pytest.raises(IdentificationError):
+        ident.pairs_of(command)
+    with pytest.raises(IdentificationError):
+        ident.noise(command[:20], 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "shown"),
+    [(5.9412, 0.0019, ("5.9412", "0.0019")), (20.0, 0.5, ("20.00", "0.50")), (123.4, 25.0, ("123", "25"))],
+)
+def test_a_value_is_shown_to_its_error(value: float, error: float, shown: tuple[str, str]) -> None:
+    assert rounded(value, error) == shown

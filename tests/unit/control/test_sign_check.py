@@ -1,0 +1,86 @@
+"""The sign check as a function of command, stroke and tension alone."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+from dataclasses import dataclass
+
+import pytest
+
+from rigctl import config
+from rigctl.control.safety import Fault
+from rigctl.control.signs import SignCheck
+
+SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+K = SETTINGS.plant.stiffness_n_mm
+
+
+@dataclass
+class Rig:
+    """A first-order drive and a spring, the right way round or not."""
+
+    drive_sign: float = 1.0
+    cell_factor: float = 1.0
+    slack_mm: float = 2.0
+    load_n_s: float = 0.0  # what the tension does by itself
+
+    def run(self, check: SignCheck, seconds: float = 3.0, command_mm_s: float = 8.4) -> tuple[Fault, float, float]:
+        """Fault, true stroke and true tension when it was found, or at the end."""
+        stroke = speed = true_n = 0.0
+        check.begin(0.0, max(0.0, K * -self.slack_mm) * self.cell_factor)
+        for tick in range(round(seconds * 1000)):
+            speed += (self.drive_sign * command_mm_s - speed) * 0.05
+            stroke += speed * 1e-3
+            true_n = max(0.0, K * (stroke - self.slack_mm)) + self.load_n_s * tick * 1e-3
+            fault = check.see(command_mm_s, stroke, true_n * self.cell_factor)
+            if fault is not Fault.NONE or check.passed:
+                return fault, stroke, true_n
+        return Fault.NONE, stroke, true_n
+
+
+@pytest.mark.parametrize("slack_mm", [0.0, 2.0, 20.0, -40.0])
+def test_the_right_way_round_passes_with_its_stiffness(slack_mm: float) -> None:
+    check = SignCheck(SETTINGS)
+    fault, _, _ = Rig(slack_mm=slack_mm).run(check)
+    assert fault is Fault.NONE
+    assert check.passed
+    assert check.slope_n_mm == pytest.approx(K, rel=1e-6)
+
+
+@pytest.mark.parametrize("slack_mm", [2.0, -40.0])
+def test_each_wrong_way_round_is_found_early(slack_mm: float) -> None:
+    fault, stroke, _ = Rig(drive_sign=-1.0, slack_mm=slack_mm).run(SignCheck(SETTINGS))
+    assert fault is Fault.SIGN_DRIVE
+    assert abs(stroke) < 0.3
+    start_n = max(0.0, -K * slack_mm)
+    fault, _, tension_n = Rig(cell_factor=-1.0, slack_mm=slack_mm).run(SignCheck(SETTINGS))
+    assert fault is Fault.SIGN_CELL
+    assert tension_n - start_n < SETTINGS.tension.slack_n + 1.0
+
+
+@pytest.mark.parametrize(
+    ("factor", "fault"),
+    [(0.25, Fault.SIGN_CELL), (0.5, Fault.NONE), (2.0, Fault.NONE), (4.0, Fault.SIGN_CELL)],
+)
+def test_the_slope_may_be_wrong_by_a_factor_of_three(factor: float, fault: Fault) -> None:
+    check = SignCheck(SETTINGS)
+    assert Rig(cell_factor=factor).run(check)[0] is fault
+    assert check.passed == (fault is Fault.NONE)
+
+
+def test_a_drive_that_does_not_move_is_found() -> None:
+    assert Rig(drive_sign=0.0).run(SignCheck(SETTINGS))[0] is Fault.SIGN_DRIVE
+
+
+def test_too_short_a_tensioning_settles_nothing_and_the_next_is_watched_again() -> None:
+    check = SignCheck(SETTINGS)
+    assert Rig().run(check, seconds=0.2)[0] is Fault.NONE
+    assert not check.passed
+    assert math.isnan(check.slope_n_mm)
+    assert Rig(drive_sign=-1.0).run(check)[0] is Fault.SIGN_DRIVE
+
+
+def test_a_load_that_goes_off_the_rope_is_not_called_a_sign() -> None:
+    check = SignCheck(SETTINGS)
+    assert Rig(slack_mm=-40.0, load_n_s=-2000.0).run(check, seconds=0.03)[0] is Fault.NONE
