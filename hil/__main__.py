@@ -56,6 +56,22 @@ def _paper(
     raise typer.Exit(run(file, json, plots))
 
 
+@app.command("compare")
+def _compare(
+    file: Annotated[pathlib.Path, typer.Argument(help="rig file")] = pathlib.Path("config/paper_rig.yaml"),
+    only: Annotated[list[str] | None, typer.Option(help="a scenario to run; may be repeated; default all")] = None,
+    controllers: Annotated[
+        list[str] | None, typer.Option(help="laws to run, separated by commas; may be repeated; default all")
+    ] = None,
+    json: Annotated[pathlib.Path | None, typer.Option(help="write the figures here")] = None,
+    plots: Annotated[pathlib.Path | None, typer.Option(help="folder for the pictures")] = None,
+) -> None:
+    """Compare the tension law with its rivals: same plant, seed and limits, each tuned by its published rule."""
+    from hil.compare.command import run
+
+    raise typer.Exit(run(file, only or [], controllers or [], json, plots))
+
+
 def _announce(text: str) -> None:
     sys.stdout.write(text + "\n")
     sys.stdout.flush()

@@ -1,0 +1,1 @@
+"""The tension law against its rivals: same plant, same frames, same limits, another feedback."""

@@ -1,0 +1,90 @@
+"""``python -m hil compare``: run the comparison, print it, and write what is asked for."""
+
+from __future__ import annotations
+
+import json as json_codec
+import pathlib
+import sys
+from collections.abc import Collection, Sequence
+
+from rich.console import Console
+
+from hil.compare import plots, study, tables
+from hil.compare.rivals import CONTROLLERS, OURS
+from hil.compare.scenarios import scenarios
+from hil.progress import progress
+from hil.scenario.command import check_writable
+from hil.scenario.errors import ScenarioError
+from rigctl import config
+from rigctl.config import RigSettings
+
+WIDTH = 100
+
+
+def run(
+    rig_file: pathlib.Path,
+    only: Sequence[str],
+    controllers: Sequence[str],
+    json: pathlib.Path | None,
+    folder: pathlib.Path | None,
+) -> int:
+    """Run the comparison, print it, write the files asked for.
+
+    Args:
+        rig_file: with the ``simulation`` section.
+        only: scenarios to run; none = all.
+        controllers: laws to run, the names separated by commas in each; none = all.
+        json: where the figures go.
+        folder: where the pictures go; made if absent.
+
+    Returns:
+        0 when it ran to its end; 1 when ours tripped or was unstable anywhere. A limit missed is in the table.
+
+    Raises:
+        ScenarioError: bad input, a rig that cannot be simulated, or a file that cannot be written.
+    """
+    rig = _rig(rig_file)
+    laws = [name for part in controllers for name in part.split(",")]
+    chosen = [scenario for scenario in scenarios(rig) if not only or scenario.name in only]
+    _known("--only", only, [scenario.name for scenario in scenarios(rig)])
+    _known("--controllers", laws, [controller.name for controller in CONTROLLERS])
+    check_writable("--json", json)
+    if folder is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ScenarioError([f"--plots: {folder} cannot be made: {error.strerror}"]) from None
+        check_writable("--plots", folder / plots.FIRST)
+    total_s = sum(scenario.seconds for scenario in chosen) * (len(set(laws)) or len(CONTROLLERS))
+    with progress("the comparison", total_s) as advance:
+        found = study.run(rig, only, laws, advance)
+    terminal = Console()
+    tables.show(found, Console(width=WIDTH) if not terminal.is_terminal or terminal.width > WIDTH else terminal)
+    try:
+        if json is not None:
+            json.write_text(
+                json_codec.dumps(tables.document(found), indent=2, allow_nan=False) + "\n", encoding="utf-8"
+            )
+        for file in plots.save(found, folder) if folder is not None else ():
+            sys.stdout.write(f"{file}\n")
+    except OSError as error:
+        raise ScenarioError([f"{error.filename}: cannot be written: {error.strerror}"]) from None
+    return 1 if any(who == OURS and not result.whole for (_, who), result in found.results.items()) else 0
+
+
+def _rig(rig_file: pathlib.Path) -> RigSettings:
+    try:
+        rig = config.load(rig_file)
+    except config.ConfigError as error:
+        raise ScenarioError(error.findings) from None
+    if rig.simulation is None:
+        raise ScenarioError(
+            [f"{rig_file}: simulation: found nothing, allowed a section (it says what rig to simulate)"]
+        )
+    return rig
+
+
+def _known(option: str, names: Collection[str], allowed: Sequence[str]) -> None:
+    for name in names:
+        if name not in allowed:
+            raise ScenarioError([f"{option}: found {name!r}, allowed {', '.join(allowed)}"])

@@ -1,0 +1,136 @@
+"""What each law costs in robustness and noise: its sensitivity peak over the family of plants our design answers for.
+
+A rival is linear as long as no limit acts, so what it does is known from its answers to a single sample of tension and
+of speed. The loop is broken where ``rigctl.design.margins`` breaks it: at the plant's input and at the tension output.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hil.compare.rivals import PASSIVE, Controller
+from hil.compare.rivals.feedback import Feedback, Sample
+from rigctl.config import RigSettings
+from rigctl.control.estimator import filter_model
+from rigctl.design import closed_loop
+from rigctl.design.gains import design, filter_gain
+from rigctl.design.plant_family import Array, ComplexArray, Member, family, member
+
+REST = Sample(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+SMALL = 1e-3
+"""Of a sample, N or mm/s: far from any limit a law has of its own."""
+ANSWER_TICKS = 6000
+"""By then every law's answer to a single sample is over, but for what its integral keeps."""
+LOOK_S = 2.0
+GROWN = 0.3
+"""A disturbance of one tick that has not died out to this share within ``LOOK_S`` never will."""
+FROM_HZ, POINTS, NEAR = 0.05, 700, np.linspace(0.9, 1.1, 41)
+
+
+class Robustness(NamedTuple):
+    """A law on the linear plants, without limits."""
+
+    ms: float
+    """Sensitivity peak with the plant of the rig file."""
+    ms_family: float
+    """The largest over the family; infinite where one of its plants is unstable."""
+    command_noise_mm_s: float
+    """Root mean square of the command from the cell's noise alone."""
+
+
+def robustness(rig: RigSettings, controller: Controller) -> Robustness | None:
+    """Of one law tuned for the rig; None for the locked cylinder."""
+    if controller.name == PASSIVE:
+        return None
+    plants = family(rig)
+    grid = _grid(plants, 0.5 * rig.loop.rate_hz)
+    z = np.exp(2j * np.pi * grid / rig.loop.rate_hz)
+    if controller.make is None:
+        model = filter_model(rig)
+        ours = closed_loop.controller(model, design(rig), filter_gain(model))
+        law = ours.response(z)
+        steady = [closed_loop.closed_loop(plant, ours).spectral_radius < 1.0 for plant in plants]
+    else:
+        feedback = controller.make(rig)
+        law = response(feedback, z)
+        steady = [_dies_out(plant, feedback, round(LOOK_S * rig.loop.rate_hz)) for plant in plants]
+    own = sensitivity(member(rig, rig.plant.mechanism_n_mm), law, z)
+    peaks = [float(np.abs(sensitivity(plant, law, z)).max()) for plant in plants]
+    noise = np.trapezoid(np.abs(law[0] * own[0]) ** 2, grid) / grid[-1]
+    return Robustness(
+        float(np.abs(own).max()),
+        max(peaks) if all(steady) else math.inf,
+        rig.tension_cell.noise_n * math.sqrt(float(noise)),
+    )
+
+
+def sensitivity(plant: Member, law: ComplexArray, z: ComplexArray) -> ComplexArray:
+    """At the plant's input and at the tension, shape (2, len(z)); ``law`` as ``response`` gives it."""
+    tension, speed, _ = plant.response(z)
+    at_input = 1.0 / (1.0 - law[0] * tension - law[1] * speed)
+    return np.stack([at_input, at_input * (1.0 - law[1] * speed)])
+
+
+def response(feedback: Feedback, z: ComplexArray) -> ComplexArray:
+    """Command per tension (mm/s per N) and per speed (1), shape (2, len(z)); the tick before the command included."""
+    answers = np.array([_answer(feedback, *sample) for sample in (("tension_n", 0.0), ("speed_mm_s", 0.0), ("", 1.0))])
+    kept = answers[:, -1:]  # by an integral, for ever
+    found = np.zeros((3, len(z)), np.complex128)
+    for values in (answers - kept)[:, ::-1].T:  # Horner: the sum of answer(n) z^-n-1
+        found = (found + values[:, None]) / z
+    found += kept / (z - 1.0)
+    result: ComplexArray = found[:2] / (1.0 - found[2])  # what was sent comes back through the law's own model
+    return result
+
+
+def swing(plant: Member, feedback: Feedback, kick: Array) -> Array:
+    """True tension, N, of the linear loop without limits, disturbed by the speeds ``kick``, mm/s, one per tick."""
+    state, late = np.zeros(len(plant.a)), [0.0] * plant.delay_ticks
+    feedback.start(REST)
+    tension, sample = np.zeros(len(kick)), REST
+    for i, disturbance in enumerate(kick.tolist()):
+        late.append(_tick(feedback, sample))
+        sample = REST._replace(tension_n=float(state[0]), speed_mm_s=float(state[1]))
+        state = plant.a @ state + plant.b_command * late.pop(0) + plant.b_disturbance * disturbance
+        tension[i] = state[0]
+    return tension
+
+
+def _answer(feedback: Feedback, signal: str, sent: float) -> Array:
+    """Commands wanted from a single sample on, or from a single command sent a tick before; no other is sent."""
+    feedback.start(REST)
+    feedback.wanted(REST)  # a difference needs a sample before
+    feedback.sent(SMALL * sent)
+    samples = [REST] * ANSWER_TICKS
+    if signal:
+        samples[0] = REST._replace(**{signal: SMALL})
+    answers = []
+    for sample in samples:
+        answers.append(feedback.wanted(sample))
+        feedback.sent(0.0)
+        feedback.integrate(sample.setpoint_n - sample.tension_n)
+    return np.array(answers) / SMALL
+
+
+def _tick(feedback: Feedback, sample: Sample) -> float:
+    command = feedback.wanted(sample)
+    feedback.sent(command)
+    feedback.integrate(sample.setpoint_n - sample.tension_n)
+    return command
+
+
+def _dies_out(plant: Member, feedback: Feedback, ticks: int) -> bool:
+    kick = np.zeros(ticks)
+    kick[0] = SMALL
+    tension = np.abs(swing(plant, feedback, kick))
+    return bool(tension[-ticks // 10 :].max() < GROWN * tension.max())
+
+
+def _grid(plants: list[Member], nyquist_hz: float) -> Array:
+    resonances = sorted({hz for plant in plants for hz in plant.resonances_hz})
+    grid = np.unique(np.concatenate([np.geomspace(FROM_HZ, nyquist_hz, POINTS), *(NEAR * hz for hz in resonances)]))
+    found: Array = grid[grid <= nyquist_hz]
+    return found

@@ -1,0 +1,89 @@
+"""The laws that are compared: what each is called, how it is tuned, and how it is made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from hil.compare.rivals.adrc import Adrc
+from hil.compare.rivals.feedback import Feedback, Model, Rival
+from hil.compare.rivals.lqi import Lqi
+from hil.compare.rivals.observer import DisturbanceObserver
+from hil.compare.rivals.pid import PidFeedForward
+from hil.compare.rivals.proportional import Proportional, ProportionalIntegral
+from rigctl.config import RigSettings
+from rigctl.control.inbox import Inbox
+from rigctl.control.tension import Gains, TensionLaw
+
+OURS, PASSIVE = "ours", "passive"
+
+
+class Controller(NamedTuple):
+    """One column of the table."""
+
+    name: str
+    title: str
+    rule: str
+    """By what it is tuned, and after whom."""
+    make: Callable[[RigSettings], Feedback] | None
+    """None where nothing is to be made: the cylinder locked, or our own law."""
+
+    def law(self, settings: RigSettings, gains: Gains, inbox: Inbox) -> TensionLaw:
+        """The law as `rigctl.control.loop.Loop` asks for one."""
+        if self.make is None:
+            return TensionLaw(settings, gains)
+        return Rival(settings, gains, inbox, self.make(settings))
+
+
+def _pid(settings: RigSettings) -> Feedback:
+    return PidFeedForward(Model.of(settings), settings.tension.speed_max_mm_s, settings.plant.rope_length_mm)
+
+
+CONTROLLERS = (
+    Controller(PASSIVE, "passive", "cylinder locked: the spring alone, as in the paper", None),
+    Controller(
+        "p", "P", "half the ultimate gain (Ziegler, Nichols 1942)", lambda settings: Proportional(Model.of(settings))
+    ),
+    Controller(
+        "pi",
+        "PI",
+        "SIMC for an integrating process, tau_c = theta, half rule (Skogestad 2003)",
+        lambda settings: ProportionalIntegral(Model.of(settings)),
+    ),
+    Controller(
+        "pid_ff",
+        "PID+ff",
+        "SIMC-PID in series form, tau_D = lag, tau_c = theta (Skogestad 2003), measurement filter tau_D / 3; library "
+        "simple-pid; the inclined rope's stretch fed forward",
+        _pid,
+    ),
+    Controller(
+        "lqi",
+        "LQI",
+        "Bryson's rule (Bryson, Ho 1975): 0.05 mm of stretch for 0.1 s against the speed limit; Kalman filter of "
+        "tension and speed, the disturbance white noise to it",
+        Lqi,
+    ),
+    Controller(
+        "pi_dob",
+        "PI+DOB",
+        "disturbance observer (Ohnishi 1987; Sariyildiz et al. 2020), Q of second order at 1 / (3 delay); SIMC-PI with "
+        "a crossover of a fifth of that",
+        lambda settings: DisturbanceObserver(Model.of(settings)),
+    ),
+    Controller(
+        "adrc",
+        "ADRC",
+        "bandwidth parametrisation (Gao 2003), second order, omega_c = 0.12 / delay, omega_o = 4 omega_c; input of "
+        "the observer delayed (Zhao, Gao 2014)",
+        lambda settings: Adrc(Model.of(settings)),
+    ),
+    Controller(
+        OURS,
+        "ours",
+        "linear-quadratic gains and Kalman filter with disturbance state, weights of the rig file, Ms at most 1.6 over "
+        "every plant of the family",
+        None,
+    ),
+)
+"""In the table's order: from the simplest on, ours last."""

@@ -1,0 +1,106 @@
+"""What every rival is made of, and how it is put in the place of our law."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rigctl.config import RigSettings
+from rigctl.control.inbox import Inbox
+from rigctl.control.tension import Estimate, Gains, TensionLaw
+
+
+class Sample(NamedTuple):
+    """What a rival sees in one tick: the newest measurements as they came, and the set-point on its ramp."""
+
+    tension_n: float  # along the rope, the cell's sample
+    speed_mm_s: float  # the drive's own
+    setpoint_n: float  # along the rope
+    slope_n_s: float  # of the set-point
+    tangential_rad: float
+    normal_rad: float
+
+
+@dataclass(frozen=True)
+class Model:
+    """The plant a rival is tuned for: tension per velocity command ``k / s * e^(-delay s) / (lag s + 1)``.
+
+    ``delay_s`` is the drive's transport delay, the tick between sample and command, and half a tick for the command
+    held over each.
+    """
+
+    stiffness_n_mm: float
+    lag_s: float
+    delay_s: float
+    period_s: float
+    command_delay_ticks: int
+    """The sample read in a tick shows the commands up to the one sent so many ticks before."""
+
+    @classmethod
+    def of(cls, settings: RigSettings) -> Model:
+        """What the rig file says of the plant; the rig as built may be another."""
+        plant, period_s = settings.plant, 1.0 / settings.loop.rate_hz
+        return cls(
+            plant.stiffness_n_mm,
+            plant.cylinder_lag_s,
+            plant.command_delay_s + 1.5 * period_s,
+            period_s,
+            round(plant.command_delay_s / period_s) + 1,
+        )
+
+
+class Feedback(ABC):
+    """A feedback law without limits: those are the same for all, and stand in `TensionLaw`."""
+
+    @abstractmethod
+    def start(self, sample: Sample) -> None:
+        """Begin from rest or from a steady pull, with nothing remembered."""
+
+    @abstractmethod
+    def wanted(self, sample: Sample) -> float:
+        """Speed to command beside the ramp's own, mm/s; positive shortens the rope."""
+
+    def sent(self, command_mm_s: float) -> None:  # noqa: B027 - some keep nothing
+        """Note what the limits let through to the drive, the ramp's own speed included."""
+
+    def integrate(self, error_n: float) -> None:  # noqa: B027 - some have no integral
+        """Take in the error (set-point less tension) of this tick; not called while it would wind up."""
+
+
+class Rival(TensionLaw):
+    """A feedback law in the place of ours: ramps, set-point, limits and modes are those of `TensionLaw`."""
+
+    def __init__(self, settings: RigSettings, gains: Gains, inbox: Inbox, feedback: Feedback) -> None:
+        super().__init__(settings, gains)
+        self._inbox = inbox
+        self._feedback = feedback
+        self._fresh = True
+
+    def start_ramp(self, vertical_n: float, speed_mm_s: float) -> None:
+        """See `TensionLaw`; the feedback forgets."""
+        super().start_ramp(vertical_n, speed_mm_s)
+        self._fresh = True
+
+    def _closed(self, estimate: Estimate, cosine: float, slope_n_s: float) -> float:
+        inbox = self._inbox
+        self.rope_setpoint_n = self.setpoint_n / cosine
+        sample = Sample(
+            inbox.tension_n,
+            inbox.speed_mm_s,
+            self.rope_setpoint_n,
+            slope_n_s,
+            inbox.tangential_rad,
+            inbox.normal_rad,
+        )
+        if self._fresh:
+            self._feedback.start(sample)
+            self._fresh = False
+        ramp_mm_s = slope_n_s / self._stiffness
+        wanted = ramp_mm_s + self._feedback.wanted(sample)
+        command = self.limited(wanted, estimate.stroke_mm)
+        self._feedback.sent(command)
+        error_n = sample.setpoint_n - sample.tension_n
+        if command == wanted or (command - wanted) * error_n > 0.0:  # the anti-windup of our law
+            self._feedback.integrate(error_n)
+        return command

@@ -1,0 +1,198 @@
+"""Running the comparison: every law in every scenario, from the same seed, on as many processors as there are."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+from collections.abc import Callable, Collection, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.compare import margins
+from hil.compare.margins import Robustness
+from hil.compare.rivals import CONTROLLERS, OURS, PASSIVE, Controller
+from hil.compare.scenarios import Quantity, Scenario, scenarios
+from hil.scenario.errors import ScenarioError
+from hil.scenario.play import Played, play
+from rigctl.config import RigSettings
+
+Floats = npt.NDArray[np.float64]
+
+WAIVER = "the comparison shows every law on every rig, also where our design misses the limit"
+SETTLED_PCT = 0.1
+COMPENSATING, LOCKED, UNSTABLE = "COMPENSATING", "LOCKED", "UNSTABLE"
+TAIL_S = 0.25
+SWINGING = 0.5
+"""Standard deviation of the command over the last ``TAIL_S``, of the speed limit, above which a loop swings by itself:
+shake and noise together ask for 0.3 at most, a loop that swings between the limits has 0.6 to 1."""
+TRACE_STEP = 5
+"""Of the truth every so many milliseconds are kept, to be drawn."""
+_MOST_WORKERS = 4
+
+
+class Result(NamedTuple):
+    """One law in one scenario; None where it did not come to the end."""
+
+    eta_max_pct: float | None
+    eta_rms_pct: float | None
+    speed_max_mm_s: float | None
+    settle_s: float | None
+    """Also None where nothing happens at once, and where it does not settle."""
+    ended: str
+    """``COMPENSATING``, ``LOCKED``, ``UNSTABLE``, or how and when it tripped."""
+    t_s: Floats
+    eta_pct: Floats
+    """Signed, for the plots; both empty where the run's beginning was not reached."""
+
+    @property
+    def whole(self) -> bool:
+        """Whether the run went to its end as it should."""
+        return self.ended in (COMPENSATING, LOCKED)
+
+
+class Verdict(NamedTuple):
+    """One limit of ours."""
+
+    scenario: str
+    quantity: Quantity
+    limit: float
+    measured: float | None
+    ok: bool
+
+
+class Study(NamedTuple):
+    """What was run and what came of it, by scenario and controller, in the table's order."""
+
+    scenarios: tuple[Scenario, ...]
+    controllers: tuple[Controller, ...]
+    results: dict[tuple[str, str], Result]
+    robustness: dict[str, Robustness | None]
+    """By controller, with the plant of the rig file; None for the locked cylinder."""
+
+    def verdicts(self) -> Iterator[Verdict]:
+        """Every limit of ours that can be judged: a ratio needs the passive run beside it."""
+        for scenario in self.scenarios:
+            ours, passive = (self.results.get((scenario.name, who)) for who in (OURS, PASSIVE))
+            for quantity, most in scenario.limits:
+                if ours is None or (passive is None and quantity == "eta_true_max_over_passive"):
+                    continue
+                found = _measured(quantity, ours, passive) if ours.whole else None
+                yield Verdict(scenario.name, quantity, most, found, found is not None and found <= most)
+
+
+def run(
+    rig: RigSettings, only: Collection[str], controllers: Collection[str], done: Callable[[float, str], None]
+) -> Study:
+    """Run the scenarios and laws named, all where none is.
+
+    Args:
+        rig: with a ``simulation`` section.
+        only: names of scenarios.
+        controllers: names of laws.
+        done: called after each run with its length in seconds and what it was.
+
+    Raises:
+        ScenarioError: the rig cannot be simulated.
+    """
+    chosen = tuple(s for s in scenarios(rig) if not only or s.name in only)
+    laws = tuple(c for c in CONTROLLERS if not controllers or c.name in controllers)
+    # The long ones first, so that no processor is left with one at the end.
+    order = sorted(product(chosen, laws), key=lambda pair: -pair[0].seconds)
+    found: dict[tuple[str, str], Result] = {}
+    with ProcessPoolExecutor(min(os.cpu_count() or 1, _MOST_WORKERS), multiprocessing.get_context("spawn")) as pool:
+        places: dict[Future[Result], tuple[Scenario, Controller]] = {
+            pool.submit(_one, rig, scenario.name, law.name): (scenario, law) for scenario, law in order
+        }
+        robust = {law.name: pool.submit(_robustness, rig, law.name) for law in laws}
+        try:
+            for future in as_completed(places):
+                scenario, law = places[future]
+                found[scenario.name, law.name] = future.result()
+                done(scenario.seconds, f"{scenario.name}: {law.title}")
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    results = {(s.name, c.name): found[s.name, c.name] for s, c in product(chosen, laws)}
+    return Study(chosen, laws, results, {name: future.result() for name, future in robust.items()})
+
+
+def _robustness(rig: RigSettings, law_name: str) -> Robustness | None:
+    return margins.robustness(rig, next(c for c in CONTROLLERS if c.name == law_name))
+
+
+def _one(rig: RigSettings, scenario_name: str, law_name: str) -> Result:
+    scenario = next(s for s in scenarios(rig) if s.name == scenario_name)
+    law = next(c for c in CONTROLLERS if c.name == law_name)
+    settings = scenario.settings(rig, WAIVER)
+    try:
+        played = play(
+            settings,
+            scenario.tracks,
+            seconds=scenario.seconds,
+            controller="locked" if law.name == PASSIVE else "loop",
+            target_n=settings.tension.target_n,
+            law=law.law,
+        )
+    except ScenarioError as error:
+        if error.exit_code != 1:
+            raise
+        words = str(error).removeprefix(f"{settings.rig}: ")
+        return Result(None, None, None, None, words, np.zeros(0), np.zeros(0))
+    return judge(played, scenario, settings.tension.speed_max_mm_s)
+
+
+def judge(played: Played, scenario: Scenario, speed_max_mm_s: float) -> Result:
+    """The figures of a run, of the plant's truth over the scenario's window."""
+    eta = (played.truth["vertical_n"] - played.target_n) / played.target_n * 100.0
+    t_s = played.t_s
+    ended = _ended(played, speed_max_mm_s)
+    trace = t_s[::TRACE_STEP], eta[::TRACE_STEP]
+    if ended not in (COMPENSATING, LOCKED):
+        return Result(None, None, None, None, ended, *trace)
+    inside = t_s >= scenario.from_s - 1e-7
+    speed = played.truth["speed_mm_s"][inside]
+    return Result(
+        float(np.max(np.abs(eta[inside]))),
+        math.sqrt(float(np.mean(eta[inside] ** 2))),
+        float(np.max(np.abs(speed))),
+        None if scenario.event_s is None else settling_s(t_s - scenario.event_s, eta),
+        ended,
+        *trace,
+    )
+
+
+def settling_s(t_s: Floats, eta_pct: Floats) -> float | None:
+    """Time after 0 from which the error stays within ``SETTLED_PCT``; None if it is not within at the end."""
+    outside = np.flatnonzero((np.abs(eta_pct) > SETTLED_PCT) & (t_s >= 0.0))
+    if not len(outside):
+        return 0.0
+    if outside[-1] == len(eta_pct) - 1:
+        return None
+    return float(t_s[outside[-1] + 1])
+
+
+def _ended(played: Played, speed_max_mm_s: float) -> str:
+    ended, records = played.ended, played.records
+    if ended.tripped:
+        return f"tripped: {ended.fault} at {ended.tripped_at_s:.1f} s"
+    if records is None:
+        return LOCKED
+    assert played.records_t_s is not None
+    tail = records["command_mm_s"][played.records_t_s >= played.records_t_s[-1] - TAIL_S]
+    return UNSTABLE if float(np.std(tail)) > SWINGING * speed_max_mm_s else ended.mode
+
+
+def _measured(quantity: Quantity, ours: Result, passive: Result | None) -> float | None:
+    if quantity == "eta_true_max_pct":
+        return ours.eta_max_pct
+    if quantity == "eta_true_rms_pct":
+        return ours.eta_rms_pct
+    if quantity == "settle_s":
+        return ours.settle_s
+    assert passive is not None and passive.eta_max_pct is not None and ours.eta_max_pct is not None
+    return ours.eta_max_pct / passive.eta_max_pct
