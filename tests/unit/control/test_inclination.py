@@ -65,6 +65,28 @@ def test_its_innovations_have_the_variance_it_gives_them() -> None:
     assert low < np.mean(squares) < high
 
 
+def test_the_settled_form_gives_what_the_full_recursion_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+    noise = np.random.default_rng(5).standard_normal((2000, 2))
+
+    def run() -> tuple[list[float], int]:
+        subject, settled = InclinationFilter(SETTINGS), 0
+        states: list[float] = []
+        for n, (a, b) in enumerate(noise):
+            late = 3 if n in (700, 1200) else 0  # a sample that comes late, and one that is a spike
+            subject.pass_ticks(10 + late)
+            subject.update(0.01 * math.sin(0.01 * n) + NOISE * float(a), 0.4 if n == 900 else NOISE * float(b))
+            settled += subject._settled is not None
+            states += subject.state
+        return states, settled
+
+    fast, settled = run()
+    monkeypatch.setattr("rigctl.control.inclination.SETTLED_GAIN", -1.0)
+    full, never = run()
+    assert settled > 1000
+    assert never == 0
+    np.testing.assert_allclose(fast, full, atol=1e-7)
+
+
 def test_a_spike_is_left_out_and_a_tilted_rope_is_believed_in_time() -> None:
     subject = InclinationFilter(SETTINGS)
     for n in range(100):
