@@ -13,10 +13,8 @@ from hil.compare import plots, study, tables
 from hil.compare.rivals import CONTROLLERS, OURS
 from hil.compare.scenarios import scenarios
 from hil.progress import progress
-from hil.scenario.command import check_writable
+from hil.scenario.command import check_folder, check_writable, simulated_rig
 from hil.scenario.errors import ScenarioError
-from rigctl import config
-from rigctl.config import RigSettings
 
 WIDTH = 100
 
@@ -43,18 +41,13 @@ def run(
     Raises:
         ScenarioError: bad input, a rig that cannot be simulated, or a file that cannot be written.
     """
-    rig = _rig(rig_file)
+    rig = simulated_rig(rig_file)
     laws = [name for part in controllers for name in part.split(",")]
     chosen = [scenario for scenario in scenarios(rig) if not only or scenario.name in only]
     _known("--only", only, [scenario.name for scenario in scenarios(rig)])
     _known("--controllers", laws, [controller.name for controller in CONTROLLERS])
     check_writable("--json", json)
-    if folder is not None:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ScenarioError([f"--plots: {folder} cannot be made: {error.strerror}"]) from None
-        check_writable("--plots", folder / plots.FIRST)
+    check_folder("--plots", folder, plots.FIRST)
     total_s = sum(scenario.seconds for scenario in chosen) * (len(set(laws)) or len(CONTROLLERS))
     with progress("the comparison", total_s) as advance:
         found = study.run(rig, only, laws, advance)
@@ -70,18 +63,6 @@ def run(
     except OSError as error:
         raise ScenarioError([f"{error.filename}: cannot be written: {error.strerror}"]) from None
     return 1 if any(who == OURS and not result.whole for (_, who), result in found.results.items()) else 0
-
-
-def _rig(rig_file: pathlib.Path) -> RigSettings:
-    try:
-        rig = config.load(rig_file)
-    except config.ConfigError as error:
-        raise ScenarioError(error.findings) from None
-    if rig.simulation is None:
-        raise ScenarioError(
-            [f"{rig_file}: simulation: found nothing, allowed a section (it says what rig to simulate)"]
-        )
-    return rig
 
 
 def _known(option: str, names: Collection[str], allowed: Sequence[str]) -> None:

@@ -10,9 +10,8 @@ from rich.console import Console
 
 from hil.paper import claims, plots, study, tables
 from hil.progress import progress
-from hil.scenario.command import check_writable
+from hil.scenario.command import check_folder, check_writable, simulated_rig
 from hil.scenario.errors import ScenarioError
-from rigctl import config
 
 
 def run(rig_file: pathlib.Path, json: pathlib.Path | None, folder: pathlib.Path | None) -> int:
@@ -29,21 +28,9 @@ def run(rig_file: pathlib.Path, json: pathlib.Path | None, folder: pathlib.Path 
     Raises:
         ScenarioError: bad input, a rig that cannot be simulated, or a file that cannot be written.
     """
-    try:
-        rig = config.load(rig_file)
-    except config.ConfigError as error:
-        raise ScenarioError(error.findings) from None
-    if rig.simulation is None:
-        raise ScenarioError(
-            [f"{rig_file}: simulation: found nothing, allowed a section (it says what rig to simulate)"]
-        )
+    rig = simulated_rig(rig_file)
     check_writable("--json", json)
-    if folder is not None:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ScenarioError([f"--plots: {folder} cannot be made: {error.strerror}"]) from None
-        check_writable("--plots", folder / plots.FIRST)
+    check_folder("--plots", folder, plots.FIRST)
     with progress("the paper's study", study.runs()) as advance:
         found = study.run(rig, lambda name: advance(1.0, f"{name} done"))
     rows = claims.judge(found.passive)

@@ -15,6 +15,8 @@ from hil.scenario.case import Case, load
 from hil.scenario.errors import ScenarioError
 from hil.scenario.play import Played, play
 from hil.scenario.plot import SUFFIXES, plot
+from rigctl import config
+from rigctl.config import RigSettings
 
 STANDARD_OUTPUT = pathlib.Path("-")
 
@@ -81,3 +83,27 @@ def check_writable(option: str, file: pathlib.Path | None) -> None:
             file.unlink()
     except OSError as error:
         raise ScenarioError([f"{option}: {file} cannot be written: {error.strerror}"]) from None
+
+
+def check_folder(option: str, folder: pathlib.Path | None, first: str) -> None:
+    """Make a folder for pictures, and refuse one that the picture ``first`` could not be written to."""
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ScenarioError([f"{option}: {folder} cannot be made: {error.strerror}"]) from None
+    check_writable(option, folder / first)
+
+
+def simulated_rig(rig_file: pathlib.Path) -> RigSettings:
+    """A rig file that says what rig to simulate."""
+    try:
+        rig = config.load(rig_file)
+    except config.ConfigError as error:
+        raise ScenarioError(error.findings) from None
+    if rig.simulation is None:
+        raise ScenarioError(
+            [f"{rig_file}: simulation: found nothing, allowed a section (it says what rig to simulate)"]
+        )
+    return rig
