@@ -17,7 +17,8 @@ from hil.rig import SimulatedRig
 from rigctl.config import RigSettings
 from rigctl.control.clock import SimulatedClock
 from rigctl.control.correction import Correction
-from rigctl.control.loop import LawFactory, Loop, Rings
+from rigctl.control.logbook import Rings
+from rigctl.control.loop import LawFactory, Loop
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.tension import Gains
 from rigctl.devices import startup
@@ -25,6 +26,19 @@ from rigctl.telemetry.runtime import Runtime
 
 START_NS = 1_000_000_000
 WORK_NS = 100_000  # frames of a tick reach the rig this long after its grid point, as on the bus
+
+
+class SkippingClock(SimulatedClock):
+    """A simulated clock whose next tick can be made late: ``skip`` grid points are missed, then it is 0 again."""
+
+    skip = 0
+
+    def next_tick(self) -> tuple[int, int]:
+        """Run the world to the next grid point that is not missed."""
+        missed, self.skip = self.skip, 0
+        for _ in range(missed):
+            super().next_tick()
+        return super().next_tick()[0], missed
 
 
 class Lockstep:
@@ -44,14 +58,14 @@ class Lockstep:
         runtime.make_rings(settings)
         self.settings = settings
         self.rig_ns = START_NS
-        self._hub = Hub(lambda: self.rig_ns)
-        port = self._hub.attach(self._to_rig)
+        self.hub = Hub(lambda: self.rig_ns)
+        port = self.hub.attach(self._to_rig)
         self.rig: SimulatedRig = SimulatedRig(settings, START_NS, port.send)
-        self._stranger = self._hub.attach(lambda _frame: None)
+        self._stranger = self.hub.attach(lambda _frame: None)
         self._keep_log = log
-        self.frames: list[tuple[int, bytes]] = self._hub.log
-        self._bus = bus = InProcessBus(self._hub)
-        self.clock = SimulatedClock(settings.loop.period_ns, self._advance, START_NS)
+        self.frames: list[tuple[int, bytes]] = self.hub.log
+        self._bus = bus = InProcessBus(self.hub)
+        self.clock = SkippingClock(settings.loop.period_ns, self._advance, START_NS)
         self.report = startup.bring_up(bus, settings)
         self._records = runtime.record_reader()
         self._replies = runtime.reply_reader()
@@ -70,7 +84,7 @@ class Lockstep:
         self.rig.advance(self.rig_ns)
         self.rig.supervise(self.rig_ns)
         if not self._keep_log:
-            self._hub.log.clear()
+            self.hub.log.clear()
 
     def close(self) -> None:
         """Leave the bus."""

@@ -80,6 +80,9 @@ class Setting(IntEnum):
     ZERO = 128  # value: N
     SCALE = 129  # value: factor
     OVERDUE = 130  # value: 1 the calibration is overdue, 0 it is not
+    K_TENSION = 131  # these three come in this order, the last puts all in force; see rigctl.control.tension.Gains
+    K_SPEED = 132
+    K_INTEGRAL = 133
 
 
 class Refusal(IntEnum):

@@ -20,7 +20,8 @@ from rigctl.commission.ledger import in_force
 from rigctl.config import RigSettings
 from rigctl.control import realtime
 from rigctl.control.clock import GridClock, SimulatedClock
-from rigctl.control.loop import Loop, Rings
+from rigctl.control.logbook import Rings
+from rigctl.control.loop import Loop
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.devices import startup

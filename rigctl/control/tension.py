@@ -69,6 +69,7 @@ class TensionLaw:
         self.rope_setpoint_n = 0.0
         self._slope_n_s = 0.0
         self.integral_mm_s = 0.0
+        self._error_n = self._speed_error_mm_s = 0.0  # of the last closed tick
         self.command_mm_s = 0.0
         self.limits = 0  # bits, see rigctl.telemetry.record.Flag
         self._slack_stroke_mm: float | None = None
@@ -80,13 +81,23 @@ class TensionLaw:
         """Begin a ramp at the tension there is now, with the slope the cylinder's speed gives it."""
         self.setpoint_n = max(vertical_n, 0.0)
         self._slope_n_s = self._slope_of(speed_mm_s)
-        self.integral_mm_s = 0.0
+        self.integral_mm_s = self._error_n = self._speed_error_mm_s = 0.0
         self._slack_stroke_mm = None
 
     def begin(self, vertical_n: float, speed_mm_s: float) -> None:
         """Enter TENSIONING or RELEASING."""
         self._tight = self.rope_lost = False
         self.start_ramp(vertical_n, speed_mm_s)
+
+    def change_gains(self, gains: Gains) -> None:
+        """Act by other gains from the next tick on, without a bump.
+
+        The integral takes over what feedback of the last tick's errors gains or loses by it.
+        """
+        before = self._gains
+        self.integral_mm_s += (before.k_tension - gains.k_tension) * self._error_n
+        self.integral_mm_s += (before.k_speed - gains.k_speed) * self._speed_error_mm_s
+        self._gains = gains
 
     def follow_speed(self, speed_mm_s: float) -> None:
         """Take over from a drive that was moving by itself, or not at all."""
@@ -95,7 +106,7 @@ class TensionLaw:
     # -- one tick in a mode -------------------------------------------------------------------------------------
     def hold(self, estimate: Estimate) -> float:
         """Stroke held: command zero, reached at the acceleration limit."""
-        self.integral_mm_s = 0.0
+        self.integral_mm_s = self._error_n = self._speed_error_mm_s = 0.0
         return self.limited(0.0, estimate.stroke_mm)
 
     def tensioning(self, estimate: Estimate, cosine: float) -> float:
@@ -157,12 +168,9 @@ class TensionLaw:
         self.rope_setpoint_n = self.setpoint_n / cosine
         error = estimate.tension_n - self.rope_setpoint_n
         feed_forward = slope_n_s / self._stiffness - estimate.disturbance_mm_s
-        wanted = (
-            feed_forward
-            - gains.k_tension * error
-            - gains.k_speed * (estimate.speed_mm_s - feed_forward)
-            - self.integral_mm_s
-        )
+        speed_error = estimate.speed_mm_s - feed_forward
+        self._error_n, self._speed_error_mm_s = error, speed_error
+        wanted = feed_forward - gains.k_tension * error - gains.k_speed * speed_error - self.integral_mm_s
         command = self.limited(wanted, estimate.stroke_mm)
         # Anti-windup: integrate only what the limits let through, or what leads back inside them.
         if command == wanted or (wanted - command) * error > 0.0:

@@ -26,6 +26,7 @@ class Kind(IntEnum):
     STOPPED = 10  # loop ended, value: stroke, limit: tension
     CLOCK = 11  # a: ticks skipped at once
     CORRECTION = 12  # value: zero of the tension cell in N, limit: its scale
+    GAINS = 14  # text: K_T, K_v, K_i now in force
     SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
 
 
@@ -189,6 +190,7 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
         "info", f"signs checked: the stroke follows, tension rises by {v:.2f} N/mm (plant: {m:.2f})"
     ),
     Kind.CORRECTION: lambda _a, _b, v, m, _t: Worded("info", f"tension cell: zero {v:+z.3f} N, scale {m:.5f}"),
+    Kind.GAINS: lambda _a, _b, _v, _m, t: Worded("info", f"gains changed: K_T, K_v, K_i = {t}"),
     Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{a} ticks skipped at once"),
 }  # fmt: skip
 

@@ -94,7 +94,7 @@ def test_the_estimated_inclination_follows_the_rope_between_the_samples(rig: Loc
     errors, rates = [], []
     for _ in range(6000):
         rig.loop.tick()
-        angle, rate, _, _ = rig.loop.inclination.state
+        angle, rate, _, _ = rig.loop.observer.inclination.state
         errors.append(angle - rig.rig.truth.tangential_rad)
         rates.append(rate)
     assert np.sqrt(np.mean(np.square(errors))) < math.radians(0.02)  # the sensor's own filter is 8 ms late

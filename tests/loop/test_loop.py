@@ -11,7 +11,7 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config import RigSettings
-from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
@@ -58,6 +58,44 @@ def test_a_new_target_is_reached_on_the_ramp(rig: Lockstep, enter: Enter) -> Non
     assert rig.command(Verb.TARGET, 351.0) is Refusal.OUT_OF_RANGE
     rig.run(0.5)
     assert rig.rig.truth.vertical_n == pytest.approx(280.0, abs=0.2)
+
+
+def set_gains(rig: Lockstep, k_tension: float, k_speed: float, k_integral: float) -> list[Refusal]:
+    given = (Setting.K_TENSION, k_tension), (Setting.K_SPEED, k_speed), (Setting.K_INTEGRAL, k_integral)
+    return [rig.command(setting, value) for setting, value in given]
+
+
+def test_gains_change_in_the_closed_loop_without_a_bump(rig: Lockstep, enter: Enter, gains: Gains) -> None:
+    enter(Mode.COMPENSATING)
+    assert rig.command(Verb.TARGET, 290.0) is Refusal.NONE
+    before = rig.run(0.5)  # in the middle of the ramp, where the errors are largest
+    rig.events.read()
+    softer = Gains(0.5 * gains.k_tension, 0.7 * gains.k_speed, 0.5 * gains.k_integral)
+    assert set_gains(rig, softer.k_tension, softer.k_speed, softer.k_integral) == [Refusal.NONE] * 3
+    after = rig.run(0.5)
+    assert rig.loop.law._gains == softer
+    assert events(rig).count(Kind.GAINS) == 1
+    steps = [np.abs(np.diff(records["command_mm_s"])).max() for records in (before[-200:], after[:200])]
+    assert steps[1] < 2.0 * steps[0]
+    rig.run(3.0)
+    assert rig.rig.truth.vertical_n == pytest.approx(290.0, abs=0.2)
+
+
+@pytest.mark.parametrize("values", [(math.nan, 0.5, 1.0), (1.0, -0.1, 1.0), (1.0, 0.5, math.inf)])
+def test_gains_that_are_none_are_refused_and_change_nothing(
+    rig: Lockstep, enter: Enter, gains: Gains, values: tuple[float, float, float]
+) -> None:
+    enter(Mode.COMPENSATING)
+    assert Refusal.OUT_OF_RANGE in set_gains(rig, *values)
+    assert rig.loop.law._gains == gains
+
+
+def test_a_part_of_the_gains_changes_nothing(rig: Lockstep, gains: Gains) -> None:
+    assert rig.command(Setting.K_SPEED, 0.5) is Refusal.OUT_OF_RANGE, "the first must come first"
+    assert rig.command(Setting.K_TENSION, 1.0) is Refusal.NONE
+    assert rig.command(Setting.K_INTEGRAL, 1.0) is Refusal.OUT_OF_RANGE
+    assert rig.command(Setting.K_INTEGRAL, 1.0) is Refusal.OUT_OF_RANGE
+    assert rig.loop.law._gains == gains
 
 
 def test_mode_changes_are_bumpless(rig: Lockstep, enter: Enter) -> None:
@@ -287,7 +325,14 @@ def test_disarming_stops_the_stroke_before_the_power_goes(rig: Lockstep, enter: 
 def test_an_exception_anywhere_in_the_tick_stops_the_stroke_and_is_latched(
     rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for target in ("_receive", "_estimate", "_decide", "_speed", "_send", "_record", "_publish"):
+    for place, target in (
+        (rig.loop, "_receive"),
+        (rig.loop.observer, "estimate"),
+        (rig.loop, "_decide"),
+        (rig.loop, "_speed"),
+        (rig.loop, "_send"),
+        (rig.loop, "_record"),
+    ):
         if rig.loop.machine.mode is Mode.DISARMED:
             enter(Mode.COMPENSATING)
         before = rig.rig.truth
@@ -297,7 +342,7 @@ def test_an_exception_anywhere_in_the_tick_stops_the_stroke_and_is_latched(
 
         rig.events.read()
         with monkeypatch.context() as patch:
-            patch.setattr(rig.loop, target, broken)
+            patch.setattr(place, target, broken)
             rig.run(0.02)
         records = rig.run(0.002)
         assert records["mode"][-1] == Mode.FAULT

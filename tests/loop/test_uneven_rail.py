@@ -96,7 +96,7 @@ def test_without_an_encoder_the_record_says_so(rig: Lockstep) -> None:
 def test_a_lost_encoder_ends_the_feed_forward_and_nothing_else(settings: RigSettings, gains: Gains) -> None:
     with lockstep(fitted(settings), gains) as rig:
         compensate(rig)
-        table = rig.loop._run_out
+        table = rig.loop.observer._run_out
         assert table is not None
         table.slopes_mm_rad[1:-1] = [5.0] * TABLE.bins
         assert rig.rig.start_motion()

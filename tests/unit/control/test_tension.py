@@ -56,6 +56,20 @@ def test_the_stroke_limit_is_approached_at_a_speed_that_can_still_stop() -> None
     assert subject.limits & Flag.LIMITED_STROKE
 
 
+def test_a_change_of_gains_leaves_the_command_as_it_is_whatever_the_errors_are() -> None:
+    subject = law()
+    subject.start_ramp(300.0, 0.0)
+    estimate = at(300.4, speed=0.7, disturbance=0.3)
+    for _ in range(2000):  # the acceleration limit is behind us
+        before = subject.compensating(estimate, 1.0)
+    integrated = GAINS.k_integral * 0.4 * DT
+    subject.change_gains(Gains(k_tension=4.0, k_speed=0.1, k_integral=0.5))
+    after = subject.compensating(estimate, 1.0)
+    assert after == pytest.approx(before, abs=1.01 * integrated)
+    subject.compensating(at(300.6, speed=0.7, disturbance=0.3), 1.0)
+    assert subject.command_mm_s == pytest.approx(after - 4.0 * 0.2, abs=1e-2), "the new gains are in force"
+
+
 def test_hold_comes_to_rest_at_the_acceleration_limit_and_stays() -> None:
     subject = law()
     subject.follow_speed(8.0)

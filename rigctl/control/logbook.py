@@ -1,0 +1,159 @@
+"""The loop's pen: a record of every tick, events, answers. Numbers into rings; wording is the gateway's."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rigctl.config import RigSettings
+from rigctl.control.inbox import Inbox
+from rigctl.control.machine import Machine
+from rigctl.control.modes import Refusal
+from rigctl.control.observer import Observer
+from rigctl.control.outbox import Outbox
+from rigctl.control.tension import TensionLaw
+from rigctl.telemetry.events import Kind
+from rigctl.telemetry.record import Flag, Quality
+from rigctl.telemetry.ring import RingReader, RingWriter
+
+NOTICE_NS = 1_000_000_000
+NOTICES_KEPT = 64
+_STALE = Quality.STALE.value
+_ENABLED, _ARMING = Flag.DRIVE_ENABLED.value, Flag.ARMING.value
+
+
+@dataclass(frozen=True)
+class Rings:
+    """Where a loop's records, events and replies go, and where its commands come from."""
+
+    records: RingWriter
+    events: RingWriter
+    replies: RingWriter
+    commands: RingReader
+
+
+class Logbook:
+    """Writes what the tick leaves behind."""
+
+    def __init__(self, settings: RigSettings, rings: Rings) -> None:
+        self._rings = rings
+        self._noticed: dict[tuple[Kind, int, int], int] = {}  # not again before
+        self._stale_ns = settings.safety.stale_ms * 1_000_000
+        self._slope_stale_ns = settings.safety.inclination_stale_ms * 1_000_000
+        self._failures = 0
+        self.tick = 0
+
+    def record(
+        self, t_ns: int, lateness_ns: int, work_ns: int, machine: Machine, observer: Observer, law: TensionLaw,
+        outbox: Outbox,
+    ) -> None:  # fmt: skip
+        """One record of this tick; ``work_ns`` is the tick before's."""
+        inbox, sight, kalman, slope = observer.inbox, observer.sight, observer.filter, observer.inclination
+        x = kalman.state
+        flags = law.limits | (_ENABLED if sight.drive_enabled else 0) | (_ARMING if machine.arming else 0)
+        self._rings.records.write(
+            t_ns,
+            self.tick,
+            observer.skipped,
+            lateness_ns,
+            work_ns,
+            machine.mode,
+            machine.fault,
+            flags,
+            inbox.tension_n,
+            inbox.reading_n,
+            sight.cell_age_ns,
+            inbox.cell_quality | (_STALE if sight.cell_age_ns > self._stale_ns else 0),
+            inbox.tangential_rad,
+            inbox.normal_rad,
+            sight.inclination_age_ns,
+            inbox.slope_quality | (_STALE if sight.inclination_age_ns > self._slope_stale_ns else 0),
+            inbox.stroke_mm,
+            inbox.speed_mm_s,
+            sight.drive_age_ns,
+            _STALE if sight.drive_age_ns > self._stale_ns else 0,
+            inbox.statusword,
+            outbox.controlword,
+            law.command_mm_s,
+            law.target_n,
+            law.rope_setpoint_n,
+            inbox.tension_n * observer.cosine,
+            x[0],
+            x[1],
+            x[2],
+            law.integral_mm_s,
+            kalman.cell.innovation,
+            kalman.cell.variance,
+            kalman.cell.verdict,
+            kalman.cell.nis,
+            kalman.drive.innovation,
+            kalman.drive.variance,
+            kalman.drive.verdict,
+            kalman.drive.nis,
+            *slope.state,
+            slope.tangential.innovation,
+            slope.tangential.variance,
+            slope.tangential.verdict,
+            slope.tangential.nis,
+            slope.normal.innovation,
+            slope.normal.variance,
+            slope.normal.verdict,
+            slope.normal.nis,
+            kalman.known_mm_s - observer.run_out_mm_s,
+            outbox.sent,
+            inbox.received,
+            inbox.frames_missing(),
+            inbox.refused,
+            outbox.failures,
+            inbox.error_frames,
+            inbox.rail_rad,
+            inbox.rail_quality | (_STALE if observer.rail_age_ns > observer.rail_stale_ns else 0),
+            observer.run_out_mm_s,
+        )
+
+    def event(
+        self, t_ns: int, kind: Kind, a: int = 0, b: int = 0, value: float = 0.0, limit: float = 0.0, text: bytes = b""
+    ) -> None:
+        """An event; what its numbers mean, `Kind` says."""
+        self._rings.events.write(t_ns, kind, a, b, value, limit, text)
+
+    def notice(self, t_ns: int, kind: Kind, a: int, b: int, text: bytes = b"") -> None:
+        """An event, the same one at most once a second: a babbling bus must not drown the others."""
+        if t_ns >= self._noticed.get((kind, a, b), 0):
+            if len(self._noticed) >= NOTICES_KEPT:
+                self._noticed.clear()
+            self._noticed[kind, a, b] = t_ns + NOTICE_NS
+            self.event(t_ns, kind, a, b, text=text)
+
+    def reply(
+        self, t_ns: int, id_: int, refusal: Refusal, checks: int, mode: int, value: float, spread: float = 0.0
+    ) -> None:
+        """Answer to the command ``id_``."""
+        self._rings.replies.write(t_ns, id_, refusal is Refusal.NONE, refusal, checks, mode, value, spread)
+
+    def mode_changes(self, t_ns: int, machine: Machine) -> None:
+        """Every change of mode, with the event behind it."""
+        if machine.changes:
+            for change in machine.changes:
+                self.event(t_ns, Kind.MODE, change.before, change.after, float(change.event))
+            machine.changes.clear()
+
+    def bus_notices(self, t_ns: int, inbox: Inbox, outbox: Outbox) -> None:
+        """What devices and bus said of themselves."""
+        for kind, notices in (
+            (Kind.EMERGENCY, inbox.emergencies),
+            (Kind.NODE_STATE, inbox.node_states),
+            (Kind.BUS_ERROR, inbox.bus_errors),
+        ):
+            if notices:
+                for a, b in notices:
+                    self.notice(t_ns, kind, a, b)
+                notices.clear()
+        if outbox.failures != self._failures:
+            self._failures = outbox.failures
+            self.notice(t_ns, Kind.SEND_FAILED, 0, 0, outbox.failure_text.encode()[:80])
+
+
+def number(value: float) -> float:
+    """For a slot: 0 for what is not finite."""
+    return value if math.isfinite(value) else 0.0

@@ -1,0 +1,128 @@
+"""What a tick sees: the newest samples as safety judges them, and as the filters estimate them."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from rigctl.config import RigSettings
+from rigctl.control.correction import Correction
+from rigctl.control.estimator import TensionFilter, filter_model
+from rigctl.control.inbox import Inbox
+from rigctl.control.inclination import InclinationFilter, Stretch
+from rigctl.control.run_out import RunOutTable, stale_ns
+from rigctl.control.safety import Sight
+from rigctl.control.tension import Estimate
+from rigctl.devices.objects import DriveState, drive_state
+
+LEAST_COSINE = 0.5  # a rope at 60 deg: nothing beyond it is believed
+
+
+class Observer:
+    """Reads the inbox; keeps the filters. ``sight`` is for safety, ``estimate`` for the law."""
+
+    def __init__(self, settings: RigSettings, inbox: Inbox) -> None:
+        self.inbox = inbox
+        self.filter = TensionFilter(filter_model(settings))
+        self.inclination = InclinationFilter(settings)
+        self.sight = Sight()
+        self.tension_n = 0.0  # newest good sample
+        self.cosine = 1.0  # of the rope against the vertical
+        self.run_out_mm_s = 0.0  # disturbance speed known from the table
+        self.rail_age_ns = 0
+        self.skipped = self.just_skipped = 0
+        self._stretch = Stretch(settings.plant.rope_length_mm, 1.0 / settings.loop.rate_hz)
+        self._skips: deque[tuple[int, int]] = deque(maxlen=4096)
+        self._window_ns = settings.safety.overrun_window_ms * 1_000_000
+        self._slack_n = settings.tension.slack_n
+        rail, run_out = settings.rail_encoder, settings.run_out
+        self.rail_stale_ns = stale_ns(rail) if rail is not None else 0
+        self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
+
+    @property
+    def slack(self) -> bool:
+        """The rope does not pull."""
+        return self.tension_n < self._slack_n
+
+    def look(self, now_ns: int, skipped: int) -> None:
+        """Take what the inbox holds as this tick's sight; ``skipped`` ticks passed since the last one."""
+        inbox, sight = self.inbox, self.sight
+        self.just_skipped = skipped
+        if skipped:
+            self.skipped += skipped
+            self._skips.append((now_ns, skipped))
+        while self._skips and now_ns - self._skips[0][0] > self._window_ns:
+            self._skips.popleft()
+        state = drive_state(inbox.statusword)
+        sight.tension_n, sight.cell_quality = inbox.tension_n, inbox.cell_quality
+        sight.reading_n = inbox.reading_n
+        sight.cell_age_ns = now_ns - inbox.cell_t_ns
+        sight.inclination_quality = inbox.slope_quality
+        sight.inclination_age_ns = now_ns - inbox.slope_t_ns
+        self.rail_age_ns = now_ns - inbox.rail_t_ns
+        sight.stroke_mm = inbox.stroke_mm
+        sight.drive_age_ns = now_ns - inbox.drive_t_ns
+        sight.drive_enabled = state is DriveState.OPERATION_ENABLED
+        sight.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
+        sight.bus_age_ns = now_ns - inbox.bus_t_ns
+        sight.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
+        sight.device_restarted = inbox.restarted
+
+    def estimate(self, skipped: int, *, regulated: bool) -> Estimate:
+        """What the filters make of it, predicted to when a command acts; ``regulated``: the run-out table may learn.
+
+        Raises:
+            ArithmeticError: the estimate is not finite; the filter has been reset.
+        """
+        inbox, kalman, slope = self.inbox, self.filter, self.inclination
+        if inbox.slope_fresh:
+            slope.update(inbox.tangential_rad, inbox.normal_rad)
+        else:
+            slope.absent()
+        tangential, _, normal, _ = slope.state
+        self.cosine = max(LEAST_COSINE, math.cos(tangential) * math.cos(normal))
+        stretch_mm_s = self._stretch.speed_mm_s(self.cosine)
+        if inbox.cell_fresh:
+            self.tension_n = inbox.tension_n
+        if self.tension_n < self._slack_n:
+            kalman.reset(self.tension_n, inbox.speed_mm_s)
+            kalman.known_mm_s = self.run_out_mm_s = 0.0
+            if self._run_out is not None:
+                self._run_out.lose()
+        else:
+            if self._run_out is not None:
+                self.run_out_mm_s = self._run_out_speed(self._run_out, 1 + skipped, regulated)
+            kalman.known_mm_s = stretch_mm_s + self.run_out_mm_s
+            kalman.update(
+                inbox.tension_n if inbox.cell_fresh else None, inbox.speed_mm_s if inbox.drive_fresh else None
+            )
+        kalman.predict(1 + skipped)
+        slope.pass_ticks(1 + skipped)
+        self.sight.rejects = max(kalman.cell.rejects, kalman.drive.rejects)
+        tension_n, speed_mm_s, disturbance_mm_s = kalman.ahead()
+        if not math.isfinite(tension_n + speed_mm_s + disturbance_mm_s):
+            kalman.reset(self.tension_n, 0.0)
+            raise ArithmeticError("the estimate is not finite")
+        if self._run_out is not None:
+            disturbance_mm_s += self._run_out.lead_mm_s
+        return Estimate(tension_n, speed_mm_s, disturbance_mm_s, inbox.stroke_mm)
+
+    def correct(self, correction: Correction) -> None:
+        """Read the cell anew; the filter starts again from there, for a step in what is seen is no innovation."""
+        self.inbox.correct(correction)
+        if math.isfinite(self.inbox.tension_n):
+            self.tension_n = self.inbox.tension_n
+            self.filter.reset(self.tension_n, self.inbox.speed_mm_s)
+
+    def _run_out_speed(self, table: RunOutTable, ticks: int, regulated: bool) -> float:
+        """What the table knows; what the filter finds beside it in the tick before, it learns."""
+        inbox = self.inbox
+        if inbox.rail_quality or self.rail_age_ns > self.rail_stale_ns:
+            table.lose()
+            return 0.0
+        table.follow(inbox.rail_rad, ticks, fresh=inbox.rail_fresh)
+        if regulated:
+            table.learn(self.filter.state[2])
+        else:
+            table.forget_pass()
+        return table.speed_mm_s

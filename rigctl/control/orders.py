@@ -1,0 +1,157 @@
+"""Commands from the ring: an operator's verbs, the trials they begin, and what the gateway sets."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from rigctl.config import RigSettings
+from rigctl.control import modes, safety, trials
+from rigctl.control.correction import Correction, tare_limit_n
+from rigctl.control.logbook import Logbook, number
+from rigctl.control.machine import Machine
+from rigctl.control.modes import Mode, Refusal, Setting, Situation, Verb
+from rigctl.control.observer import Observer
+from rigctl.control.safety import Check, Fault, Watch
+from rigctl.control.tension import Gains, TensionLaw
+from rigctl.telemetry.events import Kind
+from rigctl.telemetry.record import COMMAND_LIFETIME_NS
+
+_VERBS, _SETTINGS = frozenset(map(int, Verb)), frozenset(map(int, Setting))
+_GAINS = (Setting.K_TENSION, Setting.K_SPEED, Setting.K_INTEGRAL)
+
+
+class Orders:
+    """Carries out what is ordered, and answers. ``trial`` is the one under way."""
+
+    def __init__(
+        self,
+        settings: RigSettings,
+        machine: Machine,
+        observer: Observer,
+        law: TensionLaw,
+        watch: Watch,
+        logbook: Logbook,
+        *,
+        supervised: bool,
+    ) -> None:
+        """``supervised``: start-up has verified that the drive stops by itself when we go silent."""
+        self.trial: trials.Trial | None = None
+        self._settings, self._machine, self._observer = settings, machine, observer
+        self._law, self._watch, self._logbook, self._supervised = law, watch, logbook, supervised
+        self._found = (0.0, 0.0)  # value and spread of the last trial
+        self._gains: list[float] = []  # those of a set that have come
+
+    def take(self, slot: object, t_ns: int) -> None:
+        """One slot of the command ring."""
+        given_ns, id_, code, value = (slot[name].item() for name in ("t_ns", "id", "verb", "value"))  # type: ignore[index]
+        if code not in _VERBS and code not in _SETTINGS:
+            self._reply(t_ns, id_, Refusal.UNKNOWN)
+        elif abs(t_ns - given_ns) > COMMAND_LIFETIME_NS:
+            self._reply(t_ns, id_, Refusal.EXPIRED)
+        elif code in _SETTINGS:
+            self._reply(t_ns, id_, self._set(Setting(code), value, t_ns), value=value)
+        else:
+            self._obey(id_, Verb(code), value, t_ns)
+
+    def attend(self) -> None:
+        """Show the trial this tick; its answer is due when it is over, or when something has put an end to it."""
+        trial = self.trial
+        if trial is None:
+            return
+        if self._machine.trial is not None:
+            verdict = trial.see(self._observer.inbox, self._observer.sight)
+            if verdict is None:
+                return
+            self._found = number(trial.value), number(trial.spread)
+            self._machine.end_trial(verdict)
+        self.trial = None
+
+    def answer(self, t_ns: int) -> None:
+        """Send the answers the machine has ready."""
+        machine = self._machine
+        if not machine.answers:
+            return
+        for given in machine.answers:
+            checks, value, spread = 0, number(self._observer.tension_n), 0.0
+            if given.refusal is Refusal.PREFLIGHT:
+                checks = int(self.failed_checks())
+            elif given.refusal is Refusal.CAUSE_PRESENT:
+                value = float(self._watch.present(self._observer.sight))
+            elif given.refusal is Refusal.LOADED:
+                value = number(self._observer.inbox.reading_n)
+            elif given.verb in (Verb.TARGET, Verb.TENSION):
+                value = self._law.target_n
+            elif given.verb in modes.TRIED_IN and given.refusal is Refusal.NONE:
+                value, spread = self._found
+            self._reply(t_ns, given.id, given.refusal, checks, value, spread)
+        machine.answers.clear()
+
+    def correct(self, correction: Correction, t_ns: int) -> None:
+        """Zero and scale of the cell from now on."""
+        self._observer.correct(correction)
+        self._logbook.event(t_ns, Kind.CORRECTION, value=correction.zero_n, limit=correction.scale)
+
+    def failed_checks(self) -> Check:
+        """What stands against arming now."""
+        verified = self._supervised and not self._observer.inbox.restarted
+        return safety.preflight(self._observer.sight, self._settings, supervision_verified=verified)
+
+    def _obey(self, id_: int, verb: Verb, value: float, t_ns: int) -> None:
+        machine, observer, settings = self._machine, self._observer, self._settings
+        situation = Situation(
+            failed_checks=int(self.failed_checks()),
+            cause_present=self._watch.present(observer.sight) is not Fault.NONE,
+            drive_enabled=observer.sight.drive_enabled and machine.drive_wanted,
+            drive_faulted=observer.sight.drive_faulted,
+            slack=observer.slack,
+            unloaded=abs(observer.inbox.reading_n) <= tare_limit_n(settings),
+            target_min_n=settings.tension.target_min_n,
+            target_max_n=settings.tension.target_max_n,
+        )
+        fault = machine.fault
+        machine.command(id_, verb, value, situation, t_ns)
+        self.trial = trials.begin(machine.trial, settings, observer.inbox) if machine.trial is not None else None
+        if fault is not machine.fault:
+            self._logbook.event(t_ns, Kind.RESET, fault)
+        if verb is Verb.TARGET and machine.answers and machine.answers[-1].refusal is Refusal.NONE:
+            self._law.target_n = value
+
+    def _set(self, setting: Setting, value: float, t_ns: int) -> Refusal:
+        """What is on record takes effect: within its bounds, and what changes the reading only at standstill."""
+        if setting is Setting.OVERDUE:
+            self._observer.sight.calibration_overdue = value != 0.0
+            return Refusal.NONE
+        if setting in _GAINS:
+            return self._set_gain(setting, value, t_ns)
+        inbox = self._observer.inbox
+        if self._machine.mode not in (Mode.DISARMED, Mode.HOLD) or self._machine.stopping:
+            return Refusal.WRONG_MODE
+        if setting is Setting.ZERO and not abs(inbox.reading_n) <= tare_limit_n(self._settings):
+            return Refusal.LOADED
+        now = inbox.correction
+        wanted = replace(now, zero_n=value) if setting is Setting.ZERO else replace(now, scale=value)
+        if not wanted.fits(self._settings):
+            return Refusal.OUT_OF_RANGE
+        self.correct(wanted, t_ns)
+        return Refusal.NONE
+
+    def _set_gain(self, setting: Setting, value: float, t_ns: int) -> Refusal:
+        """Gains come one by one, in their order; the last puts the set in force, in any mode, without a bump."""
+        place = _GAINS.index(setting)
+        if not math.isfinite(value) or value < 0.0 or place > len(self._gains):
+            self._gains.clear()
+            return Refusal.OUT_OF_RANGE
+        self._gains[place:] = [value]
+        if len(self._gains) == len(_GAINS):
+            gains = Gains(*self._gains)
+            self._gains.clear()
+            self._law.change_gains(gains)
+            text = f"{gains.k_tension:.6g} {gains.k_speed:.6g} {gains.k_integral:.6g}".encode()
+            self._logbook.event(t_ns, Kind.GAINS, text=text)
+        return Refusal.NONE
+
+    def _reply(
+        self, t_ns: int, id_: int, refusal: Refusal, checks: int = 0, value: float = 0.0, spread: float = 0.0
+    ) -> None:
+        self._logbook.reply(t_ns, id_, refusal, checks, self._machine.mode, value, spread)
