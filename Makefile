@@ -12,7 +12,8 @@ demo: $(STAMP)
 	$(VENV)/bin/rigctl demo config/paper_rig.yaml --json results/demo.json
 
 test: $(STAMP) system
-	$(PYTHON) -m pytest
+	$(PYTHON) -m pytest -m "not real_time" --numprocesses auto --dist loadfile
+	$(PYTHON) -m pytest -m real_time
 
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .

@@ -11,6 +11,7 @@ from typer.exceptions import TyperException
 
 from hil.scenario.errors import ScenarioError
 from hil.serve import ServeError, serve
+from rigctl import output_file, standard_output
 
 _INTERRUPTED = 130
 """What typer makes of Ctrl-C."""
@@ -72,13 +73,45 @@ def _compare(
     raise typer.Exit(run(file, only or [], controllers or [], json, plots))
 
 
+@app.command("faults")
+def _faults(
+    file: Annotated[pathlib.Path, typer.Argument(help="rig file")] = pathlib.Path("config/paper_rig.yaml"),
+    only: Annotated[list[str] | None, typer.Option(help="a fault to play; may be repeated; default all")] = None,
+    mode: Annotated[list[str] | None, typer.Option(help="a mode to play in; may be repeated; default all")] = None,
+    json: Annotated[pathlib.Path | None, typer.Option(help="write the rows here")] = None,
+    list_: Annotated[bool, typer.Option("--list", help="print the catalogue, play nothing")] = False,
+    kills: Annotated[int, typer.Option(min=0, help="kill or stop processes of the daemon this often instead")] = 0,
+    gateway_kills: Annotated[int, typer.Option(min=0, help="kill the gateway this often instead")] = 0,
+) -> None:
+    """Play the fault catalogue: every fault in every mode, what happens against what has to happen."""
+    from hil.faults import command
+
+    if list_:
+        command.show_list()
+    elif kills:
+        raise typer.Exit(command.run_kills(file, kills, json))
+    elif gateway_kills:
+        raise typer.Exit(command.run_gateway(file, gateway_kills, json))
+    else:
+        raise typer.Exit(command.run(file, only or [], mode or [], json))
+
+
 def _announce(text: str) -> None:
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
 
 def main() -> int:
-    """Run; every refusal is one line on stderr. Exit code 0 good, 1 the result is bad or no bus, 2 usage or input."""
+    """Run; every refusal is one line on stderr. Exit code 0 good, 1 the result is bad or no bus, 2 usage or files."""
+    standard_output.guard()
+    code = _run()
+    if unsaid := standard_output.complaint():
+        sys.stderr.write(f"hil: {unsaid}\n")
+        return 2
+    return code
+
+
+def _run() -> int:
     try:
         code = int(app(standalone_mode=False) or 0)
         if code == _INTERRUPTED:
@@ -87,6 +120,9 @@ def main() -> int:
     except (ServeError, ScenarioError) as error:
         sys.stderr.write(f"{error}\n")
         return error.exit_code
+    except output_file.OutputError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
     except TyperException as error:
         sys.stderr.write(f"hil: {error} (see python -m hil --help)\n")
         return 2

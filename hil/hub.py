@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 Receive = Callable[[bytes], None]
+Tap = Callable[["Port", bytes], Iterable[bytes]]
+"""What becomes of a frame somebody sends: the frames that go on the wire in its place."""
 
 
 class Port:
@@ -36,6 +38,8 @@ class Hub:
     def __init__(self, now_ns: Callable[[], int] | None = None) -> None:
         self.now_ns = now_ns
         self.log: list[tuple[int, bytes]] = []
+        self.tap: Tap | None = None
+        """A wire with a defect; an exception it raises meets the sender."""
         self._ports: tuple[Port, ...] = ()
         self._waiting: deque[tuple[Port, bytes]] = deque()
         self._delivering = False
@@ -54,7 +58,16 @@ class Hub:
             self._ports = tuple(p for p in self._ports if p is not port)
 
     def send(self, sender: Port, frame: bytes) -> None:
-        """Deliver ``frame`` to all ports but ``sender``, after every frame sent before it."""
+        """Deliver ``frame`` to all ports but ``sender``, after every frame sent before it, as far as a tap lets it."""
+        if self.tap is None:
+            self.put(sender, frame)
+            return
+        with self._turn:
+            for passed in self.tap(sender, frame):
+                self.put(sender, passed)
+
+    def put(self, sender: Port, frame: bytes) -> None:
+        """The same, past the tap."""
         with self._turn:
             self._waiting.append((sender, frame))
             if self._delivering:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import pathlib
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -74,6 +74,8 @@ class Lockstep:
         rings = Rings(runtime.record_writer(), runtime.event_writer(), runtime.reply_writer(), runtime.command_reader())
         self.loop = Loop(settings, gains, bus, self.clock, rings, supervised=True, law=law, correction=correction)
         self._id = 0
+        self.on_advance: Callable[[], None] | None = None
+        """Called whenever the rig has gone on by a period, whether the loop ticks then or misses it."""
         self.reply: Any = None  # the last command's
 
     def _to_rig(self, frame: bytes) -> None:
@@ -85,6 +87,8 @@ class Lockstep:
         self.rig.supervise(self.rig_ns)
         if not self._keep_log:
             self.hub.log.clear()
+        if self.on_advance is not None:
+            self.on_advance()
 
     def close(self) -> None:
         """Leave the bus."""

@@ -19,7 +19,7 @@ from hil.hub import Hub
 from hil.hub_server import HubServer
 from hil.rig import SimulatedRig
 from hil.truth import TruthLog
-from rigctl import config
+from rigctl import config, output_file
 from rigctl.config import RigSettings
 from rigctl.control import realtime
 
@@ -76,7 +76,7 @@ class Service:
         self._truth_log: TruthLog | None = None
         self.line, send = self._join()
         try:
-            self._truth_log = TruthLog(truth) if truth else None
+            self._truth_log = _truth_log(truth) if truth else None
             self.rig = SimulatedRig(
                 settings,
                 monotonic_ns(),
@@ -84,6 +84,9 @@ class Service:
                 longest_silence_ns=LONGEST_SILENCE_NS,
                 truth_log=self._truth_log,
             )
+        except ServeError:
+            self.close()
+            raise
         except (OSError, ValueError) as error:
             self.close()
             raise ServeError(str(error), 2) from None
@@ -173,6 +176,13 @@ def serve(file: pathlib.Path, truth: pathlib.Path | None, announce: Callable[[st
     finally:
         service.close()
     announce(service.summary)
+
+
+def _truth_log(file: pathlib.Path) -> TruthLog:
+    try:
+        return TruthLog(file)
+    except OSError as error:
+        raise ServeError(str(output_file.OutputError(file, error, "--truth")), 2) from None
 
 
 def _prepare_process(settings: RigSettings) -> None:

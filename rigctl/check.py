@@ -12,6 +12,9 @@ from rigctl.config import RigSettings
 from rigctl.config_base import Settings
 from rigctl.devices import busload
 
+NARROW = 72
+"""Columns below which meaning and unit are left out, as the key ends in its unit: else it is the values that go."""
+NARROWEST_VALUE = 8
 _OF_CANOPEN = ("node", "eds")  # keys without a meaning for a device with plain frames
 
 
@@ -46,16 +49,18 @@ def verdict(settings: RigSettings) -> str:
 def show(settings: RigSettings, console: Console) -> None:
     """Print the resolved rig, then the frames that load its bus."""
     rig = Table(title=f"rig {settings.rig}", title_justify="left", box=None)
-    rig.add_column("key", no_wrap=True)
-    rig.add_column("value", overflow="fold")
-    rig.add_column("unit", no_wrap=True)
-    rig.add_column("meaning")
+    narrow = console.width < NARROW
+    rig.add_column("key", overflow="fold", max_width=max(NARROWEST_VALUE, console.width - NARROWEST_VALUE - 4))
+    rig.add_column("value", overflow="fold", min_width=NARROWEST_VALUE)
+    if not narrow:
+        rig.add_column("unit", no_wrap=True)
+        rig.add_column("meaning")
     for section in type(settings).model_fields:
         value = getattr(settings, section)
         if section == "plain":
             continue
         if isinstance(value, Settings):
-            _add_section(rig, section, value)
+            _add_section(rig, section, value, narrow)
         elif value is None:
             rig.add_row(f"[bold]{section}[/]", "not in the file")
     console.print(rig)
@@ -65,14 +70,17 @@ def show(settings: RigSettings, console: Console) -> None:
         )
         for signal in message.signals.values():
             console.print(f"  {signal}", highlight=False)
-    frames = Table("frame", "bytes", "per second", "bit/s at worst", title="bus", title_justify="left", box=None)
+    frames = Table(title="bus", title_justify="left", box=None)
+    frames.add_column("frame", overflow="fold")
+    for column in ("bytes", "per second", "bit/s at worst"):
+        frames.add_column(column)
     for item in busload.traffic(settings):
         frames.add_row(item.name, str(item.size), f"{item.rate_hz:g}", f"{item.bit_s:.0f}")
     console.print(frames)
     console.print(verdict(settings), highlight=False)
 
 
-def _add_section(table: Table, section: str, settings: Settings) -> None:
+def _add_section(table: Table, section: str, settings: Settings, narrow: bool) -> None:
     table.add_row(f"[bold]{section}[/]")
     unused = _OF_CANOPEN if getattr(settings, "dbc", None) else ()
     for key, info in type(settings).model_fields.items():
@@ -80,7 +88,7 @@ def _add_section(table: Table, section: str, settings: Settings) -> None:
             continue
         found = getattr(settings, key)
         if isinstance(found, Settings):
-            _add_section(table, f"  {section}.{key}", found)
+            _add_section(table, f"  {section}.{key}", found, narrow)
             continue
         text = "-" if found is None else f"{found:g}" if isinstance(found, float) else str(found)
-        table.add_row(f"  {key}", text, config_wording.unit_of(key), info.description or "")
+        table.add_row(f"  {key}", text, *(() if narrow else (config_wording.unit_of(key), info.description or "")))

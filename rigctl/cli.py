@@ -7,10 +7,10 @@ from typing import cast
 
 import typer
 
-from rigctl import daemon
+from rigctl import daemon, standard_output
 from rigctl.commission import command as commission
 from rigctl.design import command as design
-from rigctl.operator import status, verbs, watch
+from rigctl.operator import lease, status, verbs, watch
 
 app = typer.Typer(
     name="rigctl",
@@ -26,9 +26,10 @@ for command in (daemon.run, daemon.demo, daemon.check):
 app.command()(design.tune)
 app.command()(status.status)
 app.command()(watch.watch)
+app.command()(lease.lease)
 for verb in (verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset):
     app.command()(verb)
-for trial in (commission.tare, commission.calibrate, commission.identify):
+for trial in (commission.tare, commission.calibrate, commission.identify, commission.gains):
     app.command()(trial)
 # A negative number is a number here, not an option.
 app.command(context_settings={"ignore_unknown_options": True})(verbs.target)
@@ -38,7 +39,8 @@ _UsageError = cast("type[typer.BadParameter]", typer.BadParameter.__bases__[0])
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run one command and exit: 0 done, 1 refused or no daemon, 2 wrong usage."""
+    """Run one command and exit: 0 done, 1 refused or no daemon, 2 wrong usage or an output that cannot be written."""
+    standard_output.guard()
     try:
         code = app(args=arguments, standalone_mode=False)
     except _UsageError as error:
@@ -48,6 +50,9 @@ def main(arguments: list[str] | None = None) -> None:
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("rigctl: interrupted; the rig goes on by itself\n")
         code = 1
+    if unsaid := standard_output.complaint():
+        sys.stderr.write(f"rigctl: {unsaid}\n")
+        code = 2
     raise SystemExit(code)
 
 

@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from rigctl import strict_yaml
 from rigctl.config_base import Settings, require
+from rigctl.config_limits import LimitSettings
 from rigctl.config_simulation import SimulationSettings
 from rigctl.config_wording import Wording
 from rigctl.devices.objects import SIMULATOR_NODE
@@ -232,7 +233,7 @@ class DesignSettings(Settings):
 
 
 class SafetySettings(Settings):
-    """First safety table: every reaction is hold, latched."""
+    """The built-in rows of the safety table, which cannot be left out; ``limits`` adds to them."""
 
     tension_high_n: float = Field(gt=0, le=100_000, description="trip above, any mode")
     tension_low_n: float = Field(ge=0, le=100_000, description="trip below, while COMPENSATING")
@@ -240,6 +241,9 @@ class SafetySettings(Settings):
     stale_ms: int = Field(ge=1, le=1000, description="oldest tension or drive sample the loop acts on")
     inclination_stale_ms: int = Field(ge=10, le=5000, description="oldest inclination the loop acts on")
     bus_silent_ms: int = Field(ge=1, le=1000, description="no frame at all for this long")
+    stuck_samples: int = Field(
+        default=20, ge=0, le=10_000, description="equal samples of the cell in a row that are a fault; 0 = never"
+    )
     overrun_ticks: int = Field(ge=1, le=1000, description="periods skipped ...")
     overrun_window_ms: int = Field(ge=10, le=60_000, description="... within this time")
 
@@ -267,6 +271,7 @@ class TelemetrySettings(Settings):
     listen: str = Field(default="tcp/127.0.0.1:7447", pattern=r"^(tcp|unixsock-stream)/\S+$", description="endpoint")
     rate_hz: int = Field(default=50, ge=1, le=100, description="state messages and fast blocks per second")
     history_s: int = Field(default=16, ge=10, le=120, description="records the ring holds")
+    lease_s: int = Field(default=300, ge=15, le=28_800, description="after a command others are kept out so long")
 
 
 class DemoSettings(Settings):
@@ -305,6 +310,7 @@ class RigSettings(Settings):
     run_out: RunOutSettings | None = None
     design: DesignSettings
     safety: SafetySettings
+    limits: list[LimitSettings] = Field(default_factory=list)
     calibration: CalibrationSettings | None = None
     telemetry: TelemetrySettings = Field(default_factory=TelemetrySettings)
     demo: DemoSettings | None = None
@@ -394,15 +400,9 @@ def load(path: str | pathlib.Path) -> RigSettings:
     """
     file = pathlib.Path(path)
     try:
-        text = file.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError([f"{file}: cannot be read: {error.strerror}"]) from None
-    except UnicodeDecodeError as error:
-        raise ConfigError([f"{file}: not UTF-8 text (byte {error.start})"]) from None
-    try:
-        document = strict_yaml.load(text)
-    except strict_yaml.StrictYamlError as error:
-        raise ConfigError([f"{file}:{error.line}: {error.message}"]) from None
+        document = strict_yaml.read(file)
+    except strict_yaml.FileError as error:
+        raise ConfigError([str(error)]) from None
     if not isinstance(document.data, dict):
         raise ConfigError([f"{file}:1: found {type(document.data).__name__}, allowed a mapping of sections"])
     for key in _ADDED & document.data.keys():

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rigctl.operator.options import BAD, DONE, USAGE, Json, end, say, say_json
+from rigctl import output_file
+from rigctl.operator.options import BAD, DONE, USAGE, Json, check_output, end, say, say_json
 
 if TYPE_CHECKING:
     from rigctl.config import RigSettings
@@ -100,10 +101,9 @@ def demo(
     from rigctl.demo.script import DemoError
 
     assert settings.demo is not None
-    if json is not None and not json.parent.is_dir():
-        end(USAGE, f"--json: {json}: there is no folder {json.parent}")
-    if json is not None and json.is_dir():
-        end(USAGE, f"--json: found the folder {json}, allowed a file")
+    if json is not None and json.resolve() == file.resolve():
+        end(USAGE, f"--json: {json} is the rig file, allowed a file of its own")
+    check_output("--json", json)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended in order, as by Ctrl-C
     try:
         summary = play(settings, settings.demo, Console(), lockstep=lockstep)
@@ -112,5 +112,9 @@ def demo(
     except KeyboardInterrupt:
         end(BAD, "demo interrupted: its daemon held the stroke, and its processes are ended")
     if json is not None:
-        json.write_bytes(msgspec.json.format(msgspec.json.encode(summary.as_dict()), indent=2) + b"\n")
+        text = msgspec.json.format(msgspec.json.encode(summary.as_dict()), indent=2).decode()
+        try:
+            output_file.write(json, text + "\n")
+        except output_file.OutputError as error:
+            end(USAGE, str(error))
     raise typer.Exit(DONE if summary.passed else BAD)

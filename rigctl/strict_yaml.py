@@ -6,6 +6,7 @@ silently. Here each of these is refused with the line it stands on, so that a ri
 
 from __future__ import annotations
 
+import pathlib
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,11 @@ _FLOAT = re.compile(r"[-+]?(0|[1-9][0-9]*)\.[0-9]+([eE][-+][0-9]+)?\Z")
 _NUMBER_LIKE = re.compile(r"[-+]?(\.?[0-9]|\.(inf|nan)\b)|(nan|inf)\Z", re.IGNORECASE)
 _BARE_NUMBER = re.compile(r"[-+.0-9eExXoObB_:a-fA-F]*\Z")
 LONGEST_NUMBER = 40
+LARGEST_BYTES = 200_000
+"""Of a file: twenty times the longest we ship. What is larger is no settings file, and takes seconds to read."""
+MOST_VALUES = 20_000
+"""Of a document, every alias written out: a few lines of aliases can stand for millions of values."""
+_COLLECTIONS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
 _YAML_1_1_BOOL = frozenset({"yes", "no", "on", "off", "y", "n"})
 
 
@@ -29,6 +35,10 @@ class StrictYamlError(ValueError):
         super().__init__(message)
         self.line = line
         self.message = message
+
+
+class FileError(ValueError):
+    """A file that holds no document this loader accepts; ``str()`` is one line that names it."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +53,38 @@ class Document:
         while path and path not in self.lines:
             path = path[:-1]
         return self.lines.get(path, 1)
+
+
+def read(file: pathlib.Path) -> Document:
+    """Read a file that holds one document, see `load`.
+
+    Raises:
+        FileError: as `text_of`, or it holds no such document.
+    """
+    try:
+        return load(text_of(file))
+    except StrictYamlError as error:
+        raise FileError(f"{file}:{error.line}: {error.message}") from None
+
+
+def text_of(file: pathlib.Path) -> str:
+    """The text of a settings file.
+
+    Raises:
+        FileError: it cannot be read or is too large, or is no UTF-8 text.
+    """
+    try:
+        if file.exists() and not file.is_file() and not file.is_dir():  # a pipe may never end, nor even begin
+            raise FileError(f"{file}: cannot be read: not a file")
+        with file.open("rb") as opened:
+            data = opened.read(LARGEST_BYTES + 1)
+        if len(data) > LARGEST_BYTES:
+            raise FileError(f"{file}: found more than {LARGEST_BYTES} bytes, allowed a settings file")
+        return data.decode()
+    except OSError as error:
+        raise FileError(f"{file}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise FileError(f"{file}: not UTF-8 text (byte {error.start})") from None
 
 
 def load(text: str) -> Document:
@@ -71,6 +113,12 @@ def load(text: str) -> Document:
 
 def _value(node: yaml.Node, path: Path, lines: dict[Path, int]) -> Any:
     lines.setdefault(path, node.start_mark.line + 1)
+    if len(lines) > MOST_VALUES:
+        line = node.start_mark.line + 1
+        raise StrictYamlError(line, f"found more than {MOST_VALUES} values, allowed a settings file")
+    if not isinstance(node, yaml.ScalarNode) and node.tag not in _COLLECTIONS:
+        where = dotted(path) or "file"
+        raise StrictYamlError(node.start_mark.line + 1, f"{where}: found the tag {node.tag}, allowed no tags")
     if isinstance(node, yaml.MappingNode):
         return _mapping(node, path, lines)
     if isinstance(node, yaml.SequenceNode):

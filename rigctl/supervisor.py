@@ -29,7 +29,7 @@ from rigctl.devices import busload
 from rigctl.devices.objects import DriveState, drive_state
 from rigctl.telemetry.events import worded
 from rigctl.telemetry.ring import RingReader
-from rigctl.telemetry.runtime import AlreadyRunningError, Runtime
+from rigctl.telemetry.runtime import ACTIVE, AlreadyRunningError, Runtime
 
 POLL_S = 0.05
 START_LIMIT_S = 20.0
@@ -63,7 +63,6 @@ class Supervisor:
         self.settings = settings
         self._say = say
         self._runtime = Runtime.of(settings.rig)
-        self._gains_line = b""
         self._stopping = False
         self._feed_at_ns = 0
         self._children: dict[str, Child] = {}
@@ -107,7 +106,7 @@ class Supervisor:
             "pid": os.getpid(),
             "bus_load": busload.bus_load(settings),
         }
-        self._runtime.write_json("active.json", self._active)
+        self._runtime.write_json(ACTIVE, self._active)
         self._say_calibration()
         self._spawn("control", "rigctl.control")
         self._spawn("gateway", "rigctl.telemetry.gateway")
@@ -145,8 +144,7 @@ class Supervisor:
         self._say(f"design: {design.verdict()}")
         for warning in design.warnings():
             self._say(f"WARNING: design: {warning}")
-        self._runtime.write_json("active.json", self._active)
-        self._gains_line = msgspec.json.encode(design.gains) + b"\n"
+        self._runtime.write_json(ACTIVE, self._active)
 
     def _say_calibration(self) -> None:
         """What the ledger says of the cell, for the operator; from `_put_calibration`."""
@@ -181,10 +179,12 @@ class Supervisor:
         self._children[name] = Child(name, process, time.monotonic(), failures)
 
     def _send_gains(self) -> None:
+        """Those in force, which may have been changed since the start."""
         stdin: IO[bytes] | None = self._children["control"].process.stdin
+        gains = self._runtime.read_json(ACTIVE)["design"]["gains"]
         if stdin is not None:
             with contextlib.suppress(BrokenPipeError):
-                stdin.write(self._gains_line)
+                stdin.write(msgspec.json.encode(gains) + b"\n")
                 stdin.flush()
 
     # -- watch ----------------------------------------------------------------------------------------------

@@ -1,8 +1,57 @@
-"""What holds for every test: hypothesis judges results, not how long a busy machine took for them."""
+"""What holds for every test: hypothesis judges results, not how long a busy machine took for them.
+
+Tests that run real processes in real time (``real_time``) have the machine for themselves; all others share it.
+"""
 
 from __future__ import annotations
 
+import pathlib
+import subprocess
+import sys
+from collections.abc import Callable
+
+import pytest
 from hypothesis import settings
+
+HERE = pathlib.Path(__file__).parent
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
+REAL_TIME = frozenset({"guest", "system", "telemetry"})
+"""Folders whose tests are, but those marked ``simulated_time``; elsewhere a file says so itself."""
 
 settings.register_profile("rigctl", deadline=None)
 settings.load_profile("rigctl")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what lies in the folders of real-time tests."""
+    for item in items:
+        if item.path.relative_to(HERE).parts[0] in REAL_TIME and not item.get_closest_marker("simulated_time"):
+            item.add_marker(pytest.mark.real_time)
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """``in_process("rigctl" | "hil", *words)``: the command without a process of its own, which proves as much.
+
+    It is run in the project's folder, for a reader without a terminal, 80 columns wide.
+    """
+
+    def run(program: str, *words: object) -> subprocess.CompletedProcess[str]:
+        from hil.__main__ import main as hil
+        from rigctl.cli import main as rigctl
+
+        arguments = [str(word) for word in words]
+        monkeypatch.chdir(HERE.parent)
+        monkeypatch.setenv("COLUMNS", "80")
+        monkeypatch.setattr(sys, "argv", [program, *arguments])
+        capsys.readouterr()
+        if program == "hil":
+            code: int | str | None = hil()
+        else:
+            with pytest.raises(SystemExit) as ended:
+                rigctl(arguments)
+            code = ended.value.code
+        said = capsys.readouterr()
+        return subprocess.CompletedProcess([program, *arguments], int(code or 0), said.out, said.err)
+
+    return run

@@ -13,8 +13,9 @@ from hil.compare import plots, study, tables
 from hil.compare.rivals import CONTROLLERS, OURS
 from hil.compare.scenarios import scenarios
 from hil.progress import progress
-from hil.scenario.command import check_folder, check_writable, simulated_rig
+from hil.scenario.command import check_folder, check_outputs, simulated_rig
 from hil.scenario.errors import ScenarioError
+from rigctl import output_file
 
 WIDTH = 100
 
@@ -39,29 +40,25 @@ def run(
         0 when it ran to its end; 1 when ours tripped or was unstable anywhere. A limit missed is in the table.
 
     Raises:
-        ScenarioError: bad input, a rig that cannot be simulated, or a file that cannot be written.
+        ScenarioError: bad input, or a rig that cannot be simulated.
+        OutputError: a file that cannot be written.
     """
     rig = simulated_rig(rig_file)
     laws = [name for part in controllers for name in part.split(",")]
     chosen = [scenario for scenario in scenarios(rig) if not only or scenario.name in only]
     _known("--only", only, [scenario.name for scenario in scenarios(rig)])
     _known("--controllers", laws, [controller.name for controller in CONTROLLERS])
-    check_writable("--json", json)
+    check_outputs({"--json": json}, [rig_file])
     check_folder("--plots", folder, plots.FIRST)
     total_s = sum(scenario.seconds for scenario in chosen) * (len(set(laws)) or len(CONTROLLERS))
     with progress("the comparison", total_s) as advance:
         found = study.run(rig, only, laws, advance)
     terminal = Console()
     tables.show(found, Console(width=WIDTH) if not terminal.is_terminal or terminal.width > WIDTH else terminal)
-    try:
-        if json is not None:
-            json.write_text(
-                json_codec.dumps(tables.document(found), indent=2, allow_nan=False) + "\n", encoding="utf-8"
-            )
-        for file in plots.save(found, folder) if folder is not None else ():
-            sys.stdout.write(f"{file}\n")
-    except OSError as error:
-        raise ScenarioError([f"{error.filename}: cannot be written: {error.strerror}"]) from None
+    if json is not None:
+        output_file.write(json, json_codec.dumps(tables.document(found), indent=2, allow_nan=False) + "\n")
+    for file in plots.save(found, folder) if folder is not None else ():
+        sys.stdout.write(f"{file}\n")
     return 1 if any(who == OURS and not result.whole for (_, who), result in found.results.items()) else 0
 
 

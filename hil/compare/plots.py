@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 
 from hil.compare.rivals import OURS, PASSIVE
 from hil.compare.study import SETTLED_PCT, Study
+from rigctl import output_file
 
 FIRST = "eta_max.png"
 _COLORS = {
@@ -37,7 +38,7 @@ def save(study: Study, folder: pathlib.Path) -> list[pathlib.Path]:
     """Write the bar chart, and a picture of the traces that were run; returns their names.
 
     Raises:
-        OSError: the folder cannot be written.
+        OutputError: the folder cannot be written.
     """
     written = [folder / FIRST]
     _bars(study, written[0])
@@ -69,14 +70,15 @@ def _bars(study: Study, file: pathlib.Path) -> None:
                 axis.plot([most, most], [y - 0.46, y + 0.46], color="#d00000", linewidth=1.3, label="_")
     axis.plot([], [], color="#d00000", linewidth=1.3, label="limit of ours")
     axis.set_xscale("log")
-    axis.set_xlim(left=1e-3)
+    axis.set_xlim(1e-3, 1.3 * axis.get_xlim()[1])  # where a bar ends must be seen
     axis.set_yticks(places, [scenario.title for scenario in study.scenarios])
     axis.set_ylim(-0.6, rows - 0.4)
     axis.set_xlabel("largest error of the vertical force, %")
     axis.grid(visible=True, axis="x", which="major", alpha=0.35)
     axis.set_axisbelow(True)
     figure.legend(loc="outside upper center", ncols=count + 1, frameon=False, fontsize=9)
-    figure.savefig(file, dpi=110)
+    with output_file.writing(file):
+        figure.savefig(file, dpi=110)
     plt.close(figure)
 
 
@@ -90,7 +92,9 @@ def _trace(study: Study, name: str, file: pathlib.Path) -> None:
         rows, columns, figsize=(3.4 * columns, 2.7 * rows + 0.6), sharex=True, sharey=True, squeeze=False,
         layout="constrained",
     )  # fmt: skip
-    figure.suptitle(f"{title} (behind: passive and ours)")
+    behind = [who for who in (PASSIVE, OURS) if (name, who) in study.results]
+    band = f"; band: {SETTLED_PCT:g} %" if name == "jolt" else ""
+    figure.suptitle(title + (f" (faint: {' and '.join(behind)}{band})" if behind else ""))
     for axis, law in zip(axes.flat, laws, strict=False):
         for who in dict.fromkeys((PASSIVE, OURS, law.name)):
             if (name, who) in study.results:
@@ -109,7 +113,8 @@ def _trace(study: Study, name: str, file: pathlib.Path) -> None:
     if name == "jolt":
         for axis in axes.flat[: len(laws)]:
             axis.axhspan(-SETTLED_PCT, SETTLED_PCT, color="#2a9d8f", alpha=0.15, linewidth=0.0)
-    figure.savefig(file, dpi=110)
+    with output_file.writing(file):
+        figure.savefig(file, dpi=110)
     plt.close(figure)
 
 

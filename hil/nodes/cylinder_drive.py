@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from hil.nodes.deadline import Deadline
 from hil.nodes.device_control import QUICK_STOP_OPTIONS, DeviceControl
 from hil.nodes.dictionary import Abort, number, refuse
 from hil.nodes.encoder import Encoder
 from hil.nodes.network import RigNetwork
-from hil.nodes.node import COMMUNICATION_ERROR, Node
+from hil.nodes.node import COMMUNICATION_ERROR, GENERIC_ERROR, Node
 from hil.nodes.pdo import ReceivePdo
-from hil.nodes.power_stage import PowerStage
+from hil.nodes.power_stage import Phase, PowerStage
 from hil.plant import Plant
 from rigctl.config import RigSettings
 from rigctl.config_simulation import SimulationSettings
@@ -22,6 +24,7 @@ MODES = frozenset({0, objects.CYCLIC_SYNCHRONOUS_VELOCITY})
 _STATUS_ALWAYS = 0x0210  # voltage enabled, remote
 _STATUS_FOLLOWS = 0x1000  # bit 12 in CSV: drive follows the command value
 _INT16_MAX = 0x7FFF
+_FAULT_REACTION = 1  # as of 0x6007: react as 0x605E says
 
 
 class CylinderDrive(Node):
@@ -48,6 +51,8 @@ class CylinderDrive(Node):
         self._error_code = 0
         self._received: bytes | None = None
         self._rpdo: ReceivePdo | None = None
+        self.defect: Callable[[float, bool], tuple[float, bool]] | None = None
+        """Of motor and brake: speed (mm/s) and whether the brake holds, as they are, of what they should be."""
         self.readers.update(
             {
                 (objects.STATUSWORD, 0): self._statusword,
@@ -92,7 +97,10 @@ class CylinderDrive(Node):
 
     def _drive(self) -> None:
         stage = self.control.stage
-        self.plant.set_drive(stage.velocity_mm_s, stage.braked)
+        if self.defect is None:
+            self.plant.set_drive(stage.velocity_mm_s, stage.braked)
+        else:
+            self.plant.set_drive(*self.defect(stage.velocity_mm_s, stage.braked))
 
     def _on_rpdo(self, _: int, data: bytes, __: float) -> None:
         rpdo = self._rpdo
@@ -170,6 +178,17 @@ class CylinderDrive(Node):
     def _on_heartbeat(self, _: int, data: bytes, __: float) -> None:
         if data and data[0] != NmtState.BOOT_UP:
             self._heartbeat.heard()
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the motor has been told to stop for good: it brakes, or its brake closes or is closed."""
+        return self.control.stage.phase not in (Phase.OPENING, Phase.DRIVING)
+
+    def trip(self, code: int) -> None:
+        """A fault of the drive itself: emergency, and the fault reaction (0x605E)."""
+        self._error_code = code
+        self.raise_error(code, GENERIC_ERROR)
+        self.control.lose_connection(_FAULT_REACTION, self.now_ns)
 
     def _lose_connection(self, code: EmcyCode) -> None:
         self._error_code = code

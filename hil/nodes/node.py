@@ -237,6 +237,12 @@ class Node:
         if self._errors.pop(code, None) is not None:
             self._send_emergency(objects.EmcyCode.NO_ERROR)
 
+    def distort(self, index: int, subindex: int, how: Callable[[int], int]) -> None:
+        """A defect of the device: from now on an object reads as ``how`` makes it of its value."""
+        reader = self.readers[index, subindex]
+        self.readers[index, subindex] = lambda: how(reader())
+        self._tpdo = None
+
     @property
     def errors(self) -> tuple[int, ...]:
         """Emergency codes of the errors present, oldest first."""

@@ -10,8 +10,8 @@ from rich.console import Console
 
 from hil.paper import claims, plots, study, tables
 from hil.progress import progress
-from hil.scenario.command import check_folder, check_writable, simulated_rig
-from hil.scenario.errors import ScenarioError
+from hil.scenario.command import check_folder, check_outputs, simulated_rig
+from rigctl import output_file
 
 
 def run(rig_file: pathlib.Path, json: pathlib.Path | None, folder: pathlib.Path | None) -> int:
@@ -26,20 +26,18 @@ def run(rig_file: pathlib.Path, json: pathlib.Path | None, folder: pathlib.Path 
         0 when every row agrees, or differs for a reason that is known and printed; else 1.
 
     Raises:
-        ScenarioError: bad input, a rig that cannot be simulated, or a file that cannot be written.
+        ScenarioError: bad input, or a rig that cannot be simulated.
+        OutputError: a file that cannot be written.
     """
     rig = simulated_rig(rig_file)
-    check_writable("--json", json)
+    check_outputs({"--json": json}, [rig_file])
     check_folder("--plots", folder, plots.FIRST)
     with progress("the paper's study", study.runs()) as advance:
         found = study.run(rig, lambda name: advance(1.0, f"{name} done"))
     rows = claims.judge(found.passive)
     tables.show(rows, found, Console())
-    try:
-        if json is not None:
-            json.write_text(json_codec.dumps(tables.document(rows, found), indent=2) + "\n", encoding="utf-8")
-        for file in plots.save(found, folder) if folder is not None else ():
-            sys.stdout.write(f"{file}\n")
-    except OSError as error:
-        raise ScenarioError([f"{error.filename}: cannot be written: {error.strerror}"]) from None
+    if json is not None:
+        output_file.write(json, json_codec.dumps(tables.document(rows, found), indent=2) + "\n")
+    for file in plots.save(found, folder) if folder is not None else ():
+        sys.stdout.write(f"{file}\n")
     return 0 if all(row.explained for row in rows) else 1

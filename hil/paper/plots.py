@@ -15,6 +15,7 @@ from hil.paper.cases import FIGURE_9, NO_SPRING, SPEEDS_DEG_S, STIFFNESSES_N_MM,
 from hil.paper.claims import ETA_PCT, TARGET_N
 from hil.paper.signals import Floats, Signals
 from hil.paper.study import Study
+from rigctl import output_file
 
 _PANELS: dict[str, tuple[str, Callable[[Signals], Floats]]] = {
     "vertical": ("vertical tension, N", lambda run: run.vertical_n),
@@ -54,7 +55,7 @@ def save(study: Study, folder: pathlib.Path) -> list[pathlib.Path]:
     """Write one PNG per figure; returns their names.
 
     Raises:
-        OSError: the folder cannot be written.
+        OutputError: the folder cannot be written.
     """
     titles = {case.name: case.title for case in cases()}
     closed = {name: run.signals for name, run in study.closed.items()}
@@ -71,7 +72,8 @@ def save(study: Study, folder: pathlib.Path) -> list[pathlib.Path]:
         for axis in axes[-1]:
             axis.set_xlabel("time, s")
         written.append(folder / f"{name}.png")
-        figure.savefig(written[-1], dpi=110)
+        with output_file.writing(written[-1]):
+            figure.savefig(written[-1], dpi=110)
         plt.close(figure)
     written.append(folder / "fig6.png")
     _figure_6(study, written[-1])
@@ -103,5 +105,6 @@ def _figure_6(study: Study, file: pathlib.Path) -> None:
         axis.set_xlabel("stiffness, N/mm")
         axis.grid(visible=True, alpha=0.3)
         axis.legend(fontsize=8)
-    figure.savefig(file, dpi=110)
+    with output_file.writing(file):
+        figure.savefig(file, dpi=110)
     plt.close(figure)

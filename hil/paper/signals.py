@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from hil.scenario.figures import first_peak
+
 Floats = npt.NDArray[np.float64]
 
 PLATEAU_S = 10.0
 """The continuous following stage is looked at from here to the end."""
-FALL_BACK = 0.05
-"""A maximum of more than half the whole rise counts as the first peak once this share of its rise is given back."""
 
 
 class Signals(NamedTuple):
@@ -52,9 +53,5 @@ class Signals(NamedTuple):
 
     def first_peak_s(self) -> float:
         """When the vertical force first turns back: the end of the initial following stage; NaN if it never does."""
-        best = np.maximum.accumulate(self.vertical_n)
-        rise = best - self.vertical_n[0]
-        fallen = np.flatnonzero((rise > 0.5 * rise[-1]) & (self.vertical_n < best - FALL_BACK * rise))
-        if not len(fallen):
-            return float("nan")
-        return float(self.t_s[np.argmax(self.vertical_n[: fallen[0]])])
+        at = first_peak(self.vertical_n)
+        return math.nan if at is None else float(self.t_s[at])

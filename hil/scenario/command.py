@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_codec
-import os
 import pathlib
 import sys
 
@@ -15,7 +14,7 @@ from hil.scenario.case import Case, load
 from hil.scenario.errors import ScenarioError
 from hil.scenario.play import Played, play
 from hil.scenario.plot import SUFFIXES, plot
-from rigctl import config
+from rigctl import config, output_file
 from rigctl.config import RigSettings
 
 STANDARD_OUTPUT = pathlib.Path("-")
@@ -30,31 +29,26 @@ def run(file: pathlib.Path, json: pathlib.Path | None, picture: pathlib.Path | N
         picture: where the picture goes.
 
     Raises:
-        ScenarioError: bad input, or a file that cannot be written.
+        ScenarioError: bad input.
+        OutputError: a file that cannot be written.
     """
     case = load(file)
     if picture is not None and picture.suffix.lower() not in SUFFIXES:
         raise ScenarioError([f"--plot: found {picture}, allowed a name ending in {', '.join(SUFFIXES)}"])
-    check_writable("--json", None if json == STANDARD_OUTPUT else json)
-    check_writable("--plot", picture)
+    inputs = [file, file.parent / case.scenario.rig]
+    check_outputs({"--json": None if json == STANDARD_OUTPUT else json, "--plot": picture}, inputs)
     played = _play(case)
     said = output.as_dict(case, played)
     text = json_codec.dumps(said, indent=2, allow_nan=False) + "\n"
-    try:
-        if json is not None and json != STANDARD_OUTPUT:
-            json.write_text(text, encoding="utf-8")
-        if picture is not None:
+    if json is not None and json != STANDARD_OUTPUT:
+        output_file.write(json, text)
+    if picture is not None:
+        with output_file.writing(picture):
             plot(case, played, picture)
-    except OSError as error:
-        raise ScenarioError([f"{error.filename or picture}: cannot be written: {error.strerror}"]) from None
-    try:
-        if json == STANDARD_OUTPUT:
-            sys.stdout.write(text)
-        else:
-            output.show(said, Console(soft_wrap=True))
-        sys.stdout.flush()
-    except BrokenPipeError:  # whoever read it has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if json == STANDARD_OUTPUT:
+        sys.stdout.write(text)
+    else:
+        output.show(said, Console(soft_wrap=True))
     return 1 if played.ended.tripped else 0
 
 
@@ -72,17 +66,25 @@ def _play(case: Case) -> Played:
         )
 
 
-def check_writable(option: str, file: pathlib.Path | None) -> None:
-    """Refuse before a long run what could not be written after it."""
-    if file is None:
-        return
-    new = not file.exists()
-    try:
-        file.open("ab").close()
-        if new:
-            file.unlink()
-    except OSError as error:
-        raise ScenarioError([f"{option}: {file} cannot be written: {error.strerror}"]) from None
+def check_outputs(outputs: dict[str, pathlib.Path | None], inputs: list[pathlib.Path]) -> None:
+    """Refuse before a long run what could not be written after it, or would be written over.
+
+    Args:
+        outputs: files by option.
+        inputs: files that were read.
+
+    Raises:
+        ScenarioError: two outputs are one file, or one is an input.
+        OutputError: one cannot be written.
+    """
+    taken = {file.resolve() for file in inputs}
+    for option, file in outputs.items():
+        if file is None:
+            continue
+        if file.resolve() in taken:
+            raise ScenarioError([f"{option}: {file} is in use already, allowed a file of its own"])
+        taken.add(file.resolve())
+        output_file.check(option, file)
 
 
 def check_folder(option: str, folder: pathlib.Path | None, first: str) -> None:
@@ -93,7 +95,7 @@ def check_folder(option: str, folder: pathlib.Path | None, first: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ScenarioError([f"{option}: {folder} cannot be made: {error.strerror}"]) from None
-    check_writable(option, folder / first)
+    output_file.check(option, folder / first)
 
 
 def simulated_rig(rig_file: pathlib.Path) -> RigSettings:

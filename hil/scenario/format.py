@@ -99,13 +99,9 @@ def read_yaml(file: pathlib.Path) -> strict_yaml.Document:
         ScenarioError: it cannot be read, is no text, no YAML, or something else than a mapping.
     """
     try:
-        document = strict_yaml.load(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ScenarioError([f"{file}: cannot be read: {error.strerror}"]) from None
-    except UnicodeDecodeError as error:
-        raise ScenarioError([f"{file}: not UTF-8 text (byte {error.start})"]) from None
-    except strict_yaml.StrictYamlError as error:
-        raise ScenarioError([f"{file}:{error.line}: {error.message}"]) from None
+        document = strict_yaml.read(file)
+    except strict_yaml.FileError as error:
+        raise ScenarioError([str(error)]) from None
     if not isinstance(document.data, dict):
         raise ScenarioError([f"{file}:1: found {type(document.data).__name__}, allowed a mapping of keys"])
     return document

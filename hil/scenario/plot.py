@@ -50,6 +50,8 @@ def plot(case: Case, played: Played, file: pathlib.Path) -> None:
     for axis in axes.flat:
         for window in case.scenario.windows.values():
             axis.axvspan(window.from_s, window.to_s, color=_GREY, alpha=0.12, linewidth=0.0)
+            for edge_s in (window.from_s, window.to_s):  # one window may begin where another ends
+                axis.axvline(edge_s, color=_GREY, linewidth=0.6, alpha=0.6)
         if played.ended.tripped_at_s is not None:
             axis.axvline(played.ended.tripped_at_s, color=_ALARM, linewidth=1.0, label="trip")
         axis.grid(visible=True, axis="both" if axis.get_zorder() == 0 else "x", color="#e4e4e4", linewidth=0.6)

@@ -8,23 +8,28 @@ from __future__ import annotations
 
 import contextlib
 import queue
+import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy.typing as npt
 
-from rigctl.commission import findings, ledger
+from rigctl.commission import findings, ledger, left_over
 from rigctl.commission.findings import Finding, FindingError, Measured
-from rigctl.commission.ledger import IN_FORCE, LedgerError, Standing, in_force
+from rigctl.commission.ledger import IN_FORCE, Entry, LedgerError, Standing, in_force
+from rigctl.commission.left_over import LeftOver
 from rigctl.config import RigSettings
-from rigctl.control.modes import Verb
+from rigctl.control.modes import Setting, Verb
+from rigctl.design.admission import NotAdmittedError, admit
 from rigctl.telemetry.request import Request
-from rigctl.telemetry.runtime import Runtime
+from rigctl.telemetry.ring import RingError
+from rigctl.telemetry.runtime import ACTIVE, Runtime
 
 LOOK_NS = 500_000_000  # how often what is in force is looked at
+SETTLE_NS = 2_000_000_000  # by then the loop has taken what it is told, or never will
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,7 @@ class Filed:
     standing: Standing | None = None
     reason: str = ""
     text: str = ""
+    design: dict[str, Any] | None = None  # of other gains
 
 
 class Clerk:
@@ -44,7 +50,10 @@ class Clerk:
         self._runtime, self._settings = runtime, settings
         self._work: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._serve, name="clerk", daemon=True)
-        self._look_ns = 0
+        self._showing = threading.Lock()
+        self._look_ns = self._settle_ns = 0
+        self._seen_ledger = self._tell_overdue = False
+        self._left_over: LeftOver | None = None
         self.standing = in_force(runtime)
         self._thread.start()
 
@@ -69,45 +78,101 @@ class Clerk:
 
     def put_in_force(self, filed: Filed) -> None:
         """The loop has taken it."""
+        if filed.design is not None:
+            self._runtime.write_json(ACTIVE, {**self._runtime.read_json(ACTIVE), "design": filed.design})
         if filed.standing is not None:
             self._show(filed.standing)
 
-    def overdue(self, now_ns: int, wall_ns: int) -> float | None:
-        """What the loop is to be told of the due date, when that has changed; looked at twice a second."""
+    def unanswered(self, filed: Filed) -> None:
+        """The loop has not said whether it has taken it: what it goes by now tells, see `left_over`."""
+        if filed.standing is not None:
+            self._seen_ledger = False
+
+    def news(self, now_ns: int, wall_ns: int) -> Sequence[tuple[Setting, float]]:
+        """What the loop is to be told of the ledger and its due date; looked at twice a second."""
         if now_ns < self._look_ns:
-            return None
+            return ()
         self._look_ns = now_ns + LOOK_NS
         self.standing = in_force(self._runtime)
+        told = [*self._bring_together(now_ns, wall_ns)]
         passed = self.standing.due is not None and self.standing.due <= ledger.utc(wall_ns)
-        if not passed or self.standing.overdue:
-            return None
-        self._show(replace(self.standing, overdue=True))
-        return float(self.standing.correction.overdue)
+        if passed and not self.standing.overdue:
+            self._show(replace(self.standing, overdue=True))
+            self._tell_overdue = True
+        if self._tell_overdue:
+            self._tell_overdue = False
+            told.append((Setting.OVERDUE, float(self.standing.correction.overdue)))
+        return told
+
+    def _bring_together(self, now_ns: int, wall_ns: int) -> Sequence[tuple[Setting, float]]:
+        """The ledger and what the loop goes by, once after a start and whenever an answer has been missing."""
+        if self._left_over is not None:
+            return self._settle(self._left_over, now_ns)
+        if self._seen_ledger:
+            return ()
+        self._seen_ledger = True
+        try:
+            entries, has = ledger.read(self._settings), left_over.loop_has(self._runtime)
+        except (LedgerError, RingError, OSError) as error:
+            self._say(str(error))
+            return ()
+        found = left_over.find(self._settings, entries, has, self.standing, wall_ns)
+        if found is None:
+            return ()
+        if found.settings is None:
+            self._say("the ledger says something else than what is in force; it holds from the daemon's next start")
+            return ()
+        self._left_over, self._settle_ns = found, now_ns + SETTLE_NS
+        return found.settings
+
+    def _settle(self, found: LeftOver, now_ns: int) -> Sequence[tuple[Setting, float]]:
+        """What was left over is in force once the loop goes by it; if it does not, the entry is withdrawn."""
+        if left_over.loop_has(self._runtime) == found.pair:
+            self._say(f"{found}, left over from before, is in force")
+            self._show(found.standing)
+        elif now_ns < self._settle_ns:
+            return ()
+        else:
+            self._say(f"{found}, left over from before, was not taken by the loop: withdrawn from the ledger")
+            self._work.put(lambda: self._strike_out(found.entry))
+        self._left_over, self._tell_overdue = None, True
+        return ()
 
     def _show(self, standing: Standing) -> None:
-        self.standing = standing
-        self._runtime.write_json(IN_FORCE, standing)
+        with self._showing:
+            self.standing = standing
+            self._runtime.write_json(IN_FORCE, standing)
 
     def _serve(self) -> None:
         while (work := self._work.get()) is not None:
             work()
 
     def _file(self, request: Request, measured: Measured, t_ns: int) -> Filed:
-        settings = self._settings
+        settings, design = self._settings, None
         try:
             if request.verb is Verb.IDENTIFY:
                 finding = findings.identify(settings, request, self._records_of(measured, t_ns), measured.wall_ns)
-                if settings.ledger is None:
-                    return Filed(replace(finding, text=f"{finding.text} (not on record: no calibration section)"))
+            elif request.verb is Verb.GAINS:
+                design = admit(self._runtime, request.gain_file, request.name)
+                before = self._runtime.read_json(ACTIVE)["design"]
+                finding = findings.gains(settings, request, before, design, measured.wall_ns)
             else:
                 find = findings.tare if request.verb is Verb.TARE else findings.calibrate
                 finding = find(settings, request, self.standing, measured)
+            if settings.ledger is None:
+                finding = replace(finding, text=f"{finding.text} (not on record: no calibration section)")
+                return Filed(finding, design=design)
             entries = ledger.append(settings, finding.entry)
         except FindingError as error:
             return Filed(reason="out_of_bounds", text=str(error))
+        except NotAdmittedError as error:
+            return Filed(reason="not_admitted", text=str(error))
         except LedgerError as error:
             return Filed(reason="not_recorded", text=f"{error}; nothing was changed")
-        return Filed(finding, ledger.standing(settings, entries, measured.wall_ns))
+        except Exception as error:  # noqa: BLE001 - the edge of the thread: without an answer no later trial had one
+            what = " ".join(f"{type(error).__name__}: {error}".split())
+            return Filed(reason="out_of_bounds", text=f"the measurement cannot be judged ({what}); nothing was changed")
+        return Filed(finding, ledger.standing(settings, entries, measured.wall_ns), design=design)
 
     def _records_of(self, measured: Measured, t_ns: int) -> npt.NDArray[Any]:
         """The ticks of an excitation that ended at ``t_ns``: its answer's value is how long it took."""
@@ -116,5 +181,17 @@ class Clerk:
 
     def _withdraw(self, filed: Filed) -> None:
         if filed.finding is not None:
-            with contextlib.suppress(LedgerError):  # the operator has been told already that it is not in force
-                ledger.append(self._settings, findings.withdrawn(self._settings, filed.finding.entry, time.time_ns()))
+            self._strike_out(filed.finding.entry)
+
+    def _strike_out(self, given: Entry) -> None:
+        """The ledger says that it was withdrawn; with a calibration check what that had found goes too."""
+        with contextlib.suppress(LedgerError):  # the operator has been told already that it is not in force
+            wall_ns = time.time_ns()
+            entries = ledger.append(self._settings, findings.withdrawn(self._settings, given, wall_ns))
+            if given.passed is not None:
+                self._show(ledger.standing(self._settings, entries, wall_ns))
+                self._tell_overdue = True
+
+    @staticmethod
+    def _say(text: str) -> None:
+        sys.stderr.write(f"gateway: {text}\n")

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from rigctl.operator.lease import give
 from rigctl.operator.options import (
     BAD,
     DONE,
@@ -34,6 +35,7 @@ PLACES = ("hold", "tension")
 Where = Annotated[
     str, typer.Option("--in", metavar="hold|tension", help="As the rope is in HOLD, or only if it is tight.")
 ]
+GainFileArgument = Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Gain file from `rigctl tune`.")]
 OutFile = Annotated[pathlib.Path | None, typer.Option("--file", metavar="FILE", help="Write the entry here too.")]
 
 
@@ -80,17 +82,38 @@ def identify(
     _end(answer, json)
 
 
+def gains(
+    file: GainFileArgument,
+    json: Json = False,
+    connect: Connect = None,
+    rig: Rig = None,
+    operator: Operator = None,
+) -> None:
+    """Act by the gains of a file from `rigctl tune --gains` from now on, in any mode, without a bump.
+
+    Only the design's weights may differ from the file that runs, and the margins are judged as at a start. They hold
+    until the daemon ends; to keep them, name the file as design.gains_file in the rig file.
+    """
+    from rigctl import strict_yaml
+
+    try:
+        text = strict_yaml.text_of(file)
+    except strict_yaml.FileError as error:
+        end(USAGE, str(error))
+    _end(_give("gains", connect, rig, operator, gain_file=text, name=file.name), json)
+
+
 def _show(rows: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
     from rigctl.commission.proposal import rounded
 
-    table = Table("", "in the file", "found", "+-", "", box=None)
+    table = Table("", "in the file", "found", "+- (95 %)", "", "", box=None)
     for row in rows:
         before = "-" if row["before"] is None else f"{row['before']:.4g}"
         found = ("-", "-") if row["found"] is None else rounded(row["found"], row["error"] or 0.0)
-        table.add_row(row["key"], before, *found, row["unit"])
+        table.add_row(row["key"], before, *found, row["unit"], row["why"])
     Console(highlight=False).print(table)
     say("nothing was changed: what is to be believed goes into the rig file by hand")
 
@@ -101,10 +124,18 @@ def _give(
     rig: str | None,
     operator: str | None,
     value: float | None = None,
-    **options: bool,
+    **options: bool | str,
 ) -> dict[str, Any]:
-    with daemon(connect, rig) as client:
-        return client.command(verb, operator_name(operator), value, **options)
+    from concurrent.futures import ThreadPoolExecutor
+
+    # Zenoh's wait for an answer cannot be interrupted, the wait for a thread can.
+    with daemon(connect, rig) as client, ThreadPoolExecutor(1) as pool:
+        name = operator_name(operator)
+        try:
+            return pool.submit(give, client, verb, name, value, **options).result()
+        except KeyboardInterrupt:
+            client.command("hold", name)  # whatever is given ends a trial, and HOLD changes nothing else
+            end(BAD, f"interrupted; {verb} was ended, the stroke is held")
 
 
 def _end(answer: dict[str, Any], json: bool) -> None:

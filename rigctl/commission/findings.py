@@ -17,6 +17,7 @@ from rigctl.commission.ledger import Entry, Standing, entry
 from rigctl.config import CalibrationSettings, RigSettings
 from rigctl.control.correction import SCALE_BOUND, Correction
 from rigctl.control.modes import Setting, Verb
+from rigctl.control.tension import Gains
 from rigctl.telemetry.request import Request
 
 
@@ -121,6 +122,20 @@ def identify(settings: RigSettings, request: Request, records: npt.NDArray[Any],
         figures={"rows": found, "applied": False, "tension_n": float(records["tension_n"].mean())},
     )  # fmt: skip
     return Finding(written, proposal.in_words(found))
+
+
+def gains(
+    settings: RigSettings, request: Request, before: dict[str, Any], after: dict[str, Any], wall_ns: int
+) -> Finding:
+    """Other gains, from the design in force and the one that has been admitted, both as in ``active.json``."""
+    old, new = before["gains"], after["gains"]
+    written = entry(
+        settings, "gains", request.operator, wall_ns, before=old, after=new,
+        figures={key: after[key] for key in ("ms_max", "limit", "waiver", "source")},
+    )  # fmt: skip
+    changed = ", ".join(f"{name} {old[name]:.4g} -> {new[name]:.4g}" for name in new)
+    told = zip((Setting.K_TENSION, Setting.K_SPEED, Setting.K_INTEGRAL), Gains(**new).in_order, strict=True)
+    return Finding(written, f"{changed}; {after['verdict']}", settings=tuple(told))
 
 
 def withdrawn(settings: RigSettings, given: Entry, wall_ns: int) -> Entry:

@@ -1,29 +1,36 @@
 """Drive lag and delay, stiffness, backlash and noise from the records of an excitation. Pure functions of arrays.
 
-The excitation (`rigctl.control.trials.Excitation`) is a rest, then pairs of small steps of speed up and down. Each
-quantity is fitted over all pairs; its standard error is the scatter of the fits to single pairs over the square root of
-their number, so that it holds whatever the noise is like. What is the same in every pair is not in it: the screw's
-pitch error over this stroke (0.003 mm of 0.75 mm is 0.4 % of the stiffness), or how the drive measures its speed (half
-of its period counts as delay).
+The excitation (`rigctl.control.trials.Excitation`) is a rest, then pairs of small steps of speed up and down, of which
+the first feel their way. Each quantity is fitted over all pairs; what is stated with it is its expanded uncertainty at
+95 % (JCGM 100, Student's t for the number of pairs): the scatter of the fits to single pairs, so that it holds whatever
+the noise is like, and what is the same in every pair (the screw's pitch error, the drive's own cycle).
 
-    tau dv/dt = u(t - Td) - v       fitted to the speed the drive reports, delay at any fraction of a tick
-    T = T0 + drift t + k q(s) + c v  q: the stroke behind a play of the width of the backlash
+    tau dv/dt = u(t - Td) - v, ds/dt = v   fitted to the position, which the drive latches at the SYNC
+    T = T0 + drift t + k q(s) + c v        q: the stroke behind a play of the width of the backlash
 
-As in the estimator, a sample latched by the SYNC of tick n - 1 is read in tick n: that one tick is not in ``Td``.
+The speed a drive reports is no such sample but a mean over some time before: its age is what its delay has beyond that
+of the position. As in the estimator, a sample latched by the SYNC of tick n - 1 is read in tick n: that one tick is not
+in ``Td``.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from rigctl.devices.objects import MM_PER_POSITION_UNIT
+
 Array = npt.NDArray[np.float64]
 
 LATCH_TICKS = 1.0
+PITCH_ERROR_MM, PITCH_LEAD_MM = 0.003, 5.0  # of a screw of class C7, as a sine over a turn; no encoder sees it
+DRIVE_CYCLE_S = 0.125e-3  # a servo drive takes a command over at its own cycle, in phase with nobody
+ROUNDING_MM = 2.0 * MM_PER_POSITION_UNIT / math.sqrt(12.0)  # at 95 %, as if it were normal
+SHORTEST = 0.5  # of the longest step: shorter ones feel their way
 MOVING_MM_S = 1e-6
 FEWEST_PAIRS = 3
 _DELAYS = np.arange(0.0, 41.0, 2.0)  # ticks, where the search begins
@@ -40,7 +47,7 @@ class IdentificationError(ValueError):
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value and its standard error."""
+    """A value and its expanded uncertainty at 95 %."""
 
     value: float
     error: float
@@ -63,11 +70,13 @@ class Signals:
 
 @dataclass(frozen=True)
 class Drive:
-    """Lag and delay in s, steady speed over commanded speed."""
+    """Lag and delay in s, steady speed over commanded speed, age of its reported speed in s; stroke in mm by them."""
 
     lag_s: Estimate
     delay_s: Estimate
     gain: Estimate
+    speed_age_s: Estimate
+    stroke: Array
 
 
 @dataclass(frozen=True)
@@ -90,33 +99,83 @@ def pairs_of(command: Array) -> list[slice]:
     rises = moving[(moving > 0) & (np.abs(command[moving - 1]) <= MOVING_MM_S) & (command[moving] > 0.0)]
     if len(rises) < FEWEST_PAIRS:
         raise IdentificationError(f"{len(rises)} pairs of steps in these records, {FEWEST_PAIRS} are needed")
-    length = int(np.min(np.diff(rises)))
-    return [slice(int(rise), min(int(rise) + length, len(command))) for rise in rises]
+    ends = [*rises[1:].tolist(), min(len(command), int(2 * rises[-1] - rises[-2]))]
+    found = [slice(int(rise), end) for rise, end in zip(rises, ends, strict=True)]
+    strokes = [float(np.maximum(command[where], 0.0).sum()) for where in found]
+    return [where for where, stroke in zip(found, strokes, strict=True) if stroke >= SHORTEST * max(strokes)]
 
 
 def drive(signals: Signals) -> Drive:
     """Fit lag, delay and gain of the drive."""
     everything = _fit_drive(signals, None)
     # One pair sees the step before it in its first ticks only; half of a rest is far beyond that.
-    single = np.array([_fit_drive(signals.part(where), everything) for where in pairs_of(signals.command)])
-    errors = single.std(axis=0, ddof=1) / math.sqrt(len(single))
-    (lag_s, delay, gain), (lag_error, delay_error, gain_error) = everything, errors.tolist()
-    period = signals.period_s
+    pairs = pairs_of(signals.command)
+    single = np.array([_fit_drive(signals.part(where), everything) for where in pairs])
+    ages = np.array([_speed_delay(signals.part(where), everything) - everything[1] for where in pairs])
+    (lag_s, delay, gain), errors, period = everything, _scatter(single), signals.period_s
+    moved = gain * _moved(signals, lag_s, delay)
+    fitted = moved - moved.mean() + signals.stroke.mean()
+    exact = float(np.std(signals.stroke - fitted)) < MM_PER_POSITION_UNIT
+    # The position's rounding is much the same in every pair.
+    rounded_s = ROUNDING_MM / float(np.abs(signals.command).max())
+    rounded_share = ROUNDING_MM / float(np.ptp(fitted)) / math.sqrt(len(pairs))
     return Drive(
-        Estimate(lag_s, lag_error),
-        Estimate((delay - LATCH_TICKS) * period, delay_error * period),
-        Estimate(gain, gain_error),
+        Estimate(lag_s, math.hypot(float(errors[0]), DRIVE_CYCLE_S, rounded_s)),
+        Estimate((delay - LATCH_TICKS) * period, math.hypot(float(errors[1]) * period, DRIVE_CYCLE_S, rounded_s)),
+        Estimate(gain, math.hypot(float(errors[2]), gain * rounded_share)),
+        Estimate(float(ages.mean()) * period, float(_scatter(ages[:, None])[0]) * period),
+        fitted if exact else signals.stroke,
     )
+
+
+def _scatter(single: Array) -> Array:
+    """Expanded uncertainty of the mean of fits to single pairs (rows), from their scatter."""
+    count = len(single)
+    expanded: Array = student_t(count - 1) * single.std(axis=0, ddof=1) / math.sqrt(count)
+    return expanded
+
+
+def student_t(freedom: int) -> float:
+    """97.5 % point of Student's t, by Cornish and Fisher's expansion (to 2 % from 3 degrees of freedom on)."""
+    z = 1.959964
+    terms = (z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96, (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384
+    return float(z + sum(term / freedom**power for power, term in enumerate(terms, 1)))
+
+
+def _moved(signals: Signals, lag_s: float, delay: float) -> Array:
+    """Stroke in mm of a drive with unit gain: the response and its integral, ds = u dt - tau dv."""
+    held = delayed(signals.command, delay)
+    swift = response(signals.command, signals.period_s / lag_s, delay)
+    return held * signals.period_s - lag_s * swift
+
+
+def delayed(command: Array, delay: float) -> Array:
+    """Integral in ticks of a command held over each tick, ``delay`` ticks late."""
+    whole = math.ceil(delay)
+    total = np.concatenate([[0.0], np.cumsum(command)])[: len(command)]
+    found = total + command * (whole - delay)
+    return np.concatenate([np.zeros(whole), found])[: len(command)]
+
+
+def _speed_delay(signals: Signals, known: tuple[float, float, float]) -> float:
+    """Delay in ticks of the reported speed, all else being known."""
+    lag_s, delay, gain = known
+
+    def cost(tried: float) -> float:
+        residual = signals.speed - gain * response(signals.command, signals.period_s / lag_s, tried)
+        return float(residual @ residual)
+
+    return _least(cost, max(0.0, delay - 5.0), delay + 20.0)
 
 
 def _fit_drive(signals: Signals, start: tuple[float, float, float] | None) -> tuple[float, float, float]:
     """Lag in s, whole delay in ticks, gain: least squares, Gauss-Newton in the first two."""
 
     def solve(lag_s: float, delay: float) -> tuple[Array, float]:
-        shape = response(signals.command, signals.period_s / lag_s, delay)
+        shape = _moved(signals, lag_s, delay)
         columns = np.column_stack([shape, np.ones_like(shape)])
-        weights, *_ = np.linalg.lstsq(columns, signals.speed, rcond=None)
-        return signals.speed - columns @ weights, float(weights[0])
+        weights, *_ = np.linalg.lstsq(columns, signals.stroke, rcond=None)
+        return signals.stroke - columns @ weights, float(weights[0])
 
     def cost(lag_s: float, delay: float) -> float:
         residual, _ = solve(lag_s, delay)
@@ -164,33 +223,49 @@ def response(command: Array, share: float, delay: float) -> Array:
     return np.concatenate([np.zeros(whole), found])[: len(command)]
 
 
-def rope(signals: Signals) -> Rope:
-    """Fit stiffness and backlash; the first pair is left out, for where in its play the nut begins is not known."""
+def rope(signals: Signals, drive: Drive, noise_n: float) -> Rope:
+    """Fit stiffness and backlash; the first pair is left out, for where in its play the nut begins is not known.
+
+    ``noise_n``: the cell's, at most. What the fit leaves beyond it is no spring behind a play: uncertain both.
+    """
+    signals = replace(signals, stroke=drive.stroke)
     pairs = pairs_of(signals.command)[1:]
     after_first = slice(pairs[0].start, pairs[-1].stop)
     reach_mm = float(np.ptp(signals.stroke[after_first]))
-    stiffness, backlash = _fit_rope(signals, after_first, reach_mm)
-    single = np.array([_fit_rope(signals, part, reach_mm) for part in pairs])
-    errors = single.std(axis=0, ddof=1) / math.sqrt(len(single))
-    return Rope(Estimate(stiffness, float(errors[0])), Estimate(backlash, float(errors[1])))
+    stiffness, backlash, left_n, explained_n = _fit_rope(signals, after_first, reach_mm)
+    single = np.array([_fit_rope(signals, part, reach_mm)[:2] for part in pairs])
+    errors = _scatter(single)
+    # The same in every pair: the part of a sine of the pitch that lies in this stroke, at worst.
+    pitch_mm = 2.0 * PITCH_ERROR_MM * math.sin(min(0.5, reach_mm / PITCH_LEAD_MM) * math.pi)
+    misfit = 2.0 * math.sqrt(max(0.0, left_n**2 - noise_n**2)) / explained_n if explained_n else math.inf
+    shares = drive.gain.error / drive.gain.value, misfit
+    random_n_mm = math.hypot(float(errors[0]), *(stiffness * share for share in shares))
+    return Rope(
+        Estimate(stiffness, random_n_mm + abs(stiffness) * pitch_mm / reach_mm),  # a bound is no scatter: it is added
+        Estimate(backlash, math.hypot(float(errors[1]), pitch_mm, reach_mm * misfit)),
+    )
 
 
-def _fit_rope(signals: Signals, part: slice, reach_mm: float) -> tuple[float, float]:
-    """Stiffness and backlash: the play that leaves least, by search; all else by linear least squares."""
+def _fit_rope(signals: Signals, part: slice, reach_mm: float) -> tuple[float, float, float, float]:
+    """Stiffness, backlash, rms left and rms explained by the stroke in N.
+
+    The play is the one that leaves least, by search; all else by linear least squares.
+    """
     where = np.arange(part.start, part.stop)
     before = max(0, 2 * part.start - part.stop)  # as long again: the play there tells where in it the nut begins
     stroke = signals.stroke[before : part.stop]
     time = (where - where.mean()) * signals.period_s
 
-    def solve(play_mm: float) -> tuple[float, float]:
+    def solve(play_mm: float) -> tuple[float, float, float]:
         nut = behind_play(stroke, play_mm)[part.start - before :]
         columns = np.column_stack([nut - nut.mean(), signals.speed[where], time, np.ones(len(where))])
         weights, *_ = np.linalg.lstsq(columns, signals.tension[where], rcond=None)
         residual = signals.tension[where] - columns @ weights
-        return float(residual @ residual), float(weights[0])
+        return float(residual @ residual), float(weights[0]), abs(float(weights[0])) * float(nut.std())
 
     play = _least(lambda b: solve(b)[0], 0.0, 0.9 * reach_mm)
-    return solve(play)[1], play
+    left, stiffness, explained_n = solve(play)
+    return stiffness, play, math.sqrt(left / len(where)), explained_n
 
 
 def behind_play(stroke: Array, play_mm: float) -> Array:
@@ -230,4 +305,4 @@ def noise(values: Array, period_s: float) -> Estimate:
         squares += float(residual @ residual)
     freedom = count * (length - 2)
     rms = math.sqrt(squares / freedom)
-    return Estimate(rms, rms / math.sqrt(2.0 * freedom))
+    return Estimate(rms, 2.0 * rms / math.sqrt(2.0 * freedom))

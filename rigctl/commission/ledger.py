@@ -23,6 +23,7 @@ from rigctl.control.correction import SCALE_BOUND, Correction, tare_limit_n
 from rigctl.telemetry.runtime import Runtime
 
 IN_FORCE = "calibration.json"  # in the runtime folder
+CLOCKS_DIFFER = timedelta(days=1)  # at most, between the wall clocks of two starts
 
 
 class LedgerError(RuntimeError):
@@ -188,12 +189,14 @@ def standing(settings: RigSettings, entries: Sequence[Entry], wall_ns: int) -> S
     if settings.calibration is None:
         return Standing()
     zero_n, scale, due = 0.0, 1.0, None
+    now = datetime.fromtimestamp(wall_ns / 1e9, UTC)
     for item in entries:
         if (zero := item.after.get("zero_n")) is not None and (factor := item.after.get("scale")) is not None:
             zero_n, scale = zero, factor
         if item.passed is not None:
-            due = _moment(item.when) + timedelta(days=settings.calibration.due_days) if item.passed else None
-    now = datetime.fromtimestamp(wall_ns / 1e9, UTC)
+            done = _moment(item.when)
+            credible = item.passed and done <= now + CLOCKS_DIFFER  # a check of tomorrow would hold for too long
+            due = done + timedelta(days=settings.calibration.due_days) if credible else None
     shown = f"{due:%Y-%m-%dT%H:%M:%SZ}" if due is not None else None
     return Standing(zero_n, scale, shown, due is None or due <= now, settings.calibration.waiver)
 

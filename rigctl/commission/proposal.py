@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from rigctl.commission import identification
-from rigctl.commission.identification import Estimate, IdentificationError, Signals
+from rigctl.commission.identification import Drive, Estimate, IdentificationError, Signals
 from rigctl.config import RigSettings
 from rigctl.control.trials import QUIET_S
 
 LAST_QUIET_S = 0.01  # of the rest before the first step, left out
+LAG_SHARE = STIFFNESS_SHARE = 0.1  # uncertainty over value: a figure less certain than this is none
+DELAY_ERROR_S = 2e-3
 
 
 def signals_of(records: npt.NDArray[Any], period_s: float) -> Signals:
@@ -32,41 +35,76 @@ def signals_of(records: npt.NDArray[Any], period_s: float) -> Signals:
     return Signals(period_s, *columns)
 
 
+@dataclass(frozen=True)
+class Row:
+    """One line of a proposal; ``why`` there is no ``found``."""
+
+    key: str
+    unit: str
+    before: float | None = None
+    found: Estimate | None = None
+    why: str = ""
+
+    def told(self, *, share: float = math.inf, error: float = math.inf) -> Row:
+        """The same, without a figure whose uncertainty is larger than this share of it, or this error."""
+        found = self.found
+        if found is None or found.error <= min(error, share * abs(found.value)):
+            return self
+        value, uncertainty = rounded(found.value, found.error)
+        return replace(self, found=None, why=f"too uncertain: {value} +- {uncertainty} {self.unit}".rstrip())
+
+    def as_json(self) -> dict[str, Any]:
+        """Of numbers and words."""
+        found = self.found
+        figures = (found.value, found.error) if found is not None and math.isfinite(found.value) else (None, None)
+        return {
+            "key": self.key, "unit": self.unit, "before": self.before, "found": figures[0], "error": figures[1],
+            "why": self.why,
+        }  # fmt: skip
+
+
 def rows(signals: Signals, settings: RigSettings) -> list[dict[str, Any]]:
-    """What was found: key, unit, ``before`` (null: no such key), ``found`` and ``error``; null where it does not show.
+    """What was found: key, unit, ``before`` (null: no such key), ``found``, its ``error`` (95 %); or null, and ``why``.
 
     Raises:
         IdentificationError: the records do not tell.
     """
-    plant, tight = settings.plant, bool(np.median(signals.tension) >= settings.tension.slack_n)
-    drive = identification.drive(signals)
-    found: list[tuple[str, str, float | None, Estimate | None]] = [
-        ("plant.cylinder_lag_s", "s", plant.cylinder_lag_s, drive.lag_s),
-        ("plant.command_delay_s", "s", plant.command_delay_s, drive.delay_s),
-        ("drive speed / command", "", None, drive.gain),
-    ]
-    stiffness = backlash = spring = None
-    if tight:
-        rope = identification.rope(signals)
-        stiffness, backlash = rope.stiffness_n_mm, rope.backlash_mm
-        spring = _spring(stiffness, plant.rope_n_mm) if plant.spring_n_mm is not None else None
-    found.append(("stiffness", "N/mm", plant.stiffness_n_mm, stiffness))
-    if plant.spring_n_mm is not None:
-        found.append(("plant.spring_n_mm", "N/mm", plant.spring_n_mm, spring))
-    else:
-        found.append(("plant.rope_n_mm", "N/mm", plant.rope_n_mm, stiffness))
+    plant, drive = settings.plant, identification.drive(signals)
     rest = slice(0, round((QUIET_S - LAST_QUIET_S) / signals.period_s))
     cell, speed = (identification.noise(values[rest], signals.period_s) for values in (signals.tension, signals.speed))
-    found += [
-        ("backlash", "mm", None, backlash),
-        ("tension_cell.noise_n", "N", settings.tension_cell.noise_n, cell),
-        ("drive speed noise", "mm/s", None, speed),
+    found = [
+        Row("plant.cylinder_lag_s", "s", plant.cylinder_lag_s, drive.lag_s).told(share=LAG_SHARE),
+        Row("plant.command_delay_s", "s", plant.command_delay_s, drive.delay_s).told(error=DELAY_ERROR_S),
+        Row("drive speed / command", "", None, drive.gain).told(share=STIFFNESS_SHARE),
+        Row("age of the drive's speed", "s", None, drive.speed_age_s).told(error=DELAY_ERROR_S),
+        *_of_rope(signals, settings, drive, cell),
+        Row("tension_cell.noise_n", "N", settings.tension_cell.noise_n, cell),
+        Row("drive speed noise", "mm/s", None, speed),
     ]
-    return [
-        {"key": key, "unit": unit, "before": before, "found": _number(value), "error": _number(error)}
-        for key, unit, before, estimate in found
-        for value, error in [(estimate.value, estimate.error) if estimate else (None, None)]
-    ]
+    return [row.as_json() for row in found]
+
+
+def _of_rope(signals: Signals, settings: RigSettings, drive: Drive, cell: Estimate) -> list[Row]:
+    """Stiffness with what of the rig file it stands for, and backlash."""
+    plant = settings.plant
+    stiffness = Row("stiffness", "N/mm", plant.stiffness_n_mm)
+    backlash = Row("backlash", "mm")
+    if np.median(signals.tension) < settings.tension.slack_n:
+        slack = "the rope is slack"
+        stiffness, backlash = replace(stiffness, why=slack), replace(backlash, why=slack)
+    else:
+        rope = identification.rope(signals, drive, cell.value + cell.error)
+        stiffness = replace(stiffness, found=rope.stiffness_n_mm).told(share=STIFFNESS_SHARE)
+        backlash = replace(backlash, found=rope.backlash_mm, why=stiffness.why)
+        if stiffness.found is None:
+            backlash = replace(backlash, found=None)
+    if plant.spring_n_mm is None:
+        part = Row("plant.rope_n_mm", "N/mm", plant.rope_n_mm, stiffness.found, stiffness.why)
+    else:
+        spring = _spring(stiffness.found, plant.rope_n_mm) if stiffness.found is not None else None
+        why = "" if spring is not None else stiffness.why or "stiffer than the rope of the rig file alone"
+        part = Row("plant.spring_n_mm", "N/mm", plant.spring_n_mm, spring, why)
+    return [stiffness, part, backlash]
 
 
 def _spring(stiffness: Estimate, rope_n_mm: float) -> Estimate | None:
@@ -78,10 +116,6 @@ def _spring(stiffness: Estimate, rope_n_mm: float) -> Estimate | None:
     return Estimate(spring, stiffness.error * (spring / stiffness.value) ** 2)
 
 
-def _number(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
-
-
 def in_words(found: list[dict[str, Any]]) -> str:
     """The main figures in one line."""
     shown = {row["key"]: row for row in found}
@@ -89,7 +123,7 @@ def in_words(found: list[dict[str, Any]]) -> str:
     def say(key: str, name: str, unit: str, factor: float = 1.0) -> str:
         row = shown[key]
         if row["found"] is None:
-            return f"{name} not seen"
+            return f"{name} not told ({row['why']})"
         value, error = rounded(factor * row["found"], factor * (row["error"] or 0.0))
         return f"{name} {value} +- {error} {unit}"
 
@@ -105,6 +139,6 @@ def in_words(found: list[dict[str, Any]]) -> str:
 
 
 def rounded(value: float, error: float) -> tuple[str, str]:
-    """A value to the second digit of its standard error, and that error; six decimals at most."""
+    """A value to the second digit of its uncertainty, and that; six decimals at most."""
     digits = 4 if error <= 0.0 else min(6, max(0, 1 - math.floor(math.log10(error))))
     return f"{value:z.{digits}f}", f"{error:.{digits}f}"

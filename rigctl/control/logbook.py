@@ -11,6 +11,7 @@ from rigctl.control.machine import Machine
 from rigctl.control.modes import Refusal
 from rigctl.control.observer import Observer
 from rigctl.control.outbox import Outbox
+from rigctl.control.safety import Trip
 from rigctl.control.tension import TensionLaw
 from rigctl.telemetry.events import Kind
 from rigctl.telemetry.record import Flag, Quality
@@ -131,11 +132,15 @@ class Logbook:
         """Answer to the command ``id_``."""
         self._rings.replies.write(t_ns, id_, refusal is Refusal.NONE, refusal, checks, mode, value, spread)
 
-    def mode_changes(self, t_ns: int, machine: Machine) -> None:
-        """Every change of mode, with the event behind it."""
+    def trip(self, t_ns: int, kind: Kind, trip: Trip) -> None:
+        """A row of the safety table, with what it found and what it asks for."""
+        self.event(t_ns, kind, trip.fault, trip.action, trip.value, trip.limit, trip.text.encode()[:80])
+
+    def mode_changes(self, t_ns: int, machine: Machine, safe_frames: int) -> None:
+        """Every change of mode, with the event behind it and the commands of no speed sent in a row before it."""
         if machine.changes:
             for change in machine.changes:
-                self.event(t_ns, Kind.MODE, change.before, change.after, float(change.event))
+                self.event(t_ns, Kind.MODE, change.before, change.after, float(change.event), float(safe_frames))
             machine.changes.clear()
 
     def bus_notices(self, t_ns: int, inbox: Inbox, outbox: Outbox) -> None:

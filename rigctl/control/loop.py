@@ -7,6 +7,7 @@ from collections.abc import Callable
 import can
 
 from rigctl.config import RigSettings
+from rigctl.control import limits
 from rigctl.control.clock import Clock
 from rigctl.control.correction import Correction
 from rigctl.control.inbox import Inbox
@@ -16,19 +17,20 @@ from rigctl.control.modes import Event, Mode
 from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
 from rigctl.control.outbox import Outbox
+from rigctl.control.plausibility import Plausibility
 from rigctl.control.safety import Fault, Trip, Watch
 from rigctl.control.signs import SignCheck
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.devices.drive import Power, next_controlword
-from rigctl.devices.objects import DriveState, drive_state
+from rigctl.devices.objects import OFF_STATES, drive_state
 from rigctl.telemetry.events import Kind
 from rigctl.telemetry.record import Flag
 
 STOPPED_MM_S = 0.05
 STOP_LIMIT_NS = 2_000_000_000
+SAFE_FRAMES = 10  # commands of no speed in a row before the drive is switched on, and before it is switched off
 COMMANDS_PER_TICK = 4
 SKIP_NOTICE = 5  # ticks skipped at once that are worth an event
-_OFF = frozenset({DriveState.READY_TO_SWITCH_ON, DriveState.SWITCH_ON_DISABLED})
 LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]
 
 
@@ -53,7 +55,7 @@ class Loop:
         ``correction``: of the tension cell, from the ledger.
         """
         self.settings = settings
-        self.machine = Machine()
+        self.machine = Machine(_stopping_ns(settings))
         self.inbox = Inbox(bus, settings)
         self.outbox = Outbox(bus, settings)
         self.observer = Observer(settings, self.inbox)
@@ -62,7 +64,9 @@ class Loop:
         self.finished = False
         self.stop_requested = False
         self._clock, self._commands = clock, rings.commands
-        self._watch, self._signs = Watch(settings), SignCheck(settings)
+        self._watch, self._signs = Watch(settings, limits.rows(settings)), SignCheck(settings)
+        self._plausibility = Plausibility(settings)
+        self._commanded_ns = clock.now()
         self._logbook = logbook = Logbook(settings, rings)
         self._orders = Orders(
             settings, self.machine, self.observer, self.law, self._watch, logbook, supervised=supervised
@@ -76,7 +80,7 @@ class Loop:
     @property
     def drive_off(self) -> bool:
         """The drive was last seen off, its brake closed."""
-        return drive_state(self.inbox.statusword) in _OFF
+        return drive_state(self.inbox.statusword) in OFF_STATES
 
     # -- the tick -----------------------------------------------------------------------------------------------
     def tick(self) -> None:
@@ -84,7 +88,7 @@ class Loop:
         t_ns, skipped = self._clock.next_tick()
         woke_ns = self._clock.now()
         try:
-            self._receive(woke_ns, skipped)
+            self._receive(t_ns, woke_ns, skipped)
             estimate = self.observer.estimate(skipped, regulated=self.machine.mode is Mode.COMPENSATING)
             self._decide(t_ns, estimate)
             speed_mm_s = self._speed(estimate)
@@ -102,13 +106,18 @@ class Loop:
         while not self.finished:
             self.tick()
 
-    def _receive(self, now_ns: int, skipped: int) -> None:
+    def _receive(self, t_ns: int, now_ns: int, skipped: int) -> None:
         law, sight, machine = self.law, self.observer.sight, self.machine
         self.inbox.drain(now_ns, self.outbox.syncs)
         self._logbook.tick += 1 + skipped
         self.observer.look(now_ns, skipped)
+        sent_mm_s = law.command_mm_s if sight.drive_enabled else 0.0
+        self._plausibility.look(self.inbox, sight, sent_mm_s, ticks=1 + skipped, slack=self.observer.slack)
+        sight.lateness_ns, sight.command_age_ns = now_ns - t_ns, t_ns - self._commanded_ns
+        regulated = machine.mode is Mode.TENSIONING or machine.mode is Mode.COMPENSATING
+        tight = regulated and not self.observer.slack
+        sight.vertical_error_n = self.inbox.tension_n * self.observer.cosine - law.setpoint_n if tight else 0.0
         sight.stroke_limited = law.limits & Flag.LIMITED_STROKE.value != 0
-        sight.speed_error_mm_s = abs(self.inbox.speed_mm_s - law.command_mm_s) if sight.drive_enabled else 0.0
         sight.rope_lost = law.rope_lost
         sight.drive_wanted = machine.drive_wanted and not machine.stopping
         if not self._signs.passed and machine.mode is Mode.TENSIONING:
@@ -117,11 +126,11 @@ class Loop:
     def _decide(self, t_ns: int, estimate: Estimate) -> None:
         machine, sight, law, orders = self.machine, self.observer.sight, self.law, self._orders
         trip = self._watch.trips(sight, machine.mode, t_ns)
-        if trip is not None and machine.mode is not Mode.FAULT:
-            machine.trip(trip)
-            self._logbook.event(t_ns, Kind.TRIP, trip.fault, 0, trip.value, trip.limit)
+        if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
+            self._logbook.trip(t_ns, Kind.TRIP, trip)
         for slot in self._commands.read(COMMANDS_PER_TICK):
             orders.take(slot, t_ns)
+            self._commanded_ns = t_ns
         if self.stop_requested and not machine.stopping:
             self._stop_until = t_ns + STOP_LIMIT_NS
             machine.stop()
@@ -160,8 +169,11 @@ class Loop:
         if machine.stopping:
             self._finish_stop(t_ns)
         power = machine.power(t_ns, drive_enabled=sight.drive_enabled, drive_faulted=sight.drive_faulted)
-        if power is Power.OFF and sight.drive_enabled and self._moving() and t_ns < self._off_until:
+        unsafe = outbox.safe_frames < SAFE_FRAMES
+        if power is Power.OFF and sight.drive_enabled and (self._moving() or unsafe) and t_ns < self._off_until:
             power = Power.ON  # stop first, then power off: a brake is no place to stop a moving load
+        elif power is Power.ON and not sight.drive_enabled and unsafe:
+            power = Power.OFF
         elif power is not Power.OFF:
             self._off_until = t_ns + STOP_LIMIT_NS
         state = drive_state(self.inbox.statusword)
@@ -170,7 +182,10 @@ class Loop:
     def _record(self, t_ns: int, woke_ns: int) -> None:
         logbook, machine, observer = self._logbook, self.machine, self.observer
         logbook.record(t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox)
-        logbook.mode_changes(t_ns, machine)
+        logbook.mode_changes(t_ns, machine, self.outbox.safe_frames)
+        for limit, begins in self._watch.crossed:
+            logbook.trip(t_ns, Kind.LIMIT if begins else Kind.LIMIT_OVER, limit)
+        self._watch.crossed.clear()
         self._orders.answer(t_ns)
         logbook.bus_notices(t_ns, self.inbox, self.outbox)
         if observer.just_skipped >= SKIP_NOTICE:
@@ -207,7 +222,7 @@ class Loop:
             self.outbox.failures += 1
         self.law.follow_speed(0.0)
         self.observer.filter.command(0.0)
-        self.machine.trip(Trip(Fault.LOOP_EXCEPTION, 0.0, 0.0))
+        self.machine.trip(Trip(Fault.LOOP_EXCEPTION, 0.0, 0.0), t_ns)
         if self.machine.stopping or self.stop_requested:
             self.machine.stop()
             self.finished = True
@@ -215,6 +230,12 @@ class Loop:
             self._logbook.notice(t_ns, Kind.EXCEPTION, 0, 0, _place(error))
         except Exception:  # noqa: BLE001 - nowhere left to say it; the latched fault is in every record
             self.exceptions_untold += 1
+
+
+def _stopping_ns(settings: RigSettings) -> int:
+    """How long a drive that obeys takes to stop by itself from the highest speed there is, and a little more."""
+    seconds = settings.tension.speed_max_mm_s / settings.cylinder.stop_deceleration_mm_s2
+    return round((seconds + 2.0 * settings.plant.cylinder_lag_s) * 1e9)
 
 
 def _place(error: BaseException) -> bytes:

@@ -9,10 +9,12 @@ from dataclasses import dataclass
 
 from rigctl.control import modes
 from rigctl.control.modes import Event, Mode, Refusal, Situation, Verb
-from rigctl.control.safety import Fault, Trip
+from rigctl.control.safety import Action, Fault, Trip
 from rigctl.devices.drive import Power
 
 ARM_LIMIT_NS = 2_000_000_000
+_MAY_MOVE = frozenset({Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
+CUT_AFTER_NS = 60_000_000  # a drive that has not stopped by then is taken off power where it moves
 DRIVE_RESET_NS = 500_000_000
 
 
@@ -35,11 +37,17 @@ class Answer:
 
 
 class Machine:
-    """DISARMED at first. ``changes`` and ``answers`` collect what the loop has yet to publish."""
+    """DISARMED at first. ``changes`` and ``answers`` collect what the loop has yet to publish.
 
-    def __init__(self) -> None:
+    ``action``: what the latched fault asks for; it may grow stronger while the fault stands, never weaker.
+    """
+
+    def __init__(self, cut_after_ns: int = CUT_AFTER_NS) -> None:
+        """``cut_after_ns``: how long a drive may take to stop before it is taken off power all the same."""
         self.mode = Mode.DISARMED
         self.fault = Fault.NONE
+        self.action = Action.HOLD
+        self._cut_after_ns, self._cut_at_ns = cut_after_ns, 0
         self.stopping = False
         self.changes: list[Change] = []
         self.answers: list[Answer] = []
@@ -63,6 +71,9 @@ class Machine:
         """What is wanted of the drive now. Only arming switches it on; a drive that dropped out stays out."""
         if drive_faulted and t_ns < self._reset_until:
             return Power.RESET
+        if self.mode is Mode.FAULT and self.action >= Action.QUICK_STOP:
+            cut = self.action is Action.POWER_OFF and t_ns >= self._cut_at_ns
+            return Power.CUT if cut else Power.QUICK_STOP
         return Power.ON if self.arming or (self._powered and drive_enabled) else Power.OFF
 
     @property
@@ -71,19 +82,31 @@ class Machine:
         return self._powered
 
     def on(self, event: Event) -> None:
-        """An event of the rig itself."""
-        self._go(event)
+        """An event of the rig itself; with a fault latched a ramp down has reached its end."""
+        self._go(Event.TRIP if event is Event.SLACK and self.fault is not Fault.NONE else event)
 
-    def trip(self, trip: Trip) -> None:
-        """Latch the first fault; the drive keeps holding under power if it has it."""
-        if self.mode is not Mode.FAULT:
+    def trip(self, trip: Trip, t_ns: int, *, slack: bool = True) -> bool:
+        """Latch the first fault and do what the strongest asks; whether this one changes anything.
+
+        The drive keeps holding under power if it has it, but for a quick stop or power off. A ramp down needs a tight
+        rope (not ``slack``) in a mode that moves or may move; it is a hold elsewhere, and a hold ends it.
+        """
+        ramps = trip.action is Action.RAMP_DOWN and not slack and self.mode in _MAY_MOVE
+        action = trip.action if ramps else max(trip.action, Action.HOLD)
+        if self.fault is not Fault.NONE and action <= self.action:
+            return False
+        if self.fault is Fault.NONE:
             self.fault = trip.fault
-        self._go(Event.TRIP)
-        if self._arm_id is not None:
-            self._finish_arming(Refusal.PREFLIGHT)
+        self.action = action
+        if action >= Action.QUICK_STOP:
+            self._powered = False
+            self._cut_at_ns = t_ns + self._cut_after_ns
+        self._go(Event.RAMP_DOWN if ramps else Event.TRIP)
+        self._finish_arming(Refusal.PREFLIGHT)
         self.end_trial(Refusal.ABORTED)
+        return True
 
-    def command(self, id_: int, verb: Verb, value: float, situation: Situation, t_ns: int) -> None:
+    def command(self, id_: int, verb: Verb, situation: Situation, t_ns: int) -> None:
         """An operator's command; its answer may come later (arm waits for the drive)."""
         self.end_trial(Refusal.ABORTED)
         if self.stopping:
@@ -99,7 +122,7 @@ class Machine:
         if verb is Verb.ARM and self.arming:
             self.answers.append(Answer(id_, verb, Refusal.ALREADY))
             return
-        decision = modes.decide(self.mode, verb, value, situation)
+        decision = modes.decide(self.mode, verb, situation)
         if decision.refusal is Refusal.NONE and verb is Verb.ARM:
             self._arm_id, self._arm_until = id_, t_ns + ARM_LIMIT_NS
             return
@@ -131,9 +154,8 @@ class Machine:
         if not self.stopping:
             self.stopping = True
             self.end_trial(Refusal.ABORTED)
-            if self._arm_id is not None:
-                self._finish_arming(Refusal.STOPPING)
-            self._go(Event.STOP)
+            self._finish_arming(Refusal.STOPPING)
+            self._go(Event.STOP if self.fault is Fault.NONE else Event.TRIP)
 
     def power_off(self) -> None:
         """Let the drive close its brake and go off, whatever the mode (the last act of a stop)."""
@@ -142,7 +164,7 @@ class Machine:
     def _accept(self, verb: Verb, event: Event | None, t_ns: int) -> None:
         if verb is Verb.RESET:
             self._reset_until = t_ns + DRIVE_RESET_NS
-            self.fault = Fault.NONE
+            self.fault, self.action, self._cut_at_ns = Fault.NONE, Action.HOLD, 0
         if verb is Verb.DISARM:
             self._powered = False
         if event is not None:

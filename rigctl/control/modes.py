@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -32,31 +32,7 @@ class Event(IntEnum):
     RESET_HELD = 8  # fault acknowledged, drive still on
     RESET_OFF = 9  # fault acknowledged, drive off
     STOP = 10  # the process was told to end
-
-
-_ALIVE = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
-
-TRANSITIONS: dict[tuple[Mode, Event], Mode] = {
-    (Mode.DISARMED, Event.ENABLED): Mode.HOLD,
-    (Mode.HOLD, Event.TENSION): Mode.TENSIONING,
-    (Mode.HOLD, Event.RELEASE): Mode.RELEASING,
-    (Mode.HOLD, Event.DISARM): Mode.DISARMED,
-    (Mode.TENSIONING, Event.TENSIONED): Mode.COMPENSATING,
-    (Mode.TENSIONING, Event.RELEASE): Mode.RELEASING,
-    (Mode.COMPENSATING, Event.RELEASE): Mode.RELEASING,
-    (Mode.RELEASING, Event.TENSION): Mode.TENSIONING,
-    (Mode.RELEASING, Event.SLACK): Mode.HOLD,
-    (Mode.FAULT, Event.RESET_HELD): Mode.HOLD,
-    (Mode.FAULT, Event.RESET_OFF): Mode.DISARMED,
-    **{(mode, Event.HOLD): Mode.HOLD for mode in _ALIVE},
-    **{(mode, Event.STOP): Mode.HOLD for mode in _ALIVE},
-    **{(mode, Event.TRIP): Mode.FAULT for mode in Mode},
-}
-
-
-def next_mode(mode: Mode, event: Event) -> Mode:
-    """Mode after ``event``; an event that means nothing in ``mode`` changes nothing."""
-    return TRANSITIONS.get((mode, event), mode)
+    RAMP_DOWN = 11  # a limit whose action is to ramp the tension down
 
 
 class Verb(IntEnum):
@@ -72,6 +48,7 @@ class Verb(IntEnum):
     TARE = 8  # these three measure first and answer when they are over, see rigctl.control.trials
     CALIBRATE = 9
     IDENTIFY = 10
+    GAINS = 11  # other gains; they follow as settings, once they have been judged
 
 
 class Setting(IntEnum):
@@ -104,6 +81,7 @@ class Refusal(IntEnum):
     NO_SAMPLES = 13  # the cell gives no good samples
     SLACK = 14  # there is nothing to be found on a slack rope
     STRAYED = 15  # tension or stroke left the bounds of the excitation
+    FAULT_LATCHED = 16  # a limit has the tension ramped down; only HOLD stops that
 
 
 @dataclass(frozen=True)
@@ -112,12 +90,98 @@ class Situation:
 
     failed_checks: int = 0  # preflight, bits of safety.Check
     cause_present: bool = False  # the latched fault's cause
+    fault_latched: bool = False
     drive_enabled: bool = False
     drive_faulted: bool = False
     slack: bool = False
     unloaded: bool = False  # the cell reads no more than a tare may take away
+    value: float = 0.0  # of the command
     target_min_n: float = 0.0
     target_max_n: float = 0.0
+
+
+# -- guards: what must hold for a transition or a command, else the refusal ------------------------------------------
+Guard = Callable[[Situation], Refusal]
+
+
+def preflight_passed(situation: Situation) -> Refusal:
+    """No preflight check fails."""
+    return Refusal.PREFLIGHT if situation.failed_checks else Refusal.NONE
+
+
+def cause_gone(situation: Situation) -> Refusal:
+    """The latched fault's cause is no longer seen."""
+    return Refusal.CAUSE_PRESENT if situation.cause_present else Refusal.NONE
+
+
+def rope_tight(situation: Situation) -> Refusal:
+    """There is something to release."""
+    return Refusal.ALREADY if situation.slack else Refusal.NONE
+
+
+def no_fault_latched(situation: Situation) -> Refusal:
+    """A ramp down that a limit began is not called off but by a hold."""
+    return Refusal.FAULT_LATCHED if situation.fault_latched else Refusal.NONE
+
+
+def target_in_bounds(situation: Situation) -> Refusal:
+    """The target is between tension.target_min_n and target_max_n."""
+    inside = situation.target_min_n <= situation.value <= situation.target_max_n
+    return Refusal.NONE if inside else Refusal.OUT_OF_RANGE
+
+
+def rope_unloaded(situation: Situation) -> Refusal:
+    """The cell reads no more than a tare may take away."""
+    return Refusal.NONE if situation.unloaded else Refusal.LOADED
+
+
+def rope_as_asked(situation: Situation) -> Refusal:
+    """An identification under tension needs some."""
+    return Refusal.SLACK if situation.value and situation.slack else Refusal.NONE
+
+
+def drive_at_fault(situation: Situation) -> Refusal:
+    """The drive's own fault, from before this daemon, is seen, so that it can be cleared."""
+    if not situation.drive_faulted:
+        return Refusal.WRONG_MODE
+    return cause_gone(situation)
+
+
+@dataclass(frozen=True)
+class Transition:
+    """Where an event leads, if its guard has nothing against it."""
+
+    after: Mode
+    guard: Guard | None = None
+
+
+_ALIVE = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
+_TIGHT = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING)
+
+TRANSITIONS: dict[tuple[Mode, Event], Transition] = {
+    (Mode.DISARMED, Event.ENABLED): Transition(Mode.HOLD, preflight_passed),
+    (Mode.HOLD, Event.TENSION): Transition(Mode.TENSIONING),
+    (Mode.HOLD, Event.RELEASE): Transition(Mode.RELEASING, rope_tight),
+    (Mode.HOLD, Event.DISARM): Transition(Mode.DISARMED),
+    (Mode.TENSIONING, Event.TENSIONED): Transition(Mode.COMPENSATING),
+    (Mode.TENSIONING, Event.RELEASE): Transition(Mode.RELEASING),
+    (Mode.COMPENSATING, Event.RELEASE): Transition(Mode.RELEASING),
+    (Mode.RELEASING, Event.TENSION): Transition(Mode.TENSIONING, no_fault_latched),
+    (Mode.RELEASING, Event.SLACK): Transition(Mode.HOLD, no_fault_latched),
+    (Mode.FAULT, Event.RESET_HELD): Transition(Mode.HOLD, cause_gone),
+    (Mode.FAULT, Event.RESET_OFF): Transition(Mode.DISARMED, cause_gone),
+    **{(mode, Event.RAMP_DOWN): Transition(Mode.RELEASING) for mode in _TIGHT},
+    **{(mode, Event.HOLD): Transition(Mode.HOLD, no_fault_latched) for mode in _ALIVE},
+    **{(mode, Event.STOP): Transition(Mode.HOLD, no_fault_latched) for mode in _ALIVE},
+    **{(mode, Event.TRIP): Transition(Mode.FAULT) for mode in Mode},
+}
+"""RELEASING with a fault latched is a ramp down: whatever ends it (slack, hold, stop, a trip) ends in FAULT."""
+
+
+def next_mode(mode: Mode, event: Event) -> Mode:
+    """Mode after ``event``; an event that means nothing in ``mode`` changes nothing."""
+    transition = TRANSITIONS.get((mode, event))
+    return mode if transition is None else transition.after
 
 
 @dataclass(frozen=True)
@@ -128,55 +192,51 @@ class Decision:
     event: Event | None = None
 
 
-_EVENT_OF = {Verb.TENSION: Event.TENSION, Verb.RELEASE: Event.RELEASE, Verb.HOLD: Event.HOLD}
 TRIED_IN = {
     Verb.TARE: (Mode.DISARMED, Mode.HOLD),
     Verb.CALIBRATE: (Mode.DISARMED, Mode.HOLD),
     Verb.IDENTIFY: (Mode.HOLD,),
 }
+FILED = frozenset({*TRIED_IN, Verb.GAINS})  # what they come to is put on record before it takes effect
+
+_TRIAL_GUARD: dict[Verb, Guard] = {Verb.TARE: rope_unloaded, Verb.IDENTIFY: rope_as_asked}
+
+WITHOUT_EVENT: dict[tuple[Mode, Verb], Guard | None] = {
+    (Mode.DISARMED, Verb.ARM): preflight_passed,  # the drive first; ENABLED follows
+    (Mode.DISARMED, Verb.RESET): drive_at_fault,
+    (Mode.FAULT, Verb.DISARM): None,  # power off, brake closed; the fault stays latched
+    **{(mode, Verb.TARGET): target_in_bounds for mode in Mode},
+    **{(mode, Verb.GAINS): None for mode in Mode},
+    **{(mode, verb): _TRIAL_GUARD.get(verb) for verb, modes in TRIED_IN.items() for mode in modes},
+}
+"""Commands that change no mode, or not at once, with their guards."""
+
+_EVENT_OF = {Verb.TENSION: Event.TENSION, Verb.RELEASE: Event.RELEASE, Verb.HOLD: Event.HOLD, Verb.DISARM: Event.DISARM}
 _ALREADY = {
     (Mode.TENSIONING, Verb.TENSION),
     (Mode.COMPENSATING, Verb.TENSION),
     (Mode.RELEASING, Verb.RELEASE),
     (Mode.DISARMED, Verb.DISARM),
+    *((mode, Verb.ARM) for mode in _ALIVE),
 }
 
 
-def _unfit(verb: Verb, value: float, situation: Situation) -> Refusal:
-    """What a trial needs of the rope."""
-    if verb is Verb.TARE and not situation.unloaded:
-        return Refusal.LOADED
-    return Refusal.SLACK if verb is Verb.IDENTIFY and value and situation.slack else Refusal.NONE
-
-
-def decide(mode: Mode, verb: Verb, value: float, situation: Situation) -> Decision:
+def decide(mode: Mode, verb: Verb, situation: Situation) -> Decision:
     """What a command does in a mode. ARM and DISARM without an event are carried out by the drive first."""
     if (mode, verb) in _ALREADY:
         return Decision(Refusal.ALREADY)
-    match verb:
-        case Verb.TARGET:
-            inside = math.isfinite(value) and situation.target_min_n <= value <= situation.target_max_n
-            return Decision() if inside else Decision(Refusal.OUT_OF_RANGE)
-        case Verb.ARM if mode is Mode.DISARMED:
-            return Decision(Refusal.PREFLIGHT) if situation.failed_checks else Decision()
-        case Verb.ARM if mode is not Mode.FAULT:
-            return Decision(Refusal.ALREADY)
-        case Verb.RESET if mode is Mode.FAULT:
-            if situation.cause_present:
-                return Decision(Refusal.CAUSE_PRESENT)
-            return Decision(event=Event.RESET_HELD if situation.drive_enabled else Event.RESET_OFF)
-        case Verb.RESET if mode is Mode.DISARMED and situation.drive_faulted:
-            # The drive's own fault, from before this daemon; one that is not seen now cannot be cleared.
-            return Decision(Refusal.CAUSE_PRESENT) if situation.cause_present else Decision()
-        case Verb.TARE | Verb.CALIBRATE | Verb.IDENTIFY if mode in TRIED_IN[verb]:
-            return Decision(_unfit(verb, value, situation))
-        case Verb.RELEASE if mode is Mode.HOLD and situation.slack:
-            return Decision(Refusal.ALREADY)
-        case Verb.DISARM if mode is Mode.FAULT:
-            return Decision()  # power off, brake closed; the fault stays latched
-        case Verb.DISARM if mode is Mode.HOLD:
-            return Decision(event=Event.DISARM)
+    if (mode, verb) in WITHOUT_EVENT:
+        return _guarded(WITHOUT_EVENT[mode, verb], None, situation)
     event = _EVENT_OF.get(verb)
-    if event is not None and (mode, event) in TRANSITIONS:
-        return Decision(event=event)
-    return Decision(Refusal.WRONG_MODE)
+    if verb is Verb.RESET:
+        event = Event.RESET_HELD if situation.drive_enabled else Event.RESET_OFF
+    if event is Event.HOLD and mode is Mode.RELEASING and situation.fault_latched:
+        return Decision(event=Event.TRIP)  # the ramp down ends here, stroke held, the fault still latched
+    if event is None or (mode, event) not in TRANSITIONS:
+        return Decision(Refusal.WRONG_MODE)
+    return _guarded(TRANSITIONS[mode, event].guard, event, situation)
+
+
+def _guarded(guard: Guard | None, event: Event | None, situation: Situation) -> Decision:
+    refusal = Refusal.NONE if guard is None else guard(situation)
+    return Decision(event=event) if refusal is Refusal.NONE else Decision(refusal)

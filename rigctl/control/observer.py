@@ -13,8 +13,9 @@ from rigctl.control.inclination import InclinationFilter, Stretch
 from rigctl.control.run_out import RunOutTable, stale_ns
 from rigctl.control.safety import Sight
 from rigctl.control.tension import Estimate
-from rigctl.devices.objects import DriveState, drive_state
+from rigctl.devices.objects import OFF_STATES, STATUS_WARNING, DriveState, drive_state
 
+_SECOND_NS = 1_000_000_000
 LEAST_COSINE = 0.5  # a rope at 60 deg: nothing beyond it is believed
 
 
@@ -33,6 +34,8 @@ class Observer:
         self.skipped = self.just_skipped = 0
         self._stretch = Stretch(settings.plant.rope_length_mm, 1.0 / settings.loop.rate_hz)
         self._skips: deque[tuple[int, int]] = deque(maxlen=4096)
+        self._errors: deque[tuple[int, int]] = deque(maxlen=4096)  # when, error frames so far
+        self._errors_before = 0  # those of more than a second ago
         self._window_ns = settings.safety.overrun_window_ms * 1_000_000
         self._slack_n = settings.tension.slack_n
         rail, run_out = settings.rail_encoder, settings.run_out
@@ -48,6 +51,7 @@ class Observer:
         """Take what the inbox holds as this tick's sight; ``skipped`` ticks passed since the last one."""
         inbox, sight = self.inbox, self.sight
         self.just_skipped = skipped
+        sight.t_ns = now_ns
         if skipped:
             self.skipped += skipped
             self._skips.append((now_ns, skipped))
@@ -60,11 +64,15 @@ class Observer:
         sight.inclination_quality = inbox.slope_quality
         sight.inclination_age_ns = now_ns - inbox.slope_t_ns
         self.rail_age_ns = now_ns - inbox.rail_t_ns
-        sight.stroke_mm = inbox.stroke_mm
+        sight.stroke_mm, sight.speed_mm_s = inbox.stroke_mm, inbox.speed_mm_s
+        sight.tangential_rad, sight.normal_rad = inbox.tangential_rad, inbox.normal_rad
         sight.drive_age_ns = now_ns - inbox.drive_t_ns
         sight.drive_enabled = state is DriveState.OPERATION_ENABLED
+        sight.drive_off = state in OFF_STATES
         sight.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
+        sight.drive_warning = bool(inbox.statusword & STATUS_WARNING)
         sight.bus_age_ns = now_ns - inbox.bus_t_ns
+        sight.error_frames = self._recent_error_frames(now_ns)
         sight.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
         sight.device_restarted = inbox.restarted
 
@@ -98,8 +106,12 @@ class Observer:
             )
         kalman.predict(1 + skipped)
         slope.pass_ticks(1 + skipped)
-        self.sight.rejects = max(kalman.cell.rejects, kalman.drive.rejects)
+        sight = self.sight
+        sight.rejects = max(kalman.cell.rejects, kalman.drive.rejects)
+        sight.slope_rejects = max(slope.tangential.rejects, slope.normal.rejects)
+        sight.cell_nis = kalman.cell.nis
         tension_n, speed_mm_s, disturbance_mm_s = kalman.ahead()
+        sight.disturbance_mm_s = disturbance_mm_s
         if not math.isfinite(tension_n + speed_mm_s + disturbance_mm_s):
             kalman.reset(self.tension_n, 0.0)
             raise ArithmeticError("the estimate is not finite")
@@ -113,6 +125,15 @@ class Observer:
         if math.isfinite(self.inbox.tension_n):
             self.tension_n = self.inbox.tension_n
             self.filter.reset(self.tension_n, self.inbox.speed_mm_s)
+
+    def _recent_error_frames(self, now_ns: int) -> int:
+        """CAN error frames within the last second."""
+        total, seen = self.inbox.error_frames, self._errors
+        if total and (not seen or seen[-1][1] != total):
+            seen.append((now_ns, total))
+        while seen and now_ns - seen[0][0] > _SECOND_NS:
+            self._errors_before = seen.popleft()[1]
+        return total - self._errors_before
 
     def _run_out_speed(self, table: RunOutTable, ticks: int, regulated: bool) -> float:
         """What the table knows; what the filter finds beside it in the tick before, it learns."""

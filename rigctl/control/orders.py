@@ -101,6 +101,8 @@ class Orders:
         machine, observer, settings = self._machine, self._observer, self._settings
         situation = Situation(
             failed_checks=int(self.failed_checks()),
+            fault_latched=machine.fault is not Fault.NONE,
+            value=value,
             cause_present=self._watch.present(observer.sight) is not Fault.NONE,
             drive_enabled=observer.sight.drive_enabled and machine.drive_wanted,
             drive_faulted=observer.sight.drive_faulted,
@@ -110,7 +112,7 @@ class Orders:
             target_max_n=settings.tension.target_max_n,
         )
         fault = machine.fault
-        machine.command(id_, verb, value, situation, t_ns)
+        machine.command(id_, verb, situation, t_ns)
         self.trial = trials.begin(machine.trial, settings, observer.inbox) if machine.trial is not None else None
         if fault is not machine.fault:
             self._logbook.event(t_ns, Kind.RESET, fault)

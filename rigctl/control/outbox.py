@@ -23,11 +23,13 @@ class Outbox:
         self.controlword = 0
         self.sent = self.failures = self.syncs = 0
         self.failure_text = ""
+        self.safe_frames = 0  # commands of no speed in a row that the bus has taken
 
     def command(self, controlword: int, speed_mm_s: float) -> None:
         """The command PDO, then SYNC, then the heartbeat when it is due."""
         self.controlword = controlword
-        self._send(self._command_id, codecs.encode_command(controlword, speed_mm_s))
+        taken = self._send(self._command_id, codecs.encode_command(controlword, speed_mm_s))
+        self.safe_frames = self.safe_frames + taken if speed_mm_s == 0.0 else 0
         self.syncs += self._send(od.SYNC_COB, b"")
         self._until_heartbeat -= 1
         if not self._until_heartbeat:

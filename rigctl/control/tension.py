@@ -34,6 +34,11 @@ class Gains:
     k_speed: float  # 1
     k_integral: float  # mm/s per N s
 
+    @property
+    def in_order(self) -> tuple[float, float, float]:
+        """As they cross to the loop."""
+        return self.k_tension, self.k_speed, self.k_integral
+
 
 @dataclass(frozen=True)
 class Estimate:

@@ -21,12 +21,16 @@ STILL_MM_S = 0.1
 SPREAD_NOISES = 5.0
 SPREAD_RANGE = 1e-3  # of the cell's range: a known weight that has stopped swinging reads steadier than this
 
-STEP_MM, STEP_N = 0.75, 8.0  # stroke of a step, and what it may add to the tension
-STRAY_MM, STRAY_N = 0.25, 10.0
-LEG_S, SHORTEST_LEG_S, SLOWEST_MM_S = 0.25, 0.05, 0.5  # a step lasts; shorter where the stroke is, to stay above this
+STEP_MM, STEP_N = 0.75, 10.0  # stroke of a step, and what it may add to the tension
+STRAY_MM, STRAY_N = 0.25, 15.0
+FEELER_MM, FEELER_GROWTH = 0.005, 4.0  # stroke of the first step, and the most by which the next may be longer
+FEELERS = 4
+UNFELT_N = 4.0 * STEP_N  # by the rig file's stiffness, while the cell shows nothing: it may be stuck
+LEG_S, SHORTEST_LEG_S, SLOWEST_MM_S = 0.25, 0.05, 0.1  # a step lasts; shorter where the stroke is, to stay above this
 REST_S = 0.15  # for the drive to settle
 QUIET_S = 0.5  # at rest before the first step: what there is then is noise
-PAIRS = 8
+PAIRS = 7  # with what goes before: within the 10 s of records that any rig file keeps
+DITHER = 0.02  # each pair is shorter than the one before, so that rounding in the drive's position averages out
 
 
 class Trial(Protocol):
@@ -101,47 +105,81 @@ class Average:
 class Excitation:
     """Small steps of speed, up and down by the same stroke: it ends where it began.
 
-    What comes of it is for `rigctl.commission.identification` to say. Bounded by its amplitude, and ended should
-    tension or stroke stray all the same.
+    What comes of it is for `rigctl.commission.identification` to say. The rig file's stiffness is not believed: feelers
+    go first, each longer than the one before, and what the tension gained in one bounds the stroke of the next. Ended
+    should tension or stroke stray all the same.
     """
 
     def __init__(self, settings: RigSettings, inbox: Inbox) -> None:
-        stiffness = settings.plant.stiffness_n_mm
-        slack = inbox.tension_n < settings.tension.slack_n
-        stroke_mm = STEP_MM if slack else min(STEP_MM, STEP_N / stiffness)
-        leg_s = min(LEG_S, max(SHORTEST_LEG_S, stroke_mm / SLOWEST_MM_S))
-        rate = settings.loop.rate_hz
-        self._speed_mm_s = min(stroke_mm / leg_s, settings.tension.speed_max_mm_s)
-        self._leg, self._rest = round(leg_s * rate), round(REST_S * rate)
-        self._before = round(QUIET_S * rate)
-        self._pair = 2 * (self._leg + self._rest)
-        self._end = self._before + PAIRS * self._pair
+        self._rate = rate = settings.loop.rate_hz
+        self._speed_max_mm_s = settings.tension.speed_max_mm_s
+        self._noise_n = settings.tension_cell.noise_n
+        self._unfelt_mm = UNFELT_N / settings.plant.stiffness_n_mm
+        self._felt = False
+        self._stray_n = STRAY_N + 5.0 * self._noise_n
+        self._rest, self._left = round(REST_S * rate), round(QUIET_S * rate)
         self._start_n, self._start_mm = inbox.tension_n, inbox.stroke_mm
-        self._stray_mm = stroke_mm + STRAY_MM
-        self._fits = self._start_mm + stroke_mm <= settings.cylinder.stroke_max_mm
-        self._tick = 0
-        self._period_s = 1.0 / rate
+        cylinder = settings.cylinder
+        inside = cylinder.stroke_min_mm <= self._start_mm <= cylinder.stroke_max_mm - STEP_MM
+        self._fits = inside and self._start_n + self._stray_n <= settings.safety.tension_high_n
+        self._steps = self._leg = 0
+        self._stroke_mm = self._speed_mm_s = self._stiffest_n_mm = 0.0
+        self._settled_n, self._settled = 0.0, 0  # sum and count of the tension in the second half of a rest
+        self._rest_n = self._start_n
+        self._ticks = 0
         self.wanted_mm_s = 0.0
         self.spread = 0.0
 
     @property
     def value(self) -> float:
         """How long it has taken, in s."""
-        return self._tick * self._period_s
+        return self._ticks / self._rate
 
     def see(self, inbox: Inbox, _sight: Sight) -> Refusal | None:
         """Choose this tick's speed, within the bounds."""
         strays_n, strays_mm = abs(inbox.tension_n - self._start_n), abs(inbox.stroke_mm - self._start_mm)
-        if not (self._fits and strays_n <= STRAY_N and strays_mm <= self._stray_mm):
+        if not (self._fits and strays_n <= self._stray_n and strays_mm <= self._stroke_mm + STRAY_MM):
             return Refusal.STRAYED
-        since = self._tick - self._before
-        self._tick += 1
-        if self._tick > self._end:
+        self._ticks += 1
+        if not self.wanted_mm_s and self._left <= self._rest // 2:
+            self._settled_n += inbox.tension_n
+            self._settled += 1
+        self._left -= 1
+        if self._left > 0:
+            return None
+        if self.wanted_mm_s:
+            self.wanted_mm_s, self._left = 0.0, self._rest
+            return None
+        if self._steps == 2 * (FEELERS + PAIRS):
             return Refusal.NONE
-        leg, at = divmod(max(since, 0) % self._pair, self._leg + self._rest)
-        moves = since >= 0 and at < self._leg
-        self.wanted_mm_s = (self._speed_mm_s if leg == 0 else -self._speed_mm_s) if moves else 0.0
+        self._next_step()
         return None
+
+    def _next_step(self) -> None:
+        """Up, or down again; each pair as far as the one before allows."""
+        settled_n = self._settled_n / max(1, self._settled)
+        self._settled_n, self._settled = 0.0, 0
+        if self._steps % 2:  # it is up: the next goes down
+            gained_n = abs(settled_n - self._rest_n)
+            self._felt = gained_n > self._noise_n
+            self._stiffest_n_mm = (gained_n + self._noise_n) / self._stroke_mm
+            self._speed_mm_s = -self._speed_mm_s
+        else:
+            self._rest_n = settled_n
+            self._stroke_mm = self._next_stroke_mm(self._steps // 2)
+            leg_s = min(LEG_S, max(SHORTEST_LEG_S, self._stroke_mm / SLOWEST_MM_S))
+            self._leg = round(leg_s * self._rate)
+            self._speed_mm_s = min(self._stroke_mm * self._rate / self._leg, self._speed_max_mm_s)
+        self._steps += 1
+        self.wanted_mm_s, self._left = self._speed_mm_s, self._leg
+
+    def _next_stroke_mm(self, pair: int) -> float:
+        if pair == 0:
+            return FEELER_MM
+        if pair > FEELERS:
+            return self._stroke_mm * (1.0 - DITHER)
+        stroke_mm = min(STEP_MM, FEELER_GROWTH * self._stroke_mm, STEP_N / self._stiffest_n_mm)
+        return stroke_mm if self._felt else min(stroke_mm, self._unfelt_mm)
 
 
 def begin(verb: Verb, settings: RigSettings, inbox: Inbox) -> Trial:

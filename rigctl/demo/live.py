@@ -48,6 +48,7 @@ class LiveStage:
         self._start_ns = time.monotonic_ns()
         self._moment: Moment | None = None
         self._fresh_ns = 0
+        self._renew_ns = 0  # 0: no command has been given yet
         self.records: list[npt.NDArray[Any]] = []
 
     def command(self, verb: Verb) -> None:
@@ -56,8 +57,12 @@ class LiveStage:
             answer = self._client.command(verb.name.lower(), OPERATOR)
         except NoDaemonError as error:
             raise DemoError(str(error)) from None
+        self._check(answer)
+
+    def _check(self, answer: dict[str, Any]) -> None:
         if not answer["accepted"]:
             raise DemoError(answer["text"])
+        self._renew_ns = time.monotonic_ns() + round(answer["lease"]["left_s"] / 3 * 1e9)
 
     def start_move(self) -> None:
         """See `Stage`."""
@@ -95,8 +100,13 @@ class LiveStage:
         return self._moment
 
     def pass_time(self, seconds: float) -> None:
-        """See `Stage`; also takes the records out of the ring before they are overwritten."""
+        """See `Stage`; also keeps the lease, and takes the records out of the ring before they are overwritten."""
         time.sleep(seconds)
+        if self._renew_ns and time.monotonic_ns() >= self._renew_ns:
+            try:
+                self._check(self._client.take_lease(OPERATOR))
+            except NoDaemonError as error:
+                raise DemoError(str(error)) from None
         self.records.append(self._reader.read())
 
 

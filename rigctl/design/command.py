@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rigctl.operator.options import BAD, DONE, USAGE, end, say
+from rigctl import output_file
+from rigctl.operator.options import BAD, DONE, USAGE, check_output, end, say
 
 if TYPE_CHECKING:
     from rigctl.config import RigSettings
@@ -64,15 +65,12 @@ def _check_outputs(file: pathlib.Path, outputs: dict[str, pathlib.Path | None]) 
     for option, path in outputs.items():
         if path is None:
             continue
-        if not path.parent.is_dir():
-            end(USAGE, f"{option}: {path}: there is no folder {path.parent}")
-        if path.is_dir():
-            end(USAGE, f"{option}: found the folder {path}, allowed a file")
         if path.resolve() in taken:
             end(USAGE, f"{option}: {path} is {taken[path.resolve()]}, allowed a file of its own")
         taken[path.resolve()] = f"the file of {option}"
         if option == "--plot" and path.suffix.lower() not in SUFFIXES:
             end(USAGE, f"--plot: found {path}, allowed a name ending in {', '.join(SUFFIXES)}")
+        check_output(option, path)
         if option == "--gains" and path.exists():
             try:
                 gain_file.read(path)
@@ -104,19 +102,18 @@ def _write(
     made = gain_file.provenance(settings, file, datetime.now(UTC))
     said = {"rig": settings.rig, **found.as_dict(), "provenance": made.model_dump()}
     text = msgspec.json.format(msgspec.json.encode(said), indent=2).decode()
-    writing = json
     try:
         if json is not None and json != STANDARD_OUTPUT:
-            json.write_text(text + "\n", encoding="utf-8")
+            output_file.write(json, text + "\n")
         if plot is not None:
-            writing = plot
             from rigctl.design import picture
 
-            picture.draw(settings, found, plot)
+            with output_file.writing(plot):
+                picture.draw(settings, found, plot)
         if gains is not None:
-            writing = gains
-            gain_file.write(gains, found, made)
-    except OSError as error:
-        end(USAGE, f"{writing}: cannot be written: {error.strerror or error}")
+            with output_file.writing(gains):
+                gain_file.write(gains, found, made)
+    except output_file.OutputError as error:
+        end(USAGE, str(error))
     if json == STANDARD_OUTPUT:
         say(text)

@@ -155,17 +155,26 @@ def read(file: pathlib.Path) -> GainFile:
         GainFileError: it cannot be read or is none, or its inputs do not give its hash.
     """
     try:
-        if file.exists() and not file.is_file():
-            raise GainFileError(f"{file}: cannot be read: not a file")
-        text = file.read_text(encoding="utf-8")
-        document = strict_yaml.load(text)
-        found = GainFile.model_validate(document.data)
-    except OSError as error:
-        raise GainFileError(f"{file}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise GainFileError(f"{file}: not UTF-8 text (byte {error.start})") from None
+        return _understood(strict_yaml.read(file), file)
+    except strict_yaml.FileError as error:
+        raise GainFileError(str(error)) from None
+
+
+def parse(text: str, name: str) -> GainFile:
+    """Read the text of a gain file that goes by ``name``.
+
+    Raises:
+        GainFileError: it is none, or its inputs do not give its hash.
+    """
+    try:
+        return _understood(strict_yaml.load(text), pathlib.Path(name))
     except strict_yaml.StrictYamlError as error:
-        raise GainFileError(f"{file}:{error.line}: {error.message}") from None
+        raise GainFileError(f"{name}:{error.line}: {error.message}") from None
+
+
+def _understood(document: strict_yaml.Document, file: pathlib.Path) -> GainFile:
+    try:
+        found = GainFile.model_validate(document.data)
     except ValidationError as error:
         if not isinstance(document.data, dict):
             raise GainFileError(f"{file}:1: found no gain file, allowed one from `rigctl tune --gains`") from None
@@ -201,10 +210,32 @@ def design_in_use(settings: RigSettings) -> Design:
     kept = read_for(settings)
     if kept is None:
         return design_and_check(settings)
-    gains, made = kept
+    return _judged(settings, *kept, str(settings.design.gains_file))
+
+
+def design_while_running(settings: RigSettings, text: str, name: str) -> Design:
+    """What the text of a gain file comes to on a rig that runs with ``settings``: only its weights may be others.
+
+    Raises:
+        GainFileError: it is none, was made for another rig, plant, rate or estimator, or has no margins.
+    """
+    found = parse(text, name)
+    then = found.provenance.inputs
+    if found.provenance.rig != settings.rig:
+        raise GainFileError(f"{name}: found gains of rig {found.provenance.rig!r}, allowed {settings.rig!r}")
+    weights = then.get("design", {})
+    if weights.keys() != set(INPUTS["design"]) or any(value is None or value <= 0.0 for value in weights.values()):
+        raise GainFileError(f"{name}: its inputs hold no weights of the design: run `rigctl tune` again")
+    made_for = settings.model_copy(update={"design": settings.design.model_copy(update=dict(weights))})
+    if sha256(inputs(made_for)) != found.provenance.inputs_sha256:
+        difference = _difference(then, inputs(made_for))
+        raise GainFileError(f"{name}: made for other settings ({difference}): run `rigctl tune` on the file that runs")
+    return _judged(made_for, Gains(**found.gains.model_dump()), found.provenance, name)
+
+
+def _judged(settings: RigSettings, gains: Gains, made: Provenance, name: str) -> Design:
     own = design(settings)
     edited = not all(math.isclose(asdict(gains)[k], g, rel_tol=SAME_GAIN) for k, g in asdict(own).items())
-    name = str(settings.design.gains_file)
     try:
         return judge(settings, gains, Source(name, made.model_dump(), edited))
     except (ArithmeticError, ValueError) as error:  # numbers no law has

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pathlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,6 +19,7 @@ from rigctl.design.closed_loop import controller
 from rigctl.design.gains import filter_gain
 from rigctl.design.margins import Responses, frequency_grid, responses
 from rigctl.design.plant_family import ComplexArray, Member
+from rigctl.design.table import GAINS
 from rigctl.design.verdict import Design, MemberMargins
 
 SIZE_INCHES, DOTS_PER_INCH = (12.0, 13.0), 110
@@ -67,7 +68,7 @@ def draw(settings: RigSettings, found: Design, file: pathlib.Path) -> None:
         for plant, margins, answer in zip(members, found.margins, answers, strict=True)
     ]
     figure = Figure(figsize=SIZE_INCHES, layout="constrained")
-    gains = ", ".join(f"{name} {value:.4g}" for name, value in asdict(found.gains).items())
+    gains = ", ".join(f"{name} {getattr(found.gains, name):.4g} {unit}".rstrip() for name, unit, _ in GAINS)
     figure.suptitle(f"{settings.rig}: {found.verdict()}\n{gains}", fontsize=11)
     axes = figure.subplots(3, 2)
     _bode(axes[0, 0], axes[1, 0], curves, hz[:-1])

@@ -10,18 +10,19 @@ from rigctl.design.performance import SHAKE_HZ, VERTICAL_HZ, VERTICAL_MM
 from rigctl.design.plant_family import REPORTED_N_MM
 from rigctl.design.verdict import Design, MemberMargins
 
-_GAINS = (
+GAINS = (
     ("k_tension", "mm/s per N", "speed per newton of tension error"),
     ("k_speed", "", "speed per speed error"),
     ("k_integral", "mm/s per N s", "speed per newton second of tension error"),
 )
+"""Every gain: name, unit, meaning."""
 _COLUMNS = "  K_m N/mm   k      delay   Ms in   Ms out   GM dB   PM deg   DM ms"
 
 
 def lines(settings: RigSettings, found: Design) -> Iterator[str]:
     """The gains, every plant of the family, what it does on the plant in the file, and the verdict."""
     yield f"{settings.rig}: gains"
-    for name, unit, meaning in _GAINS:
+    for name, unit, meaning in GAINS:
         yield f"  {name:<10} {getattr(found.gains, name):>10.6g}  {unit:<12}  {meaning}"
     yield ""
     yield f"margins over the family: {len(found.margins)} plants, mechanism's stiffness K_m, rope's k, delay"

@@ -13,6 +13,8 @@ class Power(IntEnum):
     OFF = 0  # stopped, brake closed, no power
     ON = 1  # operation enabled
     RESET = 2  # leave the drive's fault state, then off
+    QUICK_STOP = 3  # stop on the drive's own ramp, then off
+    CUT = 4  # off at once, whether it stands or not: the brake is the last resort
 
 
 _TO_ON: dict[DriveState, Controlword] = {
@@ -30,6 +32,9 @@ _TO_OFF: dict[DriveState, Controlword] = {
 }
 
 
+_STOPPABLE = frozenset({DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE})
+
+
 def next_controlword(state: DriveState, power: Power, last: int) -> Controlword:
     """Command that takes the drive one step towards ``power``; ``last`` is the controlword sent before.
 
@@ -37,5 +42,9 @@ def next_controlword(state: DriveState, power: Power, last: int) -> Controlword:
     """
     if power is Power.RESET and state is DriveState.FAULT:
         return Controlword.DISABLE_VOLTAGE if last == Controlword.FAULT_RESET else Controlword.FAULT_RESET
+    if power is Power.CUT:
+        return Controlword.DISABLE_VOLTAGE
+    if power is Power.QUICK_STOP and state in _STOPPABLE:
+        return Controlword.QUICK_STOP
     steps = _TO_ON if power is Power.ON else _TO_OFF
     return steps.get(state, Controlword.DISABLE_VOLTAGE)

@@ -127,9 +127,12 @@ class DriveState(IntEnum):
     FAULT = 0x08
 
 
+OFF_STATES = frozenset({DriveState.READY_TO_SWITCH_ON, DriveState.SWITCH_ON_DISABLED})
+"""No power, brake closed or closing."""
 DRIVE_STATE_MASK = 0x6F
 _WIDE_STATES = frozenset({DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED,
                           DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT})  # fmt: skip
+STATUS_WARNING = 0x0080
 STATUS_INTERNAL_LIMIT = 0x0800
 
 

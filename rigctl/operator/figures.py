@@ -71,6 +71,15 @@ def calibration(state: dict[str, Any]) -> tuple[str, str]:
     return (f"{text}, due {found['due'][:10]}" if found.get("due") else text), ""
 
 
+def lease(state: dict[str, Any]) -> str:
+    """Who commands, since when and for how long."""
+    found = state.get("lease")
+    if not found:
+        return "nobody holds it"
+    since = clock(state["wall_ns"] + round((state["age_ms"] or 0) * 1e6) - round(found["held_s"] * 1e9))[:-2]
+    return f"{found['holder']}, since {since}, for another {found['left_s']:.0f} s"
+
+
 def percentiles(figures: dict[str, float] | None) -> str:
     """p50, p99, p99.9, max of the last second in microseconds."""
     if figures is None:

@@ -5,24 +5,39 @@ from __future__ import annotations
 import contextlib
 import getpass
 import os
+import pathlib
 import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from rigctl import output_file
+
 if TYPE_CHECKING:
     from rigctl.telemetry.client import Client
 
 DONE, BAD, USAGE = 0, 1, 2
 
+
+def _said(value: str | None) -> str | None:
+    """An option that is given says something: an empty one is a script's variable that was never set."""
+    if value is not None and not value.strip():
+        raise typer.BadParameter("found nothing, allowed a value (or leave the option out)")
+    return value
+
+
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Connect = Annotated[
-    str | None, typer.Option(metavar="ENDPOINT", help="Daemon's endpoint [RIGCTL_CONNECT, tcp/127.0.0.1:7447].")
+    str | None,
+    typer.Option(metavar="ENDPOINT", help="Daemon's endpoint [RIGCTL_CONNECT, tcp/127.0.0.1:7447].", callback=_said),
 ]
-Rig = Annotated[str | None, typer.Option(metavar="NAME", help="Rig, where several answer [RIGCTL_RIG].")]
+Rig = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Rig, where several answer [RIGCTL_RIG].", callback=_said)
+]
 Operator = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Who gives the command [RIGCTL_OPERATOR, login name].")
+    str | None,
+    typer.Option(metavar="NAME", help="Who gives the command [RIGCTL_OPERATOR, login name].", callback=_said),
 ]
 Wait = Annotated[bool, typer.Option("--wait", help="Return when it is over, or has failed.")]
 
@@ -39,12 +54,8 @@ def operator_name(given: str | None) -> str:
 
 def say(text: str) -> None:
     """One line for whoever reads standard output."""
-    try:
-        sys.stdout.write(text + "\n")
-        sys.stdout.flush()
-    except BrokenPipeError:  # whoever read it has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise typer.Exit(DONE) from None
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
 
 
 def say_json(message: Any) -> None:
@@ -59,6 +70,15 @@ def end(code: int, complaint: str | None = None) -> NoReturn:
     if complaint is not None:
         sys.stderr.write(f"rigctl: {complaint}\n")
     raise typer.Exit(code)
+
+
+def check_output(option: str, file: pathlib.Path | None) -> None:
+    """End the command if a file it is to write could not be written."""
+    try:
+        if file is not None:
+            output_file.check(option, file)
+    except output_file.OutputError as error:
+        end(USAGE, str(error))
 
 
 @contextlib.contextmanager

@@ -126,6 +126,7 @@ class Screen:
             _row("work", figures.percentiles(state["work_us"])),
             _row("skipped", skipped, "bold yellow" if state["skipped"] else ""),
             _row("bus", figures.counters(state)),
+            _row("lease", figures.lease(state)),
         ]
 
     def _events(self, room: int) -> list[Text]:

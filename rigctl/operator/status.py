@@ -45,6 +45,7 @@ def rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
             ("age", n(state["age_ms"], 1, "ms"), ""),
             *([("design", state["design"], "")] if state.get("design") else []),
         ]
+    result.append(("lease", figures.lease(state), ""))
     return result + [("warning", text, "yellow") for text in state["warnings"]]
 
 

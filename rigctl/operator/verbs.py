@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rigctl.operator.lease import give
 from rigctl.operator.options import BAD, DONE, Connect, Json, Operator, Rig, Wait, daemon, end, operator_name, say
 from rigctl.operator.options import say_json as put_json
 
@@ -54,7 +55,7 @@ def release(
 
 
 def hold(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
-    """Stop and hold the stroke where it is."""
+    """Stop and hold the stroke where it is. Anyone may, always: it needs no lease and takes none."""
     _give("hold", json, connect, rig, operator)
 
 
@@ -87,7 +88,7 @@ def _give(
 ) -> None:
     with daemon(connect, rig) as client:
         states = client.follow(client.keys.state) if wait else None
-        answer = client.command(verb, operator_name(operator), value)
+        answer = give(client, verb, operator_name(operator), value)
         accepted = bool(answer.get("accepted"))
         if accepted and states is not None:
             if not json:

@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from rigctl import standard_output
 from rigctl.operator import figures
 from rigctl.operator.options import DONE, Connect, Json, Rig, daemon, end, say, say_json
 
@@ -85,7 +86,7 @@ def watch(json: Json = False, connect: Connect = None, rig: Rig = None) -> None:
 
 
 def _print_states(follower: Follower) -> None:
-    while True:
+    while not standard_output.nobody_reads():
         for state in follower.update():
             say_json(state)
         time.sleep(REFRESH_S / 5)
@@ -107,6 +108,7 @@ def line(view: View) -> str:
         f"stroke {figures.number(state['stroke_mm'], 2, 'mm')}",
         f"tilt {figures.number(state['tangential_deg'], 2, 'deg', sign=True)}",
         f"late p99 {late['p99']:.0f} max {late['max']:.0f} us",
+        f"lease {state['lease']['holder']}" if state.get("lease") else "",
         figures.why(state),
     ]
     return "  ".join(part for part in parts if part.strip())
@@ -114,7 +116,7 @@ def line(view: View) -> str:
 
 def _print_lines(follower: Follower) -> None:
     due = time.monotonic() + 0.2
-    while True:
+    while not standard_output.nobody_reads():
         follower.update()
         if time.monotonic() >= due:
             due += 1.0

@@ -17,13 +17,14 @@ import zenoh
 
 from rigctl.telemetry import keys
 from rigctl.telemetry.keys import Keys
+from rigctl.telemetry.lease import Act
 from rigctl.telemetry.session import SessionError, close, open_client
 
 OPEN_S = 2.0
 ASK_S = 2.0
 COMMAND_S = 6.0  # the gateway answers within 4 s, arm included ...
 TRIAL_S = 20.0  # ... or when a trial is over: 1 s for an average, up to 10 s for an identification
-_TRIALS = ("tare", "calibrate", "identify")
+_TRIALS = ("tare", "calibrate", "identify", "gains")
 _POLL_S = 0.01
 
 
@@ -69,6 +70,7 @@ class Client:
         wanted = rig or os.environ.get("RIGCTL_RIG") or None
         if wanted is not None and not re.fullmatch(r"[a-z][a-z0-9_]{0,31}", wanted):
             raise ChoiceError(f"found rig {wanted!r}, allowed a rig's name, e.g. paper_rig")
+        self.leases: dict[str, str] = {}  # id shown with the commands of each operator; kept from the answers
         self.session = _open(self.endpoint)
         try:
             self.keys = Keys(self._choose(wanted))
@@ -134,23 +136,43 @@ class Client:
         """What the fast stream means."""
         return dict(self._json(self.keys.schema))
 
-    def past_events(self, after: int = 0) -> list[dict[str, Any]]:
-        """Events after a sequence number that are still held, oldest first."""
-        return list(self._json(f"{self.keys.events_past}?after={after}"))
+    def past_events(self, after: int = 0, after_note: int = 0) -> list[dict[str, Any]]:
+        """Events of the loop and notes of the gateway that are still held, oldest first; each has its own sequence."""
+        return list(self._json(f"{self.keys.events_past}?after={after};after_note={after_note}"))
 
-    def command(self, verb: str, operator: str, value: float | None = None, **options: bool) -> dict[str, Any]:
+    def command(self, verb: str, operator: str, value: float | None = None, **options: bool | str) -> dict[str, Any]:
         """Give a command; the answer, whose ``accepted`` and ``text`` say what happened.
 
+        It is given under the lease in ``leases``; without one the lease is taken if nobody holds it. One that has
+        lapsed is not taken anew behind the program's back, which may no longer know how the rig is: see `take_lease`.
         ``options``: see `rigctl.telemetry.request.Request`.
 
         Raises:
             NoDaemonError: no answer; whether the command was carried out is not known.
         """
-        body: dict[str, Any] = {"operator": operator} | ({} if value is None else {"value": value})
-        body |= {name: True for name, wanted in options.items() if wanted}
-        limit_s = TRIAL_S if verb in _TRIALS else COMMAND_S
-        _, payload = self.ask(self.keys.command(verb), msgspec.json.encode(body), limit_s)
-        return dict(msgspec.json.decode(payload))
+        body: dict[str, Any] = {} if value is None else {"value": value}
+        body |= {name: option for name, option in options.items() if option}
+        return self._commanded(verb, operator, body, TRIAL_S if verb in _TRIALS else COMMAND_S)
+
+    def take_lease(self, operator: str, reason: str = "") -> dict[str, Any]:
+        """Take the lease, or renew it; from another only with a ``reason``. See `command`."""
+        return self._commanded(Act.TAKE.value, operator, {"reason": reason} if reason else {})
+
+    def return_lease(self, operator: str) -> dict[str, Any]:
+        """Give the lease back. See `command`."""
+        answer = self._commanded(Act.RETURN.value, operator, {})
+        if answer["accepted"]:
+            self.leases.pop(operator, None)
+        return answer
+
+    def _commanded(self, name: str, operator: str, body: dict[str, Any], limit_s: float = COMMAND_S) -> dict[str, Any]:
+        shown = self.leases.get(operator)
+        body = {"operator": operator} | ({"lease": shown} if shown else {}) | body
+        _, payload = self.ask(self.keys.command(name), msgspec.json.encode(body), limit_s)
+        answer = dict(msgspec.json.decode(payload))
+        if isinstance(held := answer.get("lease"), dict) and "id" in held:
+            self.leases[operator] = str(held["id"])
+        return answer
 
     def follow(self, key: str, depth: int = 64) -> Feed:
         """JSON messages published on ``key`` from now on; the oldest go when more than ``depth`` wait."""

@@ -14,9 +14,12 @@ import msgspec
 import zenoh
 
 from rigctl.commission.clerk import Clerk, Filed
-from rigctl.control.modes import TRIED_IN, Setting, Verb
+from rigctl.control.modes import FILED, Setting, Verb
 from rigctl.control.safety import Fault
 from rigctl.telemetry.keys import Keys
+from rigctl.telemetry.lease import ACTS
+from rigctl.telemetry.lease_keeper import Keeper
+from rigctl.telemetry.lease_request import LeaseRequest, parse_lease
 from rigctl.telemetry.record import COMMAND_LIFETIME_NS
 from rigctl.telemetry.request import Request, RequestError, Sight, answer, parse, refused, silent, verb_of
 from rigctl.telemetry.ring import RingReader, RingWriter
@@ -30,7 +33,7 @@ WAIT_NS = {
     Verb.CALIBRATE: ANSWER_NS + 2_000_000_000,
     Verb.IDENTIFY: ANSWER_NS + 10_000_000_000,
 }
-_PENDING_MAX = 64
+_PENDING_MAX = 64  # and as many more of HOLD, so that no crowd of others keeps it out
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,19 @@ class Asked:
 
     query: zenoh.Query
     request: Request
+
+
+@dataclass(frozen=True)
+class LeaseAsked:
+    """The lease itself is asked for."""
+
+    query: zenoh.Query
+    request: LeaseRequest
+
+
+@dataclass(frozen=True)
+class LeaseLapsed:
+    """Time has run out for a lease, as it seemed to who looked."""
 
 
 @dataclass(frozen=True)
@@ -91,12 +107,13 @@ class Desk:
         sight: Callable[[], Sight],
         limits_n: tuple[float, float],
         clerk: Clerk,
+        keeper: Keeper,
     ) -> None:
         """``sight``: what the newest record says; ``limits_n``: lowest and highest target."""
-        self._clerk = clerk
+        self._clerk, self._keeper = clerk, keeper
         self._keys, self._commands, self._replies = keys, commands, replies
         self._sight, self._limits_n = sight, limits_n
-        self._asked: queue.SimpleQueue[Asked | Recorded | Told | None] = queue.SimpleQueue()
+        self._asked: queue.SimpleQueue[Asked | LeaseAsked | LeaseLapsed | Recorded | Told | None] = queue.SimpleQueue()
         self._pending: dict[int, Pending] = {}
         self._last_id = 0
         self._thread = threading.Thread(target=self._serve, name="desk", daemon=True)
@@ -110,6 +127,11 @@ class Desk:
         """Tell the loop something that no operator gives."""
         self._asked.put(Told(setting, value))
 
+    def look_at_lease(self, now_ns: int) -> None:
+        """See that a lease that has lapsed is struck out, also while nobody asks anything."""
+        if self._keeper.has_lapsed(now_ns):
+            self._asked.put(LeaseLapsed())
+
     def close(self) -> None:
         """Answer no more."""
         self._asked.put(None)
@@ -120,14 +142,15 @@ class Desk:
         key = str(query.key_expr)
         name = key.rsplit("/", 1)[-1]
         try:
-            verb = verb_of(name)
             if key != self._keys.command(name):
                 raise RequestError(f"found the key {key}, allowed one rig and one command")
-            request = parse(verb, bytes(query.payload) if query.payload is not None else None)
+            payload = bytes(query.payload) if query.payload is not None else None
+            if (act := ACTS.get(name)) is not None:
+                self._asked.put(LeaseAsked(query, parse_lease(act, payload)))
+            else:
+                self._asked.put(Asked(query, parse(verb_of(name), payload)))
         except RequestError as error:
             send_answer(query, key, refused(name, "", "bad_request", str(error)))
-            return
-        self._asked.put(Asked(query, request))
 
     def _serve(self) -> None:
         while True:
@@ -138,10 +161,15 @@ class Desk:
                 self._do(asked)
             self._collect(time.monotonic_ns())
 
-    def _do(self, asked: Asked | Recorded | Told) -> None:
+    def _do(self, asked: Asked | LeaseAsked | LeaseLapsed | Recorded | Told) -> None:
         match asked:
             case Asked(query, request):
                 self._give(query, request)
+            case LeaseAsked(query, wanted):
+                message = self._keeper.decide(wanted, time.monotonic_ns())
+                send_answer(query, self._keys.command(wanted.act.value), message)
+            case LeaseLapsed():
+                self._keeper.expire(time.monotonic_ns())
             case Recorded():
                 self._put_in_force(asked)
             case Told(setting, value):
@@ -155,14 +183,23 @@ class Desk:
         return self._last_id
 
     def _give(self, query: zenoh.Query, request: Request) -> None:
-        if len(self._pending) >= _PENDING_MAX:
+        if len(self._pending) >= (2 if request.verb is Verb.HOLD else 1) * _PENDING_MAX:
             self._answer(query, request, silent(request.verb.name.lower(), request.operator))
             return
         if (why := self._clerk.impossible(request)) is not None:
             self._answer(query, request, refused(request.verb.name.lower(), request.operator, "not_possible", why))
             return
-        until_ns = time.monotonic_ns() + WAIT_NS.get(request.verb, ANSWER_NS)
+        now = time.monotonic_ns()
+        if request.verb is not Verb.HOLD:  # hold is safe: given by anyone, and before anything else is done about it
+            admitted = self._keeper.admit(request, now)
+            if not isinstance(admitted, Request):
+                self._answer(query, request, admitted)
+                return
+            request = admitted
+        until_ns = now + WAIT_NS.get(request.verb, ANSWER_NS)
         self._pending[self._write(request.verb, request.number)] = Pending(query, request, until_ns)
+        if request.verb is Verb.HOLD:
+            self._keeper.note_hold(request, now)
 
     def _put_in_force(self, recorded: Recorded) -> None:
         """What is on record now takes effect; the operator is answered when the loop has taken it."""
@@ -190,6 +227,8 @@ class Desk:
                 self._answered(given, reply)
         for number in [number for number, given in self._pending.items() if now_ns > given.until_ns]:
             given = self._pending.pop(number)
+            if given.recorded is not None:
+                self._clerk.unanswered(given.recorded.filed)
             name, operator = given.request.verb.name.lower(), given.request.operator
             self._answer(given.query, given.request, silent(name, operator))
 
@@ -208,12 +247,13 @@ class Desk:
             else:
                 self._clerk.withdraw(given.recorded.filed)
                 message["text"] += "; withdrawn from the ledger"
-        elif request.verb in TRIED_IN and message["accepted"]:
+        elif request.verb in FILED and message["accepted"]:
             self._clerk.file(request, reply, lambda filed: self._asked.put(Recorded(query, request, message, filed)))
             return
         self._answer(query, request, message)
 
     def _answer(self, query: zenoh.Query, request: Request, message: dict[str, Any]) -> None:
+        message = self._keeper.with_lease(request.operator, request.lease, message, time.monotonic_ns())
         send_answer(query, self._keys.command(request.verb.name.lower()), message)
 
 

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
-from rigctl.control.safety import Check, Fault
+from rigctl.control.safety import Action, Check, Fault
 
 
 class Kind(IntEnum):
     """Kind of an event; ``a``, ``b``, ``value`` and ``limit`` mean what the comment says."""
 
-    MODE = 1  # a: from, b: to, value: event
-    TRIP = 2  # a: fault, value, limit
+    MODE = 1  # a: from, b: to, value: event, limit: safe frames sent before it
+    TRIP = 2  # a: fault, b: action, value, limit, text: what is beyond its limit, for a limit of the rig file
     RESET = 3  # a: fault acknowledged
     EMERGENCY = 4  # a: node, b: emergency code (CiA 301)
     NODE_STATE = 5  # a: node, b: NMT state
@@ -27,6 +27,8 @@ class Kind(IntEnum):
     CLOCK = 11  # a: ticks skipped at once
     CORRECTION = 12  # value: zero of the tension cell in N, limit: its scale
     GAINS = 14  # text: K_T, K_v, K_i now in force
+    LIMIT = 15  # a: fault, b: action (LOG), value, limit, text: a limit of the rig file is passed ...
+    LIMIT_OVER = 16  # ... and is kept again
     SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
 
 
@@ -56,12 +58,18 @@ FAULT_TEXT: dict[Fault, str] = {
     Fault.INNOVATION: "tension or cylinder speed contradicts what the filter expects",
     Fault.SIGN_DRIVE: "the stroke does not go where the drive is told: check the drive's sign and scale",
     Fault.SIGN_CELL: "the tension does not follow the stroke as the plant says: check the signs of cell and drive",
+    Fault.LIMIT: "{text} {limit:g} ({value:.4g})",
+    Fault.CELL_STUCK: "tension cell has sent the very same value {value:.0f} times more",
+    Fault.DRIVE_CONTRADICTS: "drive's position and speed contradict each other by {value:.2f} mm (limit {limit:.2f})",
+    Fault.STROKE_MOVES: "the stroke moves though the drive is off ({value:.2f} mm/s): the brake does not hold",
+    Fault.STRETCH_UNEXPLAINED: "tension and stroke contradict each other by {value:.1f} mm of stretch "
+    "(limit {limit:.1f} mm): rope, cell or payload",
+    Fault.E_STOP: "emergency stop pressed",
     Fault.DEVICE_RESTARTED: "a device restarted and lost its settings; start the daemon anew",
 }
 
 _SCALE: dict[Fault, float] = {
     Fault.CELL_STALE: 1e-6, Fault.INCLINATION_STALE: 1e-6, Fault.DRIVE_STALE: 1e-6, Fault.BUS_SILENT: 1e-6,
-    Fault.TENSION_LOW: -1.0,
 }  # fmt: skip
 
 CHECK_TEXT: dict[Check, str] = {
@@ -74,6 +82,7 @@ CHECK_TEXT: dict[Check, str] = {
     Check.TENSION_HIGH: "tension above its limit",
     Check.STROKE_RANGE: "stroke outside its limits",
     Check.DRIVE_SUPERVISION: "drive's own stop on loss of the controller is not verified",
+    Check.E_STOP: "emergency stop is pressed",
     Check.CALIBRATION: "tension cell's calibration is missing or overdue: rigctl calibrate (or calibration.waiver)",
 }
 
@@ -89,15 +98,30 @@ _EVENT_TEXT: dict[Event, str] = {
     Event.RESET_HELD: "reset, drive on",
     Event.RESET_OFF: "reset, drive off",
     Event.STOP: "daemon stopping",
+    Event.RAMP_DOWN: "ramp down",
 }
 
 _NMT = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
 
 
-def fault_text(fault: Fault, value: float, limit: float) -> str:
-    """One line for a fault."""
+def fault_text(fault: Fault, value: float, limit: float, text: str = "") -> str:
+    """One line for a fault; ``text``: what is beyond its limit, where the rig file says so."""
     scale = _SCALE.get(fault, 1.0)
-    return FAULT_TEXT[fault].format(value=value * scale, limit=limit * scale)
+    return FAULT_TEXT[fault].format(value=value * scale, limit=limit * scale, text=text)
+
+
+def _trip(a: int, b: int, value: float, limit: float, text: str) -> Worded:
+    asked = "" if b == Action.HOLD else f"; {_ACTION_TEXT[Action(b)]}"
+    return Worded("error", f"trip {Fault(a).name}: {fault_text(Fault(a), value, limit, text)}{asked}")
+
+
+_ACTION_TEXT = {
+    Action.LOG: "logged",
+    Action.RAMP_DOWN: "ramping down",
+    Action.HOLD: "holding",
+    Action.QUICK_STOP: "quick stop, then power off",
+    Action.POWER_OFF: "power off, brake closed",
+}
 
 
 def failed_checks(bits: int) -> list[str]:
@@ -145,6 +169,7 @@ _TRIAL_TEXT = {
     Refusal.UNSTEADY: "it moves, or the reading does: wait until everything is at rest",
     Refusal.NO_SAMPLES: "the cell gives no good samples",
     Refusal.SLACK: "the rope is slack",
+    Refusal.FAULT_LATCHED: "a limit has the tension ramped down; only hold stops that",
     Refusal.STRAYED: "tension or stroke left the bounds of the excitation, or would have; the stroke is held",
 }
 _SILENT = frozenset(
@@ -177,7 +202,9 @@ def _emergency(a: int, b: int, _value: float, _limit: float, _text: str) -> Word
 
 _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.MODE: _mode,
-    Kind.TRIP: lambda a, _b, v, m, _t: Worded("error", f"trip {Fault(a).name}: {fault_text(Fault(a), v, m)}"),
+    Kind.TRIP: _trip,
+    Kind.LIMIT: lambda a, _b, v, m, t: Worded("warning", f"limit: {fault_text(Fault(a), v, m, t)}"),
+    Kind.LIMIT_OVER: lambda _a, _b, _v, m, t: Worded("info", f"limit: no longer {t} {m:g}"),
     Kind.RESET: lambda a, _b, _v, _l, _t: Worded("info", f"fault {Fault(a).name} reset"),
     Kind.EMERGENCY: _emergency,
     Kind.NODE_STATE: lambda a, b, _v, _l, _t: Worded("info" if b == 5 else "warning", f"node {a}: {_NMT.get(b, b)}"),

@@ -21,17 +21,17 @@ from pydantic import ValidationError
 from rigctl.commission.clerk import Clerk
 from rigctl.commission.ledger import Standing
 from rigctl.config import RigSettings
-from rigctl.control.modes import Setting
 from rigctl.control.realtime import die_with_parent
 from rigctl.telemetry.commands import Desk, sight_of
 from rigctl.telemetry.cursor import Cursor
 from rigctl.telemetry.keys import Keys
+from rigctl.telemetry.lease_keeper import Keeper
 from rigctl.telemetry.ring import RingError
 from rigctl.telemetry.runtime import Runtime
 from rigctl.telemetry.schema import schema
 from rigctl.telemetry.session import SessionError, close, finish, open_client, open_router
 from rigctl.telemetry.state import Recent, Trip, design_of, state_of, warnings_of
-from rigctl.telemetry.streams import EventStream, FastStream, event_message, event_publishers, past_block
+from rigctl.telemetry.streams import EventStream, FastStream, event_publishers, past_block, past_messages
 
 _JSON = zenoh.Encoding.APPLICATION_JSON
 _DROP = zenoh.CongestionControl.DROP
@@ -52,7 +52,7 @@ class StateView:
         self._started_wall_ns = time.time_ns()
         self.newest = b"{}"
 
-    def make(self, now_ns: int, samples_lost: int, standing: Standing) -> bytes:
+    def make(self, now_ns: int, samples_lost: int, standing: Standing, lease: dict[str, Any] | None) -> bytes:
         """Read what is new and encode it."""
         self._recent.add(self._records.read())
         self._trip.note(self._events.read())
@@ -66,6 +66,7 @@ class StateView:
             "samples_lost": samples_lost,
             "design": self._design,
             "calibration": standing,
+            "lease": lease,
             "warnings": self._warnings,
             "gateway_wall_ns": self._started_wall_ns,
         }
@@ -96,11 +97,11 @@ def _answering(answer: Callable[[zenoh.Query], tuple[str, bytes]]) -> Callable[[
     return take
 
 
-def _after(query: zenoh.Query) -> int:
+def _after(query: zenoh.Query, name: str = "after") -> int:
     """The ``after=SEQ`` of a query."""
-    text = query.parameters.get("after", "0") or "0"
+    text = query.parameters.get(name, "0") or "0"
     if not text.isascii() or not text.isdigit() or len(text) > 19:
-        raise ValueError(f"found after={text[:40]!r}, allowed a sequence number")
+        raise ValueError(f"found {name}={text[:40]!r}, allowed a sequence number")
     return int(text)
 
 
@@ -108,12 +109,12 @@ def _declare_queryables(
     session: zenoh.Session, keys: Keys, runtime: Runtime, settings: RigSettings, view: StateView, stream: int
 ) -> None:
     known = msgspec.json.encode(schema(settings.rig))
-    records, events = runtime.record_reader(), runtime.event_reader()
+    records, events, notes = runtime.record_reader(), runtime.event_reader(), runtime.note_reader()
 
     def past_events(query: zenoh.Query) -> tuple[str, bytes]:
-        events.cursor = min(_after(query), events.head)
         offset = time.time_ns() - time.monotonic_ns()
-        return keys.events_past, msgspec.json.encode([event_message(event, offset)[1] for event in events.read()])
+        found = past_messages(events, notes, _after(query), _after(query, "after_note"), offset)
+        return keys.events_past, msgspec.json.encode(found)
 
     def active(_query: zenoh.Query) -> tuple[str, bytes]:
         message = {**runtime.read_json("active.json"), "control": written(runtime, "control.json")}
@@ -153,15 +154,23 @@ class Gateway:
         fast = self._session.declare_publisher(keys.fast, congestion_control=_DROP)
         self._fast = FastStream(fast, records, self._cursor, now)
         publishers = event_publishers(self._session, keys)
-        self._events = EventStream(publishers, runtime.event_reader(from_start=True), self._cursor, now)
+        events, notes = runtime.event_reader(from_start=True), runtime.note_reader(from_start=True)
+        self._events = EventStream(publishers, events, notes, self._cursor, now)
 
         limits_n = (settings.tension.target_min_n, settings.tension.target_max_n)
         newest = runtime.record_reader()
         self._clerk = Clerk(runtime, settings)
+        self._keeper = Keeper(runtime, settings.telemetry.lease_s, now)
         self._desk = Desk(
-            keys, runtime.command_writer(), runtime.reply_reader(), lambda: sight_of(newest), limits_n, self._clerk
+            keys,
+            runtime.command_writer(),
+            runtime.reply_reader(),
+            lambda: sight_of(newest),
+            limits_n,
+            self._clerk,
+            self._keeper,
         )
-        self._view.make(now, 0, self._clerk.standing)
+        self._view.make(now, 0, self._clerk.standing, self._keeper.shown(now))
         _declare_queryables(self._session, keys, runtime, settings, self._view, self._cursor.stream)
         self._desk.open(self._command_session)
         self._token = self._session.liveliness().declare_token(keys.daemon)
@@ -171,10 +180,10 @@ class Gateway:
         now = time.monotonic_ns()
         self._fast.publish(self._per_call, now)
         self._events.publish(time.time_ns() - now, now)
-        overdue = self._clerk.overdue(now, time.time_ns())
-        if overdue is not None:
-            self._desk.tell(Setting.OVERDUE, overdue)
-        self._state.put(self._view.make(now, self._fast.lost, self._clerk.standing))
+        for setting, value in self._clerk.news(now, time.time_ns()):
+            self._desk.tell(setting, value)
+        self._desk.look_at_lease(now)
+        self._state.put(self._view.make(now, self._fast.lost, self._clerk.standing, self._keeper.shown(now)))
 
     def run(self, stop: threading.Event) -> None:
         """Publish on an absolute grid until ``stop``; periods that were missed are left out."""

@@ -35,7 +35,7 @@ class Keys:
 
     @property
     def events_past(self) -> str:
-        """Asked with ``after=SEQ``: the events still held after that one, a JSON list."""
+        """Events still held, a JSON list: the loop's after ``after=SEQ``, the gateway's after ``after_note=SEQ``."""
         return self._key("events/past")
 
     @property
@@ -54,7 +54,7 @@ class Keys:
         return self._key("live/daemon")
 
     def command(self, verb: str) -> str:
-        """Command of one verb; ``*`` is what the gateway declares."""
+        """Command of one verb, or act on the lease; ``*`` is what the gateway declares."""
         return self._key(f"cmd/{verb}")
 
 

@@ -39,8 +39,10 @@ class Slot:
     @property
     def dtype(self) -> np.dtype[Any]:
         """Packed dtype with ``seq``: what a ``RingReader`` takes, and the wire format of a fast block."""
-        kinds = {"d": "<f8", "q": "<i8", "Q": "<u8", "I": "<u4", "H": "<u2", "B": "u1", "80s": "S80"}
-        return np.dtype([("seq", "<u8"), *((field.name, kinds[field.code]) for field in self.fields)])
+        kinds = {"d": "<f8", "q": "<i8", "Q": "<u8", "I": "<u4", "H": "<u2", "B": "u1"}
+        return np.dtype(
+            [("seq", "<u8"), *((field.name, kinds.get(field.code) or f"S{field.code[:-1]}") for field in self.fields)]
+        )
 
 
 class Quality(IntFlag):
@@ -168,6 +170,17 @@ REPLY = Slot(
             "CALIBRATE: mean reading of the cell in N; IDENTIFY: how long it took in s",
         ),
         Field("spread", "d", "N", "TARE, CALIBRATE: rms of the reading about its mean; else 0"),
+    ),
+)
+
+NOTE = Slot(
+    "note",
+    (
+        Field("t_ns", "q", "ns", "when, CLOCK_MONOTONIC"),
+        Field("kind", "H", "", "see rigctl.telemetry.notes.Note"),
+        Field("operator", "256s", "", "who"),
+        Field("other", "256s", "", "whom it concerns beside the operator"),
+        Field("reason", "480s", "", "why, in the operator's words"),
     ),
 )
 

@@ -4,27 +4,30 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Fault
 from rigctl.telemetry.events import failed_checks, refusal_text
+from rigctl.telemetry.lease import ACTS, ID_BYTES, is_id
 
 VERBS = {verb.name.lower(): verb for verb in Verb}
 _OPERATOR_LENGTH = 64
-_PAYLOAD_BYTES = 4096
+_PAYLOAD_BYTES = 16_384  # a gain file and more
 _ALLOWED = '{"operator": "NAME"}'
 _ALLOWED_MORE = {
     Verb.TARGET: '{"operator": "NAME", "value": NEWTONS}',
     Verb.CALIBRATE: '{"operator": "NAME"} and "value": NEWTONS or "shunt": true, "adopt": true',
     Verb.IDENTIFY: '{"operator": "NAME"} and "tight": true',
+    Verb.GAINS: '{"operator": "NAME", "gain_file": TEXT, "name": "FILE"}',
 }
 _OPTIONS: dict[Verb, frozenset[str]] = {
     Verb.TARGET: frozenset({"value"}),
     Verb.CALIBRATE: frozenset({"value", "shunt", "adopt"}),
     Verb.IDENTIFY: frozenset({"tight"}),
+    Verb.GAINS: frozenset({"gain_file", "name"}),
 }
 
 
@@ -34,10 +37,13 @@ class RequestError(ValueError):
 
 class _Payload(msgspec.Struct, forbid_unknown_fields=True):
     operator: str
+    lease: Any = None
     value: float | None = None
     shunt: bool = False
     adopt: bool = False
     tight: bool = False
+    gain_file: str = ""
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -46,6 +52,8 @@ class Request:
 
     ``value``: newtons, the target of TARGET or the known weight of CALIBRATE, else NaN. ``shunt``: CALIBRATE compares
     with the shunt. ``adopt``: it sets a new scale. ``tight``: IDENTIFY wants a tight rope.
+    ``gain_file``, ``name``: text and name of a gain file, for GAINS.
+    ``lease``: id of the lease it is given under, None where none is shown.
     """
 
     verb: Verb
@@ -54,6 +62,9 @@ class Request:
     shunt: bool = False
     adopt: bool = False
     tight: bool = False
+    lease: str | None = None
+    gain_file: str = ""
+    name: str = ""
 
     @property
     def number(self) -> float:
@@ -69,8 +80,51 @@ def verb_of(name: str) -> Verb:
     """
     verb = VERBS.get(name)
     if verb is None:
-        raise RequestError(f"found the command {name[:40]!r}, allowed {', '.join(VERBS)}")
+        raise RequestError(f"found the command {name[:40]!r}, allowed {', '.join((*VERBS, *ACTS))}")
     return verb
+
+
+_Some = TypeVar("_Some")
+
+
+def decoded(payload: bytes | None, kind: type[_Some], allowed: str) -> _Some:
+    """A payload as what it must be.
+
+    Raises:
+        RequestError: none, too long, bad JSON, an unknown key, a wrong type.
+    """
+    if not payload:
+        raise RequestError(f"found no payload, allowed {allowed}")
+    if len(payload) > _PAYLOAD_BYTES:
+        raise RequestError(f"found {len(payload)} bytes, allowed {allowed}")
+    try:
+        return msgspec.json.decode(payload, type=kind)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise RequestError(f"{error}, allowed {allowed}".replace("\n", " ")) from None
+
+
+def operator_of(text: str) -> str:
+    """An operator's name.
+
+    Raises:
+        RequestError: empty, too long or not printable.
+    """
+    operator = text.strip()
+    if not operator or len(operator) > _OPERATOR_LENGTH or not operator.isprintable():
+        raise RequestError(f"found operator {text[:80]!r}, allowed 1 to {_OPERATOR_LENGTH} printable letters")
+    return operator
+
+
+def lease_of(found: Any) -> str | None:
+    """A lease's id; None where none is shown.
+
+    Raises:
+        RequestError: it has not the form of one.
+    """
+    if found is None or (isinstance(found, str) and is_id(found)):
+        return found
+    what = f"text of {len(found)} letters" if isinstance(found, str) else type(found).__name__
+    raise RequestError(f"found lease: {what}, allowed the id from an answer, {2 * ID_BYTES} letters 0-9 a-f")
 
 
 def parse(verb: Verb, payload: bytes | None) -> Request:
@@ -80,27 +134,26 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
         RequestError: bad JSON, an unknown key, a missing or non-finite value, a wrong type.
     """
     allowed = _ALLOWED_MORE.get(verb, _ALLOWED)
-    if not payload:
-        raise RequestError(f"found no payload, allowed {allowed}")
-    if len(payload) > _PAYLOAD_BYTES:
-        raise RequestError(f"found {len(payload)} bytes, allowed {allowed}")
-    try:
-        found = msgspec.json.decode(payload, type=_Payload)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise RequestError(f"{error}, allowed {allowed}".replace("\n", " ")) from None
-    operator = found.operator.strip()
-    if not operator or len(operator) > _OPERATOR_LENGTH or not operator.isprintable():
-        raise RequestError(f"found operator {found.operator[:80]!r}, allowed 1 to {_OPERATOR_LENGTH} printable letters")
+    found = decoded(payload, _Payload, allowed)
+    operator = operator_of(found.operator)
     options = _OPTIONS.get(verb, frozenset())
-    for name in ("value", "shunt", "adopt", "tight"):
-        if name not in options and getattr(found, name) not in (None, False):
+    for name in ("value", "shunt", "adopt", "tight", "gain_file", "name"):
+        if name not in options and getattr(found, name) not in (None, False, ""):
             raise RequestError(f"found {name}, allowed {allowed}")
+    if verb is Verb.GAINS and not (found.gain_file and found.name and found.name.isprintable()):
+        raise RequestError(f"found no gain file with a name, allowed {allowed}")
     if found.value is None and verb is Verb.TARGET:
         raise RequestError(f"found no value, allowed {allowed}")
     if found.value is not None and not math.isfinite(found.value):
         raise RequestError(f"found value {found.value}, allowed a finite number of newtons")
     value = math.nan if found.value is None else found.value
-    return Request(verb, operator, value, found.shunt, found.adopt, found.tight)
+    try:
+        lease = lease_of(found.lease)
+    except RequestError:
+        if verb is not Verb.HOLD:  # which needs none: no flaw of a lease keeps anyone from it
+            raise
+        lease = None
+    return Request(verb, operator, value, found.shunt, found.adopt, found.tight, lease, found.gain_file, found.name)
 
 
 @dataclass(frozen=True)
@@ -130,6 +183,8 @@ def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
             return f"fault cleared, {mode.name}"
         case Verb.TARGET:
             return f"{value:g} N, {mode.name}"
+        case Verb.GAINS:
+            return mode.name
         case Verb.IDENTIFY:
             return f"excited for {value:.1f} s, {mode.name}, stroke {sight.stroke_mm:.2f} mm"
         case _:
@@ -138,7 +193,7 @@ def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
 
 def refused(name: str, operator: str, reason: str, text: str, **more: Any) -> dict[str, Any]:
     """The answer to a command that was not carried out."""
-    verb = name.upper() if name in VERBS else "COMMAND"
+    verb = name.upper() if name in VERBS else "LEASE" if name in ACTS else "COMMAND"
     return {
         "accepted": False, "verb": name, "operator": operator, "reason": reason,
         "text": f"{verb} refused: {text}", **more,

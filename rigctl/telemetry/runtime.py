@@ -1,8 +1,9 @@
 """The running daemon's folder in memory: rings, the resolved configuration, and the lock that makes it the only one.
 
-``/dev/shm/rigctl-<rig>/``: ``records events commands replies`` (rings), ``active.json`` (what runs),
+``/dev/shm/rigctl-<rig>/``: ``records events commands replies notes`` (rings), ``active.json`` (what runs),
 ``control.json`` (what the control process read back), ``calibration.json`` (the cell's zero, scale and due date in
-force), ``gateway.*`` (the gateway's own), ``lock`` (held by the supervisor, with its pid in it).
+force), ``lease.json`` (who may command), ``gateway.*`` (the gateway's own), ``lock`` (held by the supervisor, with its
+pid in it).
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ from rigctl.config import RigSettings
 from rigctl.telemetry import record
 from rigctl.telemetry.ring import RingReader, RingWriter, create
 
+ACTIVE = "active.json"
 _BASE = pathlib.Path("/dev/shm")
 _SMALL_RING = 4096
+_NOTES = 1024
 _FILES = (
-    "records", "events", "commands", "replies", "active.json", "control.json", "calibration.json",
-    "gateway.cursor", "gateway.sock", "gateway.sock.lock",
+    "records", "events", "commands", "replies", "notes", "active.json", "control.json", "calibration.json",
+    "lease.json", "gateway.cursor", "gateway.sock", "gateway.sock.lock",
 )  # fmt: skip
 
 
@@ -66,6 +69,7 @@ class Runtime:
         create(self.events, record.EVENT.dtype, _SMALL_RING)
         create(self.commands, record.COMMAND.dtype, _SMALL_RING)
         create(self.replies, record.REPLY.dtype, _SMALL_RING)
+        create(self.notes, record.NOTE.dtype, _NOTES)
 
     def remove(self) -> None:
         """Take the folder away; readers that still map a ring keep it until they let go."""
@@ -98,6 +102,11 @@ class Runtime:
         return self.directory / "replies"
 
     @property
+    def notes(self) -> pathlib.Path:
+        """Ring of ``record.NOTE``, written by the gateway."""
+        return self.directory / "notes"
+
+    @property
     def gateway_cursor(self) -> pathlib.Path:
         """How far the gateway has published, for the one that follows it."""
         return self.directory / "gateway.cursor"
@@ -114,6 +123,10 @@ class Runtime:
     def event_reader(self, *, from_start: bool = False) -> RingReader:
         """A reader of the events."""
         return RingReader(self.events, record.EVENT.dtype, from_start=from_start)
+
+    def note_reader(self, *, from_start: bool = False) -> RingReader:
+        """A reader of the notes."""
+        return RingReader(self.notes, record.NOTE.dtype, from_start=from_start)
 
     def command_reader(self) -> RingReader:
         """A reader of the commands given from now on."""
@@ -138,6 +151,10 @@ class Runtime:
     def reply_writer(self) -> RingWriter:
         """The writer of the replies (control process)."""
         return RingWriter(self.replies, record.REPLY.layout)
+
+    def note_writer(self) -> RingWriter:
+        """The writer of the notes (gateway)."""
+        return RingWriter(self.notes, record.NOTE.layout)
 
     def write_json(self, name: str, value: Any) -> None:
         """Replace ``name`` at once, so that a reader sees the old file or the new one."""

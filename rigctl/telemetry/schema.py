@@ -11,12 +11,14 @@ from rigctl.control.safety import Check, Fault
 from rigctl.telemetry import block
 from rigctl.telemetry.events import FAULT_TEXT, Kind
 from rigctl.telemetry.keys import SEVERITIES, Keys
+from rigctl.telemetry.lease import Act
+from rigctl.telemetry.notes import Note
 from rigctl.telemetry.record import RECORD, Flag, Quality
 from rigctl.telemetry.state import DERIVED
 
 _ENUMS: dict[str, type[IntEnum | IntFlag]] = {
     "modes": Mode, "faults": Fault, "flags": Flag, "quality": Quality, "verdicts": Verdict,
-    "checks": Check, "refusals": Refusal, "verbs": Verb, "event_kinds": Kind,
+    "checks": Check, "refusals": Refusal, "verbs": Verb, "event_kinds": Kind, "note_kinds": Note,
 }  # fmt: skip
 
 
@@ -70,17 +72,29 @@ def schema(rig: str) -> dict[str, Any]:
         },
         "events": {
             "keys": {severity: keys.event(severity) for severity in SEVERITIES},
-            "missed": f"get {keys.events_past}?after=SEQ answers a list of the events after SEQ that are still held",
+            "sources": {"loop": "kind is one of event_kinds", "gateway": "kind is one of note_kinds"},
+            "missed": f"get {keys.events_past}?after=SEQ;after_note=SEQ answers a list of those still held: of the "
+            "loop's events after the one, of the gateway's notes after the other; each has its own sequence",
         },
         "commands": {
             "keys": {verb.name.lower(): keys.command(verb.name.lower()) for verb in Verb},
             "payload": {
                 "operator": "text, who gives it",
+                "lease": "id from an earlier answer; without it the lease nobody holds is taken",
                 "value": "newtons: the target, or the known weight of calibrate",
                 "shunt": "true: calibrate against the shunt",
                 "adopt": "true: calibrate sets the scale",
                 "tight": "true: identify only a tight rope",
             },
+        },
+        "lease": {
+            "keys": {act.name.lower(): keys.command(act.value) for act in Act},
+            "payload": {
+                "operator": "text, who asks",
+                "lease": "id from an earlier answer",
+                "reason": "text: why it is taken over from another",
+            },
+            "rule": "one operator commands at a time; hold is accepted from anyone, and takes no lease",
         },
         "enums": {name: {member.name: int(member) for member in kind if member.name} for name, kind in _ENUMS.items()},
         "fault_texts": {fault.name: text for fault, text in FAULT_TEXT.items()},

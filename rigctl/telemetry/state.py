@@ -67,12 +67,13 @@ class Trip:
     """Value and limit of the trip that is latched, remembered from the events."""
 
     def __init__(self) -> None:
-        self._fault, self._value, self._limit = 0, math.nan, math.nan
+        self._fault, self._value, self._limit, self._text = 0, math.nan, math.nan, ""
 
     def note(self, events: npt.NDArray[Any]) -> None:
         """Look for a newer trip."""
         for event in events[events["kind"] == Kind.TRIP]:
             self._fault, self._value, self._limit = int(event["a"]), float(event["value"]), float(event["limit"])
+            self._text = bytes(event["text"]).decode(errors="replace")
 
     def text(self, fault: int) -> str:
         """The latched fault in words."""
@@ -84,7 +85,7 @@ class Trip:
             return ""
         if self._fault != fault:  # its event is not in the ring any more
             return known.name.lower().replace("_", " ")
-        return fault_text(known, self._value, self._limit)
+        return fault_text(known, self._value, self._limit, self._text)
 
 
 def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wall_ns: int) -> dict[str, Any]:
@@ -151,6 +152,7 @@ DERIVED: tuple[tuple[str, str, str], ...] = (
     ("samples_lost", "", "records overwritten before a gateway could publish them, so far"),
     ("design", "", "how robust the law in use is, and where its gains come from; null before there is one"),
     ("calibration", "", "of the tension cell: zero_n, scale, due (null without a valid check), overdue, waiver"),
+    ("lease", "", "holder, since_ns, until_ns (as t_ns), held_s, left_s; null while nobody holds it"),
     ("warnings", "", "what the operator should know: real-time settings refused, a design waived and why"),
     ("gateway_wall_ns", "ns", "when this gateway started; changes when it was restarted"),
 )

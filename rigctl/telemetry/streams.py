@@ -14,6 +14,7 @@ from rigctl.telemetry import block
 from rigctl.telemetry.cursor import Cursor
 from rigctl.telemetry.events import Kind, Worded, worded
 from rigctl.telemetry.keys import SEVERITIES, Keys
+from rigctl.telemetry.notes import note_message
 from rigctl.telemetry.record import RECORD
 from rigctl.telemetry.ring import RingReader
 
@@ -117,28 +118,46 @@ def event_message(event: np.void, wall_offset_ns: int) -> tuple[str, dict[str, A
     t_ns = int(event["t_ns"])
     return words.severity, {
         "seq": int(event["seq"]), "t_ns": t_ns, "wall_ns": t_ns + wall_offset_ns, "severity": words.severity,
-        "kind": name, "text": words.text, "a": a, "b": b, "value": value, "limit": limit,
+        "source": "loop", "kind": name, "text": words.text, "a": a, "b": b, "value": value, "limit": limit,
     }  # fmt: skip
 
 
-class EventStream:
-    """Every event, on the key of its severity."""
+def past_messages(
+    events: RingReader, notes: RingReader, after: int, after_note: int, wall_offset_ns: int
+) -> list[dict[str, Any]]:
+    """Events of the loop after one and notes of the gateway after another that are still held, oldest first."""
+    events.cursor, notes.cursor = min(after, events.head), min(after_note, notes.head)
+    found = [event_message(event, wall_offset_ns)[1] for event in events.read()]
+    found += [note_message(note, wall_offset_ns)[1] for note in notes.read()]
+    return sorted(found, key=lambda message: int(message["t_ns"]))
 
-    def __init__(self, publishers: dict[str, zenoh.Publisher], reader: RingReader, cursor: Cursor, now_ns: int) -> None:
-        self._publishers, self._reader, self._cursor = publishers, reader, cursor
+
+class EventStream:
+    """Every event of the loop and every note of the gateway, on the key of its severity."""
+
+    def __init__(
+        self,
+        publishers: dict[str, zenoh.Publisher],
+        reader: RingReader,
+        notes: RingReader,
+        cursor: Cursor,
+        now_ns: int,
+    ) -> None:
+        self._publishers, self._reader, self._notes, self._cursor = publishers, reader, notes, cursor
         self._resumption = Resumption(cursor.events_listened, now_ns)
         if cursor.resumed:
-            reader.cursor = cursor.event_seq
+            reader.cursor, notes.cursor = cursor.event_seq, cursor.note_seq
 
     def publish(self, wall_offset_ns: int, now_ns: int) -> None:
         """Publish what is new."""
         if self._resumption.waits(list(self._publishers.values()), now_ns):
             return
         self._cursor.events_listened = any(map(has_subscriber, self._publishers.values()))
-        for event in self._reader.read():
-            severity, message = event_message(event, wall_offset_ns)
+        worded = [event_message(event, wall_offset_ns) for event in self._reader.read()]
+        worded += [note_message(note, wall_offset_ns) for note in self._notes.read()]
+        for severity, message in worded:
             self._publishers[severity].put(msgspec.json.encode(message))
-        self._cursor.event_seq = self._reader.cursor
+        self._cursor.event_seq, self._cursor.note_seq = self._reader.cursor, self._notes.cursor
         self._cursor.save()
 
 

@@ -11,6 +11,7 @@ import pytest
 from rigctl.devices import objects
 from rigctl.devices.objects import Controlword, DriveState, EmcyCode, PdoLayout, drive_state
 
+pytestmark = pytest.mark.real_time
 CELL, SLOPE, DRIVE, BENCH = 2, 3, 4, 112
 
 

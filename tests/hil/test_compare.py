@@ -6,6 +6,7 @@ import json
 import pathlib
 import subprocess
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from hil.compare.scenarios import scenarios
 from hil.compare.study import settling_s
 from rigctl import config
 
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
 ROOT = pathlib.Path(__file__).parents[2]
 RIG = config.load(ROOT / "config/paper_rig.yaml")
 FIGURES = {"eta_true_max_pct", "eta_true_rms_pct", "speed_max_mm_s", "settle_s", "ended"}
@@ -111,8 +113,8 @@ def test_a_picture_of_all_and_one_per_trace(said: dict[str, Any], folder: pathli
         (["--depth", "3"], "No such option"),
     ],
 )
-def test_wrong_usage_is_one_line(arguments: list[str], words: str) -> None:
-    result = compare(*arguments)
+def test_wrong_usage_is_one_line(arguments: list[str], words: str, in_process: Command) -> None:
+    result = in_process("hil", "compare", *arguments)
     assert result.returncode == 2
     assert words in result.stderr
     assert len(result.stderr.splitlines()) == 1

@@ -6,6 +6,7 @@ import json
 import pathlib
 import subprocess
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from hil.paper.cases import FIGURE_9, NO_SPRING, cases
 from hil.paper.claims import CLAIMS
 
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
 ROOT = pathlib.Path(__file__).parents[2]
 
 
@@ -88,8 +90,8 @@ def test_the_terminal_shows_a_table_per_figure(done: subprocess.CompletedProcess
         (["--depth", "3"], "No such option"),
     ],
 )
-def test_wrong_usage_is_one_line(arguments: list[str], words: str) -> None:
-    result = study(*arguments)
+def test_wrong_usage_is_one_line(arguments: list[str], words: str, in_process: Command) -> None:
+    result = in_process("hil", "paper", *arguments)
     assert result.returncode == 2
     assert words in result.stderr
     assert len(result.stderr.splitlines()) == 1

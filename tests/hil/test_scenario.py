@@ -37,11 +37,17 @@ windows:
 """.replace("RIG", str(ROOT / "config/paper_rig.yaml"))
 
 Write = Callable[..., pathlib.Path]
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
-def scenario(*arguments: object) -> subprocess.CompletedProcess[str]:
+def process(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "hil", "scenario", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=ROOT, check=False)
+
+
+@pytest.fixture
+def scenario(in_process: Command) -> Command:
+    return lambda *arguments: in_process("hil", "scenario", *arguments)
 
 
 @pytest.fixture
@@ -58,7 +64,7 @@ def write(tmp_path: pathlib.Path) -> Write:
 
 
 def test_the_papers_passive_case_has_the_papers_figures(tmp_path: pathlib.Path) -> None:
-    done = scenario(SCENARIOS / "paper_k6.yaml", "--json", tmp_path / "k6.json", "--plot", tmp_path / "k6.svg")
+    done = process(SCENARIOS / "paper_k6.yaml", "--json", tmp_path / "k6.json", "--plot", tmp_path / "k6.svg")
     assert (done.returncode, done.stderr) == (0, "")
     said = json.loads((tmp_path / "k6.json").read_text())
     run, plateau = said["truth"]["run"], said["truth"]["plateau"]
@@ -79,7 +85,7 @@ def test_the_papers_passive_case_has_the_papers_figures(tmp_path: pathlib.Path) 
     assert (tmp_path / "k6.svg").read_text().startswith("<?xml")
 
 
-def test_the_loop_does_better_and_says_what_it_saw(tmp_path: pathlib.Path, write: Write) -> None:
+def test_the_loop_does_better_and_says_what_it_saw(tmp_path: pathlib.Path, write: Write, scenario: Command) -> None:
     change = ("sets: [ideal]\ncontroller: locked\nduration_s: 3.0", "duration_s: 6.0")
     done = scenario(write(change), "--json", "-", "--plot", tmp_path / "loop.png")
     assert (done.returncode, done.stderr) == (0, "")
@@ -109,7 +115,7 @@ def test_a_scenario_we_ship_plays_without_a_trip(name: str) -> None:
     assert figures(played, {"run": (0.0, 10.0)})["truth"]["run"]["eta_max_pct"] < 2.0  # type: ignore[index,operator]
 
 
-def test_a_trip_is_a_result(tmp_path: pathlib.Path, write: Write) -> None:
+def test_a_trip_is_a_result(tmp_path: pathlib.Path, write: Write, scenario: Command) -> None:
     fast = "- {kind: move, up_mm: -80.0, speed_mm_s: 100.0, acceleration_mm_s2: 1000.0, start_s: 0.5}"
     change = ("sets: [ideal]\ncontroller: locked", "controller: loop")
     done = scenario(
@@ -123,7 +129,7 @@ def test_a_trip_is_a_result(tmp_path: pathlib.Path, write: Write) -> None:
     assert 0.5 < ended["tripped_at_s"] < 1.0
 
 
-def test_a_rig_that_cannot_reach_its_target_is_said_in_one_line(write: Write) -> None:
+def test_a_rig_that_cannot_reach_its_target_is_said_in_one_line(write: Write, scenario: Command) -> None:
     change = ("sets: [ideal]\ncontroller: locked", "change: {cylinder: {stroke_max_mm: 30.0}}")
     done = scenario(write(change))
     assert (done.returncode, done.stdout) == (1, "")
@@ -131,7 +137,7 @@ def test_a_rig_that_cannot_reach_its_target_is_said_in_one_line(write: Write) ->
     assert done.stderr.count("\n") == 1
 
 
-def test_a_refused_design_says_how_to_waive_it(write: Write) -> None:
+def test_a_refused_design_says_how_to_waive_it(write: Write, scenario: Command) -> None:
     loop = "sets: [ideal]\ncontroller: locked"
     done = scenario(write((loop, "change: {design: {ms_max: 1.05}}")))
     assert (done.returncode, done.stdout) == (2, "")
@@ -142,7 +148,7 @@ def test_a_refused_design_says_how_to_waive_it(write: Write) -> None:
     assert scenario(waived).returncode == 0
 
 
-def test_bad_input_is_one_line_and_exit_2(tmp_path: pathlib.Path, write: Write) -> None:
+def test_bad_input_is_one_line_and_exit_2(tmp_path: pathlib.Path, write: Write, scenario: Command) -> None:
     good = write()
     (tmp_path / "noise.yaml").write_bytes(bytes(range(256)))
     cases: list[tuple[list[object], str]] = [
@@ -165,7 +171,7 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: pathlib.Path, write: Write) 
     assert not (tmp_path / "x.gif").exists()
 
 
-def test_what_is_tried_for_writing_is_not_left_behind(tmp_path: pathlib.Path, write: Write) -> None:
+def test_what_is_tried_for_writing_is_not_left_behind(tmp_path: pathlib.Path, write: Write, scenario: Command) -> None:
     (tmp_path / "kept.json").write_text("old")
     done = scenario(write(), "--json", tmp_path / "kept.json", "--plot", "/proc/x.png")
     assert done.returncode == 2
@@ -227,7 +233,15 @@ def test_figures_of_a_known_force() -> None:
 
 @pytest.mark.parametrize(
     ("values", "index"),
-    [([0, 1, 2, 3], None), ([0, 5, 4.9, 6, 5, 7], 3), ([3, 2, 1], None), ([0, 2, 1, 9], 1), ([1, 1, 1], None)],
+    [
+        ([0, 1, 2, 3], None),
+        ([0, 5, 4.9, 6, 5, 7], 3),
+        ([3, 2, 1], None),
+        ([0, 2, 1, 9], 1),
+        ([1, 1, 1], None),
+        ([0, 20, 19.1, 20], None),
+        ([0, 20, 18.9, 20], 1),
+    ],
 )
 def test_the_first_peak_is_the_first_that_counts(values: list[float], index: int | None) -> None:
     assert first_peak(np.array(values, dtype=float)) == index

@@ -18,6 +18,7 @@ from hil.truth import read
 
 Start = Callable[..., "subprocess.Popen[str]"]
 Finish = Callable[["subprocess.Popen[str]"], tuple[int, str, str]]
+pytestmark = pytest.mark.real_time
 SYNC = can.Message(arbitration_id=0x80, is_extended_id=False)
 START_ALL = can.Message(arbitration_id=0, data=[1, 0], is_extended_id=False)
 
@@ -105,6 +106,17 @@ def test_what_cannot_be_served_is_one_line(
     assert (process.returncode, out) == (code, "")
     assert reason in err
     assert err.count("\n") == 1
+
+
+def test_a_truth_log_that_cannot_be_written_is_one_line_and_leaves_no_socket(
+    rig_file: pathlib.Path, channel: str, start: Start
+) -> None:
+    process = start("hil", "serve", rig_file, "--truth", rig_file.with_name("no") / "truth.bin")
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out) == (2, "")
+    folder = rig_file.with_name("no")
+    assert err == f"--truth: {folder}/truth.bin cannot be written: there is no folder {folder}\n"
+    assert not pathlib.Path(channel).exists()
 
 
 @pytest.mark.parametrize("arguments", [["serve"], ["nonsense"], [], ["serve", "/nowhere.yaml"], ["serve", "--x", "y"]])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -15,10 +18,12 @@ from rigctl.config import RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
+from rigctl.control.trials import STEP_N, STRAY_N, UNFELT_N
+from tests.loop.random_plants import KEYS, identify_all, plants
 from tests.loop.test_trials import cell_reads, give
 
 Enter = Callable[[Mode], None]
-LIMIT_S = 8.0  # within the records any rig file keeps
+LIMIT_S = 9.5  # within the records any rig file keeps
 
 
 def with_drive(settings: RigSettings, **drive: float) -> RigSettings:
@@ -55,9 +60,10 @@ def test_under_tension_it_finds_the_plant_as_it_is(held: Lockstep) -> None:
     before = held.rig.truth
     records = excite(held)
     truth, plant = found(held, records), held.settings.plant
-    assert truth["plant.cylinder_lag_s"] == pytest.approx(plant.cylinder_lag_s, abs=0.5e-3)
+    assert truth["plant.cylinder_lag_s"] == pytest.approx(plant.cylinder_lag_s, abs=0.2e-3)
+    assert truth["plant.command_delay_s"] == pytest.approx(plant.command_delay_s, abs=0.2e-3)
     # The frames take 0.1 ms, and the drive's speed is the mean over its last millisecond.
-    assert truth["plant.command_delay_s"] == pytest.approx(plant.command_delay_s + 0.6e-3, abs=0.1e-3)
+    assert truth["age of the drive's speed"] == pytest.approx(0.6e-3, abs=0.1e-3)
     # The screw's ripple of 0.003 mm is up to 0.8 % of this stroke.
     assert truth["stiffness"] == pytest.approx(plant.stiffness_n_mm, rel=0.01)
     assert truth["plant.spring_n_mm"] == pytest.approx(6.0, rel=0.01)
@@ -67,7 +73,7 @@ def test_under_tension_it_finds_the_plant_as_it_is(held: Lockstep) -> None:
     assert held.loop.machine.mode is Mode.HOLD
     assert held.rig.truth.stroke_mm == pytest.approx(before.stroke_mm, abs=0.01)
     assert np.ptp(records["stroke_mm"]) < 1.0
-    assert np.ptp(records["tension_n"]) < 10.0
+    assert np.ptp(records["tension_n"]) < STEP_N
 
 
 @pytest.mark.parametrize(("lag_s", "delay_s"), [(0.01, 0.004), (0.03, 0.002)])
@@ -83,7 +89,7 @@ def test_a_drive_that_is_not_the_files_is_seen(
         rows = proposal.rows(proposal.signals_of(excite(rig), 1e-3), settings)
     truth = {row["key"]: row["found"] for row in rows}
     assert truth["plant.cylinder_lag_s"] == pytest.approx(lag_s, abs=0.5e-3)
-    assert truth["plant.command_delay_s"] == pytest.approx(delay_s + 0.6e-3, abs=0.2e-3)
+    assert truth["plant.command_delay_s"] == pytest.approx(delay_s, abs=0.2e-3)
     assert truth["stiffness"] is None  # a slack rope tells nothing of it
 
 
@@ -105,8 +111,8 @@ def test_a_play_that_the_load_does_not_seat_is_found(settings: RigSettings, gain
 def test_anything_ends_it_within_a_tick_and_the_stroke_is_held(held: Lockstep, what: str) -> None:
     before = held.rig.truth.stroke_mm
     give(held, Verb.IDENTIFY)
-    held.run(0.7)
-    assert abs(held.run(0.001)["command_mm_s"][0]) > 2.0
+    while abs(held.loop.inbox.speed_mm_s) < 2.0:
+        held.loop.tick()
     verbs = {"hold": Verb.HOLD, "tension": Verb.TENSION, "disarm": Verb.DISARM}
     if what in verbs:
         give(held, verbs[what])
@@ -116,7 +122,7 @@ def test_anything_ends_it_within_a_tick_and_the_stroke_is_held(held: Lockstep, w
     elif what == "stop":
         held.loop.stop_requested = True
     else:
-        cell_reads(held, lambda n: n + 11.0)
+        cell_reads(held, lambda n: n + 16.0)
     records = held.run(0.005)
     assert held.loop.machine.trial is None
     reply = held._replies.read()[0]
@@ -140,10 +146,100 @@ def test_where_a_tight_rope_is_asked_for_a_slack_one_is_refused(rig: Lockstep, e
     assert rig.command(Verb.IDENTIFY, 1.0) is Refusal.SLACK
 
 
-def test_it_does_not_begin_where_the_stroke_would_end(settings: RigSettings, gains: Gains) -> None:
-    cylinder = settings.cylinder.model_copy(update={"stroke_min_mm": -1.0, "stroke_max_mm": 0.7})
+@pytest.mark.parametrize("ends", [(-1.0, 0.7), (0.1, 100.0)])
+def test_it_does_not_begin_where_the_stroke_would_end(
+    settings: RigSettings, gains: Gains, ends: tuple[float, float]
+) -> None:
+    cylinder = settings.cylinder.model_copy(update={"stroke_min_mm": ends[0], "stroke_max_mm": ends[1]})
     with lockstep(settings.model_copy(update={"cylinder": cylinder}), gains) as rig:
         rig.run(0.2)
         assert rig.command(Verb.ARM) is Refusal.NONE
         assert rig.command(Verb.IDENTIFY) is Refusal.STRAYED
         assert np.ptp(rig.run(1.0)["stroke_mm"]) == 0.0
+
+
+def test_it_does_not_begin_where_the_tension_would_trip(settings: RigSettings, gains: Gains) -> None:
+    with tight(settings, gains, settings.safety.tension_high_n - STRAY_N + 1.0) as rig:
+        assert rig.command(Verb.IDENTIFY) is Refusal.STRAYED
+        assert np.ptp(rig.run(1.0)["stroke_mm"]) == 0.0
+
+
+@contextlib.contextmanager
+def tight(settings: RigSettings, gains: Gains, tension_n: float, stiffness_n_mm: float = 6.0) -> Iterator[Lockstep]:
+    """In HOLD with this tension on a rig of this stiffness, of which the rig file knows nothing."""
+    simulation = settings.simulation
+    assert simulation is not None
+    scale = {"stiffness_scale": stiffness_n_mm / settings.plant.stiffness_n_mm, "step_us": 50}
+    with lockstep(settings.model_copy(update={"simulation": simulation.model_copy(update=scale)}), gains) as rig:
+        rig.rig.plant.preload(tension_n)
+        rig.run(0.3)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        rig.run(0.2)
+        yield rig
+
+
+@pytest.mark.parametrize("stiffness_n_mm", [200.0, 2000.0])
+def test_a_rope_far_stiffer_than_the_file_says_is_not_pulled_by_more_than_a_step(
+    settings: RigSettings, gains: Gains, stiffness_n_mm: float
+) -> None:
+    with tight(settings, gains, 300.0, stiffness_n_mm) as rig:
+        records = excite(rig)
+        rows = {row["key"]: row for row in proposal.rows(proposal.signals_of(records, 1e-3), settings)}
+    assert np.ptp(records["tension_n"]) < STRAY_N
+    assert abs(rows["stiffness"]["found"] - stiffness_n_mm) <= rows["stiffness"]["error"]
+    lag = rows["plant.cylinder_lag_s"]  # a stroke of a few units of the drive's position does not tell it
+    assert lag["found"] is None
+    assert lag["why"].startswith("too uncertain: ")
+
+
+def test_a_cell_that_is_stuck_does_not_have_a_stiff_rope_pulled(settings: RigSettings, gains: Gains) -> None:
+    plant = settings.plant.model_copy(update={"spring_n_mm": None})  # the rig file says so too: 1000 N/mm
+    with tight(settings.model_copy(update={"plant": plant}), gains, 250.0, 1000.0) as rig:
+        dither = itertools.cycle((0.0, 0.02))  # one that sends the very same value is found out at once
+        cell_reads(rig, lambda _n: 250.0 + next(dither))
+        before = rig.rig.truth.tension_n
+        records = excite(rig)
+        rows = {row["key"]: row for row in proposal.rows(proposal.signals_of(records, 1e-3), rig.settings)}
+        assert rig.rig.truth.tension_n == pytest.approx(before, abs=2.0)
+    reach_mm = np.ptp(records["stroke_mm"])
+    assert reach_mm * 1000.0 < UNFELT_N * 1.1
+    assert rows["stiffness"]["found"] is None
+
+
+def test_a_payload_that_is_bumped_makes_it_uncertain_and_not_wrong(settings: RigSettings, gains: Gains) -> None:
+    with tight(settings, gains, 300.0) as rig:
+        give(rig, Verb.IDENTIFY)
+        parts = [rig.run(4.5)]
+        start = rig.clock.now()
+        cell_reads(rig, lambda n: n + 3.0 * math.exp((start - rig.clock.now()) / 3e8))
+        while rig.loop.machine.trial is not None:
+            parts.append(rig.run(0.001))
+        records = np.concatenate(parts)
+        rows = {row["key"]: row for row in proposal.rows(proposal.signals_of(records, 1e-3), settings)}
+    stiffness = rows["stiffness"]
+    assert stiffness["found"] is None or abs(stiffness["found"] - 6.0) <= stiffness["error"]
+    assert stiffness["found"] is None or stiffness["error"] > 0.1
+
+
+def test_twenty_random_plants_are_found_within_what_is_stated() -> None:
+    """The issue's figures, over plants of which the rig file knows nothing; `tests.loop.random_plants` prints them."""
+    results = identify_all(plants(seed=1, count=20))
+    for result in results:
+        assert abs(result.off("stiffness")) <= 0.01 * result.plant.stiffness
+        assert abs(result.off("lag")) <= 0.1 * result.plant.lag
+        assert abs(result.off("delay")) <= 1e-3
+        assert result.span_n < STRAY_N
+    for name in KEYS:
+        assert sum(result.inside(name) for result in results) >= 18
+
+
+def test_what_cannot_be_told_is_not_told() -> None:
+    """Stiff ropes, slack ones, nuts that the load does not seat: a figure that is told is none that is wrong."""
+    results = identify_all(plants(seed=2, count=8, wide=True))
+    told = [(result, name) for result in results for name in KEYS if result.told(name)]
+    assert sum(result.inside(name) for result, name in told) >= 0.95 * len(told)
+    assert all(abs(result.off(name)) <= 1.5 * result.rows[name]["error"] for result, name in told)
+    for result in results:
+        assert all(row["why"] for row in result.rows.values() if row["found"] is None)
+        assert result.told("lag") or not result.plant.slack
+        assert result.span_n < 2.0 * STRAY_N

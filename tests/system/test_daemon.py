@@ -64,12 +64,23 @@ class Running:
             network.disconnect()
 
 
+def _start(folder: pathlib.Path) -> Iterator[Running]:
+    file = daemons.rig_file(folder, PATIENT)
+    log = folder / "daemon.log"
+    with daemons.simulated_rig(file, folder / "rig.log") as rig, daemons.daemon(file, log) as daemon:
+        yield Running(file, daemon, rig, log)
+
+
 @pytest.fixture
 def running(tmp_path: pathlib.Path) -> Iterator[Running]:
-    file = daemons.rig_file(tmp_path, PATIENT)
-    log = tmp_path / "daemon.log"
-    with daemons.simulated_rig(file, tmp_path / "rig.log") as rig, daemons.daemon(file, log) as daemon:
-        yield Running(file, daemon, rig, log)
+    """A daemon for one test."""
+    yield from _start(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    """One daemon for the tests that leave it as they found it."""
+    yield from _start(tmp_path_factory.mktemp("shared"))
 
 
 def test_an_operators_session(running: Running) -> None:
@@ -215,35 +226,6 @@ def test_the_service_manager_is_told_and_fed_only_while_the_loop_ticks(
         assert told[-1] == b"STOPPING=1"
 
 
-def test_a_second_daemon_on_the_same_rig_is_refused(running: Running) -> None:
-    answer = daemons.rigctl("run", str(running.file))
-    assert answer.returncode == 1
-    assert f"another daemon (process {running.daemon.pid}) already runs this rig" in answer.stderr
-    assert daemons.mode(running.file) == "DISARMED"
-
-
-def test_a_second_daemon_under_another_name_is_refused_by_the_bus(running: Running, tmp_path: pathlib.Path) -> None:
-    folder = tmp_path / "other"
-    folder.mkdir()
-    other = daemons.rig_file(folder, {"can": {"channel": str(running.file.with_name("bus.sock"))}}, rig="impostor")
-    answer = daemons.rigctl("run", str(other))
-    assert answer.returncode == 1
-    assert "another controller is active" in answer.stderr
-    assert "Traceback" not in answer.stderr
-    assert daemons.mode(running.file) == "DISARMED"
-
-
-def test_a_second_simulated_rig_on_the_same_socket_is_refused(running: Running) -> None:
-    answer = subprocess.run(
-        [sys.executable, "-m", "hil", "serve", str(running.file)],
-        capture_output=True, text=True, timeout=60, check=False, cwd=daemons.ROOT,
-    )  # fmt: skip
-    assert answer.returncode == 1
-    assert answer.stderr.count("\n") == 1
-    assert "bus.sock" in answer.stderr
-    assert running.rig.poll() is None
-
-
 def test_no_rig_is_one_clear_line(tmp_path: pathlib.Path) -> None:
     file = daemons.rig_file(tmp_path)
     answer = daemons.rigctl("run", str(file))
@@ -325,3 +307,32 @@ def test_check_shows_the_rig_and_refuses_a_bus_that_is_too_slow(tmp_path: pathli
     assert answer.returncode == 1
     assert "limit of 80%" in answer.stderr
     assert daemons.rigctl("run", str(slow)).returncode == 1
+
+
+def test_a_second_daemon_on_the_same_rig_is_refused(shared: Running) -> None:
+    answer = daemons.rigctl("run", str(shared.file))
+    assert answer.returncode == 1
+    assert f"another daemon (process {shared.daemon.pid}) already runs this rig" in answer.stderr
+    assert daemons.mode(shared.file) == "DISARMED"
+
+
+def test_a_second_daemon_under_another_name_is_refused_by_the_bus(shared: Running, tmp_path: pathlib.Path) -> None:
+    folder = tmp_path / "other"
+    folder.mkdir()
+    other = daemons.rig_file(folder, {"can": {"channel": str(shared.file.with_name("bus.sock"))}}, rig="impostor")
+    answer = daemons.rigctl("run", str(other))
+    assert answer.returncode == 1
+    assert "another controller is active" in answer.stderr
+    assert "Traceback" not in answer.stderr
+    assert daemons.mode(shared.file) == "DISARMED"
+
+
+def test_a_second_simulated_rig_on_the_same_socket_is_refused(shared: Running) -> None:
+    answer = subprocess.run(
+        [sys.executable, "-m", "hil", "serve", str(shared.file)],
+        capture_output=True, text=True, timeout=60, check=False, cwd=daemons.ROOT,
+    )  # fmt: skip
+    assert answer.returncode == 1
+    assert answer.stderr.count("\n") == 1
+    assert "bus.sock" in answer.stderr
+    assert shared.rig.poll() is None

@@ -25,9 +25,9 @@ def play(tmp_path: pathlib.Path, changes: dict[str, dict[str, Any]], *options: s
     return answer.returncode, json.loads(figures.read_text()), answer.stdout
 
 
-@pytest.mark.parametrize("angle_deg", [13.0])
-def test_the_papers_move_in_lockstep_is_within_the_limits(tmp_path: pathlib.Path, angle_deg: float) -> None:
-    code, figures, said = play(tmp_path, {"demo": {"angle_deg": angle_deg}}, "--lockstep")
+@pytest.mark.simulated_time
+def test_the_papers_move_in_lockstep_is_within_the_limits(tmp_path: pathlib.Path) -> None:
+    code, figures, said = play(tmp_path, {"demo": {"angle_deg": 13.0}}, "--lockstep")
     assert code == 0
     assert set(figures) >= KEYS
     assert figures["passed"] is True
@@ -39,6 +39,7 @@ def test_the_papers_move_in_lockstep_is_within_the_limits(tmp_path: pathlib.Path
     assert "passed" in said
 
 
+@pytest.mark.simulated_time
 def test_limits_that_are_not_met_fail_the_demo(tmp_path: pathlib.Path) -> None:
     code, figures, said = play(tmp_path, {"demo": {**SHORT, "eta_max_pct": 0.001}}, "--lockstep")
     assert code == 1
@@ -51,6 +52,7 @@ def test_in_real_time_every_part_runs_in_its_own_process(tmp_path: pathlib.Path)
         "demo": SHORT,
         "safety": {"stale_ms": 100, "bus_silent_ms": 100, "inclination_stale_ms": 500, "overrun_ticks": 900},
         "cylinder": {"command_deadline_ms": 150, "heartbeat_timeout_ms": 200},
+        "telemetry": {"lease_s": 15},  # shorter than the time between two of its commands: it has to renew it
     }
     code, figures, said = play(tmp_path, changes)
     assert set(figures) >= KEYS

@@ -86,11 +86,16 @@ class Daemon:
             return False
         return True
 
+    def environment(self, user: str = "user", **more: str) -> dict[str, str]:
+        """What a terminal of ``user`` has: a runtime folder of its own."""
+        folder = {"XDG_RUNTIME_DIR": str(self.runtime.directory / user)}
+        return {**os.environ, "RIGCTL_CONNECT": self.endpoint, "COLUMNS": "80", **folder, **more}
+
     def cli(self, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [sys.executable, "-m", "rigctl.cli", *arguments],
             cwd=ROOT,
-            env={**os.environ, "RIGCTL_CONNECT": self.endpoint, "COLUMNS": "80", **environment},
+            env=self.environment(**environment),
             capture_output=True,
             text=True,
             timeout=PATIENCE_S * 2,

@@ -14,7 +14,7 @@ import time
 from typing import Any
 
 from rigctl.control.modes import TRANSITIONS, Decision, Event, Mode, Refusal, Situation, Verb, decide, next_mode
-from rigctl.control.safety import Check, Fault
+from rigctl.control.safety import Action, Check, Fault
 from rigctl.telemetry.events import Kind
 from rigctl.telemetry.record import RECORD
 from rigctl.telemetry.runtime import Runtime
@@ -54,10 +54,11 @@ class StandIn:
             self.failed,
             drive_enabled=self.mode is not Mode.DISARMED,
             slack=self.tension < 5,
+            value=value,
             target_min_n=50.0,
             target_max_n=350.0,
         )
-        decision = decide(self.mode, verb, value, situation)
+        decision = decide(self.mode, verb, situation)
         if decision.refusal is Refusal.NONE and verb is Verb.ARM:
             self.arming = (number, now + ARM_NS)
             return
@@ -71,7 +72,7 @@ class StandIn:
         self.reply(now, number, decision, self.failed if decision.refusal is Refusal.PREFLIGHT else 0)
         if verb is Verb.TARGET and value == TRIP_N:
             self.fault = Fault.TENSION_HIGH
-            self.event(now, Kind.TRIP, self.fault, 0, 412.0, 400.0)
+            self.event(now, Kind.TRIP, self.fault, Action.HOLD, 412.0, 400.0)
             self.move(now, Event.TRIP)
 
     def tick(self, now: int, tick: int, late: int) -> None:

@@ -38,10 +38,11 @@ def test_a_session_typed(own: Daemon) -> None:
     held = json.loads(own.cli("hold", "--json", "--operator", "kim").stdout)
     assert held["accepted"] is True
     assert (held["mode"], held["operator"]) == ("HOLD", "kim")
+    assert own.cli("lease", "return").stdout == "LEASE: given back; the rig goes on as it is\n"
     result = own.cli("release", "--wait", "--json", RIGCTL_OPERATOR="lee")
     answer = json.loads(result.stdout)
     assert (result.returncode, answer["accepted"], answer["mode"], answer["operator"]) == (0, True, "HOLD", "lee")
-    assert own.cli("disarm").stdout == "DISARM: drive off, brake closed, DISARMED\n"
+    assert own.cli("disarm", "--operator", "lee").stdout == "DISARM: drive off, brake closed, DISARMED\n"
     refused = own.cli("hold", "--json")
     assert refused.returncode == 1
     assert json.loads(refused.stdout)["reason"] == "wrong_mode"
@@ -49,11 +50,11 @@ def test_a_session_typed(own: Daemon) -> None:
 
 def test_wait_ends_when_the_rig_trips(own: Daemon) -> None:
     with own.client() as client:
-        client.command("arm", "kim")
-        command = [sys.executable, "-m", "rigctl.cli", "tension", "--wait", "--connect", own.endpoint]
-        waiting = subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        own.cli("arm")
+        command = [sys.executable, "-m", "rigctl.cli", "tension", "--wait"]
+        waiting = subprocess.Popen(command, cwd=ROOT, text=True, env=own.environment(), stderr=subprocess.PIPE)
         until(lambda: client.state()["mode"] == "TENSIONING", "the ramp")
-        client.command("target", "kim", 222.0)  # the stand-in trips
+        own.cli("target", "222")  # the stand-in trips
         _, complaint = waiting.communicate(timeout=PATIENCE_S)
     assert waiting.returncode == 1
     assert complaint == "rigctl: TENSION failed: ended in FAULT TENSION_HIGH: tension 412.0 N above 400.0 N\n"

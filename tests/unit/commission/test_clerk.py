@@ -9,11 +9,12 @@ from collections.abc import Iterator
 import pytest
 
 from rigctl import config
-from rigctl.commission import ledger
+from rigctl.commission import findings, ledger
 from rigctl.commission.clerk import Clerk, Filed
-from rigctl.commission.ledger import in_force
+from rigctl.commission.ledger import IN_FORCE, Standing, in_force
 from rigctl.config import RigSettings
 from rigctl.control.modes import Setting, Verb
+from rigctl.telemetry.events import Kind
 from rigctl.telemetry.request import Request
 from rigctl.telemetry.runtime import Runtime
 
@@ -31,7 +32,9 @@ def settings(tmp_path: pathlib.Path) -> RigSettings:
 
 @pytest.fixture
 def clerk(settings: RigSettings, tmp_path: pathlib.Path) -> Iterator[Clerk]:
-    made = Clerk(Runtime(tmp_path), settings)
+    runtime = Runtime(tmp_path)
+    runtime.make_rings(settings)
+    made = Clerk(runtime, settings)
     yield made
     made.close()
 
@@ -86,8 +89,120 @@ def test_the_due_date_is_told_once_when_it_has_passed(clerk: Clerk) -> None:
     wall_ns = 1_800_000_000 * S
     assert given.standing is not None
     clerk.put_in_force(given)
-    assert clerk.overdue(1 * S, 0) is None
-    assert clerk.overdue(1 * S + 1, 1 << 62) is None  # looked at a moment ago
-    assert clerk.overdue(2 * S, wall_ns + 3650 * 86_400 * S) == 1.0
+    assert clerk.news(1 * S, 0) == []
+    assert clerk.news(1 * S + 1, 1 << 62) == ()  # looked at a moment ago
+    assert clerk.news(2 * S, wall_ns + 3650 * 86_400 * S) == [(Setting.OVERDUE, 1.0)]
     assert clerk.standing.overdue
-    assert clerk.overdue(3 * S, wall_ns + 3650 * 86_400 * S) is None
+    assert clerk.news(3 * S, wall_ns + 3650 * 86_400 * S) == []
+
+
+def test_a_measurement_that_cannot_be_judged_is_answered_and_so_is_the_next(
+    clerk: Clerk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("of\nzero")
+
+    monkeypatch.setattr(findings, "tare", fail)
+    given = filed(clerk)
+    assert (given.finding, given.reason) == (None, "out_of_bounds")
+    assert "ZeroDivisionError: of zero" in given.text
+    monkeypatch.undo()
+    assert filed(clerk).finding is not None
+
+
+def test_with_an_adopted_scale_that_was_withdrawn_the_check_goes_and_the_loop_is_told(
+    clerk: Clerk, settings: RigSettings
+) -> None:
+    clerk.put_in_force(filed(clerk, Request(Verb.CALIBRATE, "kim", 100.0), 100.1))
+    assert clerk.news(1 * S, 0) == []
+    clerk.withdraw(filed(clerk, Request(Verb.CALIBRATE, "kim", 100.0, adopt=True), 100.4))
+    clerk.close()
+    assert clerk.news(2 * S, 0) == [(Setting.OVERDUE, 1.0)]  # its OVERDUE 0 may have been taken before
+    assert ledger.standing(settings, ledger.read(settings), 1_800_000_000 * S).due is None
+
+
+class Interrupted:
+    """A clerk's work that ended, by SIGKILL, with an entry on record; rings as they are beside it."""
+
+    def __init__(self, settings: RigSettings, folder: pathlib.Path) -> None:
+        self.runtime, self.settings = Runtime(folder), settings
+        self.runtime.make_rings(settings)
+        self.runtime.write_json(IN_FORCE, Standing(overdue=True))  # as the supervisor does
+        self.events = self.runtime.event_writer()
+        self.loop_goes_by(0.0, 1.0)
+        first = Clerk(self.runtime, settings)
+        self.filed = filed(first)
+        first.close()
+
+    def loop_goes_by(self, zero_n: float, scale: float) -> None:
+        self.events.write(5, Kind.CORRECTION, 0, 0, zero_n, scale, b"")
+
+    def entries(self) -> list[str]:
+        return [entry.what for entry in ledger.read(self.settings)]
+
+
+@pytest.fixture
+def interrupted(settings: RigSettings, tmp_path: pathlib.Path) -> Interrupted:
+    return Interrupted(settings, tmp_path)
+
+
+@pytest.fixture
+def next_clerk(interrupted: Interrupted) -> Iterator[Clerk]:
+    made = Clerk(interrupted.runtime, interrupted.settings)
+    yield made
+    made.close()
+
+
+def test_what_is_on_record_and_not_in_force_is_told_again(
+    interrupted: Interrupted, next_clerk: Clerk, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert next_clerk.news(1 * S, 0) == [(Setting.ZERO, 1.5)]
+    interrupted.loop_goes_by(1.5, 1.0)
+    assert next_clerk.news(2 * S, 0) == [(Setting.OVERDUE, 1.0)]
+    assert in_force(interrupted.runtime).zero_n == 1.5
+    assert interrupted.entries() == ["tare"]
+    assert "the tare by kim of" in (said := capsys.readouterr().err)
+    assert "is in force" in said
+    assert next_clerk.news(3 * S, 0) == []
+
+
+def test_what_the_loop_still_does_not_take_is_withdrawn(
+    interrupted: Interrupted, next_clerk: Clerk, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert next_clerk.news(1 * S, 0) == [(Setting.ZERO, 1.5)]
+    assert next_clerk.news(2 * S, 0) == []
+    assert next_clerk.news(4 * S, 0) == [(Setting.OVERDUE, 1.0)]
+    next_clerk.close()
+    assert interrupted.entries() == ["tare", "tare withdrawn"]
+    assert in_force(interrupted.runtime).zero_n == 0.0
+    assert "withdrawn from the ledger" in capsys.readouterr().err
+
+
+def test_what_the_loop_took_before_its_gateway_died_is_shown_in_force(
+    interrupted: Interrupted, next_clerk: Clerk
+) -> None:
+    interrupted.loop_goes_by(1.5, 1.0)
+    assert next_clerk.news(1 * S, 0) == []
+    next_clerk.news(2 * S, 0)
+    assert in_force(interrupted.runtime).zero_n == 1.5
+    assert interrupted.entries() == ["tare"]
+
+
+def test_a_ledger_that_somebody_else_changed_is_not_put_in_force(
+    interrupted: Interrupted, next_clerk: Clerk, capsys: pytest.CaptureFixture[str]
+) -> None:
+    interrupted.loop_goes_by(-3.0, 1.0)
+    assert next_clerk.news(1 * S, 0) == []
+    assert next_clerk.news(5 * S, 0) == []
+    assert interrupted.entries() == ["tare"]
+    assert "holds from the daemon's next start" in capsys.readouterr().err
+
+
+def test_an_answer_that_is_missing_is_looked_for(interrupted: Interrupted, next_clerk: Clerk) -> None:
+    interrupted.loop_goes_by(1.5, 1.0)
+    next_clerk.news(1 * S, 0)
+    next_clerk.news(2 * S, 0)
+    given = filed(next_clerk, mean_n=2.5)
+    assert next_clerk.news(3 * S, 0) == []  # the desk puts it in force
+    next_clerk.unanswered(given)
+    assert next_clerk.news(4 * S, 0) == [(Setting.ZERO, 2.5)]

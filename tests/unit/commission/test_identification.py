@@ -35,7 +35,9 @@ def simulated(lag_s: float, delay_s: float, *, noise_mm_s: float = 0.0, play_mm:
         speed += (value - speed) * share
     latched = [np.concatenate([[0.0], np.array(x)[::STEPS]])[:-1] for x in (speeds, strokes)]
     tension = 15.0 + 6.0 * ident.behind_play(latched[1], play_mm) + rng.normal(0.0, 0.03, len(command))
-    return Signals(1e-3, command, latched[1], latched[0] + rng.normal(0.0, noise_mm_s, len(command)), tension)
+    return Signals(
+        1e-3, command, np.round(latched[1], 3), latched[0] + rng.normal(0.0, noise_mm_s, len(command)), tension
+    )
 
 
 @given(lag_s=st.floats(0.004, 0.06), delay_s=st.floats(0.0, 0.015))
@@ -43,8 +45,9 @@ def simulated(lag_s: float, delay_s: float, *, noise_mm_s: float = 0.0, play_mm:
 def test_lag_and_delay_are_found_between_the_ticks(lag_s: float, delay_s: float) -> None:
     delay_s = round(delay_s * 5e4) / 5e4  # on the reference's own steps
     found = ident.drive(simulated(lag_s, delay_s))
-    assert found.lag_s.value == pytest.approx(lag_s, rel=0.01)
-    assert found.delay_s.value == pytest.approx(delay_s, abs=5e-5)
+    rounding_s = 0.5e-3 / 3.0  # half the unit of the position, at this speed
+    assert found.lag_s.value == pytest.approx(lag_s, abs=rounding_s)
+    assert found.delay_s.value == pytest.approx(delay_s, abs=rounding_s)
     assert found.gain.value == pytest.approx(1.0, abs=1e-3)
 
 
@@ -52,12 +55,13 @@ def test_the_standard_errors_cover_the_noise() -> None:
     found = ident.drive(simulated(0.02, 0.002, noise_mm_s=0.1))
     for estimate, truth in ((found.lag_s, 0.02), (found.delay_s, 0.002), (found.gain, 1.0)):
         assert estimate.error > 0.0
-        assert abs(estimate.value - truth) < 4.0 * estimate.error
+        assert abs(estimate.value - truth) < estimate.error
 
 
 @pytest.mark.parametrize("play_mm", [0.0, 0.05, 0.3])
 def test_stiffness_and_play_are_told_apart(play_mm: float) -> None:
-    found = ident.rope(simulated(0.02, 0.002, play_mm=play_mm))
+    signals = simulated(0.02, 0.002, play_mm=play_mm)
+    found = ident.rope(signals, ident.drive(signals), 0.035)
     assert found.stiffness_n_mm.value == pytest.approx(6.0, rel=0.005)
     assert found.backlash_mm.value == pytest.approx(play_mm, abs=0.003)
 
@@ -67,7 +71,7 @@ def test_noise_is_what_is_quicker_than_a_tenth_of_a_second() -> None:
     swing = 0.2 * np.sin(2.0 * math.pi * 0.4 * time)
     found = ident.noise(swing + np.random.default_rng(3).normal(0.0, 0.03, 1000), 1e-3)
     assert found.value == pytest.approx(0.03, rel=0.1)  # three standard errors
-    assert found.error == pytest.approx(0.03 / math.sqrt(2000), rel=0.1)
+    assert found.error == pytest.approx(2.0 * 0.03 / math.sqrt(2000), rel=0.1)
 
 
 @pytest.mark.parametrize("command", [np.zeros(1000), steps(pairs=2)])

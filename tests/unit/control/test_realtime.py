@@ -9,6 +9,7 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.real_time
 REPORT = (
     "from rigctl.config import LoopSettings; from rigctl.control import realtime;"
     "loop = LoopSettings(rate_hz=1000, priority={priority}, cpu={cpu}, lock_memory=True);"

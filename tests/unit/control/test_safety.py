@@ -33,7 +33,14 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.INCLINATION_STALE, "ns"): {"inclination_age_ns": 101 * MS},
     (Fault.DRIVE_FAULT, ""): {"drive_faulted": True},
     (Fault.DRIVE_NOT_FOLLOWING, ""): {"drive_enabled": False},
-    (Fault.DRIVE_NOT_FOLLOWING, "mm/s"): {"speed_error_mm_s": 2.1},
+    (Fault.DRIVE_NOT_FOLLOWING, "mm/s"): {"speed_error_mm_s": 2.6},
+    (Fault.DRIVE_NOT_FOLLOWING, "mm"): {"stroke_error_mm": -0.51},
+    (Fault.DRIVE_CONTRADICTS, "mm"): {"contradiction_mm": -0.31},
+    (Fault.STROKE_MOVES, "mm/s"): {"speed_mm_s": -0.51, "drive_off": True},
+    (Fault.STRETCH_UNEXPLAINED, "mm"): {"unexplained_mm": -8.1},
+    (Fault.CELL_STUCK, "samples"): {"cell_repeats": 20},
+    (Fault.E_STOP, ""): {"e_stop": True},
+    (Fault.INNOVATION, "slopes"): {"slope_rejects": 10},
     (Fault.CELL_INVALID, ""): {"cell_quality": 4},
     (Fault.INCLINATION_INVALID, ""): {"inclination_quality": 2},
     (Fault.TENSION_HIGH, "N"): {"tension_n": 400.1},
@@ -54,7 +61,7 @@ def bad_for(row: Row) -> Sight:
 
 def test_the_table_covers_every_fault_a_tick_can_see() -> None:
     assert {(row.fault, row.unit) for row in ROWS} == set(BAD)
-    assert {fault for fault, _ in BAD} == set(Fault) - {Fault.NONE, Fault.LOOP_EXCEPTION}
+    assert {fault for fault, _ in BAD} == set(Fault) - {Fault.NONE, Fault.LOOP_EXCEPTION, Fault.LIMIT}
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -76,7 +83,8 @@ def test_a_row_trips_in_its_modes_after_its_persistence(row: Row, mode: Mode) ->
     trip = watch.trips(sight, mode, 600 * MS)
     assert trip is not None
     assert trip.fault is row.fault
-    assert trip.value > trip.limit
+    assert (trip.value - trip.limit) * row.sign > 0.0
+    assert trip.action is row.action
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.persistence_ns], ids=lambda row: row.fault.name)
@@ -115,6 +123,7 @@ def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -
         ({"tension_n": 401.0}, Check.TENSION_HIGH),
         ({"reading_n": 401.0}, Check.TENSION_HIGH),
         ({"calibration_overdue": True}, Check.CALIBRATION),
+        ({"e_stop": True}, Check.E_STOP),
         ({"tension_n": float("nan")}, Check.TENSION_HIGH),
         ({"stroke_mm": 123.0}, Check.STROKE_RANGE),
         ({"stroke_mm": float("nan")}, Check.STROKE_RANGE),

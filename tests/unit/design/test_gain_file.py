@@ -195,7 +195,7 @@ def test_a_corrupt_file_is_one_line_that_names_it(kept: pathlib.Path, pattern: s
 
 
 def test_what_is_no_file_of_text_is_one_line(kept: pathlib.Path) -> None:
-    for what, said in ((kept.parent, "not a file"), (kept.with_name("no.yaml"), "No such file")):
+    for what, said in ((kept.parent, "Is a directory"), (kept.with_name("no.yaml"), "No such file")):
         with pytest.raises(GainFileError, match=said):
             read(what)
     kept.write_bytes(b"\x80\x81")

@@ -16,6 +16,7 @@ from rigctl.config import load
 from rigctl.telemetry.client import Client
 from tests import daemons
 
+pytestmark = pytest.mark.real_time
 WAIVER = "demanding limit, for a test"
 # The machine is shared with other tests here: patience in time, not in function.
 PATIENT: dict[str, dict[str, Any]] = {

@@ -16,13 +16,14 @@ from rigctl.design.margins import design_and_check
 from tests import daemons
 
 Rig = Callable[..., RigSettings]
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
 PAPER = "config/paper_rig.yaml"
 NO_SPRING = {"spring_n_mm": None}  # unstable with a compliant mechanism, fine with a rigid one
 WAIVER = "rigid mechanism,\nchecked by hand"
 
 
-def test_json_has_what_the_contract_says() -> None:
-    answer = daemons.rigctl("tune", PAPER, "--json", "-")
+def test_json_has_what_the_contract_says(in_process: Command) -> None:
+    answer = in_process("rigctl", "tune", PAPER, "--json", "-")
     assert (answer.returncode, answer.stderr) == (0, "")
     said = json.loads(answer.stdout)
     assert set(said["gains"]) == {"k_tension", "k_speed", "k_integral"}
@@ -37,9 +38,9 @@ def test_json_has_what_the_contract_says() -> None:
     assert len(said["provenance"]["inputs_sha256"]) == 64
 
 
-def test_everything_at_once(tmp_path: pathlib.Path) -> None:
+def test_everything_at_once(tmp_path: pathlib.Path, in_process: Command) -> None:
     figures, plot, gains = tmp_path / "t.json", tmp_path / "t.PNG", tmp_path / "gains.yaml"
-    answer = daemons.rigctl("tune", PAPER, "--json", str(figures), "--plot", str(plot), "--gains", str(gains))
+    answer = in_process("rigctl", "tune", PAPER, "--json", str(figures), "--plot", str(plot), "--gains", str(gains))
     assert (answer.returncode, answer.stderr) == (0, "")
     assert "accepted: Ms 1.5" in answer.stdout
     assert answer.stdout.count("<- worst") == 1
@@ -47,20 +48,20 @@ def test_everything_at_once(tmp_path: pathlib.Path) -> None:
     made = json.loads(figures.read_text())["provenance"]["inputs_sha256"]
     assert made in gains.read_text()
     # Written again over itself, and used from a rig file beside it.
-    assert daemons.rigctl("tune", PAPER, "--gains", str(gains)).returncode == 0
+    assert in_process("rigctl", "tune", PAPER, "--gains", str(gains)).returncode == 0
     rig = daemons.rig_file(tmp_path, {"design": {"gains_file": gains.name}})
-    assert f"takes the gains of {gains}, not these" in daemons.rigctl("tune", str(rig)).stdout
+    assert f"takes the gains of {gains}, not these" in in_process("rigctl", "tune", str(rig)).stdout
 
 
-def test_a_refused_design_is_exit_code_1_and_said_in_words(tmp_path: pathlib.Path) -> None:
+def test_a_refused_design_is_exit_code_1_and_said_in_words(tmp_path: pathlib.Path, in_process: Command) -> None:
     file = daemons.rig_file(tmp_path, {"plant": NO_SPRING})
-    answer = daemons.rigctl("tune", str(file), "--gains", str(tmp_path / "g.yaml"))
+    answer = in_process("rigctl", "tune", str(file), "--gains", str(tmp_path / "g.yaml"))
     assert answer.returncode == 1
     assert answer.stdout.count("UNSTABLE") > 1
     assert answer.stderr.count("\n") == 1
     assert "design refused: unstable with 6 of 30 plants, allowed 1.6 (or a design.waiver in words)" in answer.stderr
     assert "accepted: false" in (tmp_path / "g.yaml").read_text()
-    said = json.loads(daemons.rigctl("tune", str(file), "--json", "-").stdout)
+    said = json.loads(in_process("rigctl", "tune", str(file), "--json", "-").stdout)
     assert (said["accepted"], said["ms_max"]) == (False, None)
     assert {m["ms"] for m in said["margins"] if not m["stable"]} == {None}
 
@@ -72,19 +73,19 @@ def test_a_refused_design_is_exit_code_1_and_said_in_words(tmp_path: pathlib.Pat
         (("config",), "config: cannot be read: Is a directory"),
         (("README.md",), "README.md:"),
         ((PAPER, "--json"), "--json"),
-        ((PAPER, "--json", "nowhere/x.json"), "there is no folder nowhere"),
-        ((PAPER, "--json", "config"), "found the folder config"),
+        ((PAPER, "--json", "nowhere/x.json"), "--json: nowhere/x.json cannot be written: there is no folder nowhere"),
+        ((PAPER, "--json", "config"), "--json: config cannot be written: Is a directory"),
         ((PAPER, "--json", PAPER), "is the rig file"),
         ((PAPER, "--plot", "x.jpg"), "allowed a name ending in .png, .svg, .pdf"),
-        ((PAPER, "--plot", "/proc/x.png"), "/proc/x.png: cannot be written"),
+        ((PAPER, "--plot", "/proc/x.png"), "--plot: /proc/x.png cannot be written: No such file"),
         ((PAPER, "--gains", "config/rig.yaml"), "is there and is no gain file"),
         ((PAPER, "--gains", "/dev/null"), "is there and is no gain file"),
-        ((PAPER, "--gains", "/proc/g.yaml"), "/proc/g.yaml: cannot be written"),
+        ((PAPER, "--gains", "/proc/g.yaml"), "--gains: /proc/g.yaml cannot be written: "),
     ],
 )
-def test_wrong_input_is_one_line_and_exit_code_2(words: tuple[str, ...], said: str) -> None:
+def test_wrong_input_is_one_line_and_exit_code_2(words: tuple[str, ...], said: str, in_process: Command) -> None:
     before = (daemons.ROOT / "config/rig.yaml").read_bytes(), (daemons.ROOT / PAPER).read_bytes()
-    answer = daemons.rigctl("tune", *words)
+    answer = in_process("rigctl", "tune", *words)
     assert answer.returncode == 2
     assert answer.stderr.count("\n") == 1
     assert said in answer.stderr
@@ -92,8 +93,8 @@ def test_wrong_input_is_one_line_and_exit_code_2(words: tuple[str, ...], said: s
     assert before == ((daemons.ROOT / "config/rig.yaml").read_bytes(), (daemons.ROOT / PAPER).read_bytes())
 
 
-def test_numbers_no_plant_has_are_one_line(tmp_path: pathlib.Path) -> None:
-    answer = daemons.rigctl("tune", str(daemons.rig_file(tmp_path, {"plant": {"spring_n_mm": 1e-300}})))
+def test_numbers_no_plant_has_are_one_line(tmp_path: pathlib.Path, in_process: Command) -> None:
+    answer = in_process("rigctl", "tune", str(daemons.rig_file(tmp_path, {"plant": {"spring_n_mm": 1e-300}})))
     assert answer.returncode == 2
     assert "no design" in answer.stderr
     assert answer.stderr.count("\n") == 1

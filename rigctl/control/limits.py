@@ -1,0 +1,84 @@
+"""The rig file's limits as rows of the safety table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from rigctl.config import RigSettings
+from rigctl.config_limits import SIGNALS, LimitSettings
+from rigctl.control.modes import Mode
+from rigctl.control.safety import Action, Fault, Row, Sight
+
+RATE_S = 0.02  # a rate is that of the signal low-passed by this
+_GAP_NS = 100_000_000
+
+VALUES: dict[str, Callable[[Sight], float]] = {
+    "tension_n": lambda x: x.tension_n,
+    "tension_rate_n_s": lambda x: abs(x.tension_rate_n_s),
+    "vertical_error_n": lambda x: abs(x.vertical_error_n),
+    "tangential_deg": lambda x: math.degrees(x.tangential_rad),
+    "normal_deg": lambda x: math.degrees(x.normal_rad),
+    "stroke_mm": lambda x: x.stroke_mm,
+    "speed_mm_s": lambda x: x.speed_mm_s,
+    "disturbance_mm_s": lambda x: abs(x.disturbance_mm_s),
+    "drive_temperature_c": lambda x: x.drive_temperature_c,
+    "drive_current_a": lambda x: abs(x.drive_current_a),
+    "drive_warning": lambda x: float(x.drive_warning),
+    "cell_age_ms": lambda x: x.cell_age_ns * 1e-6,
+    "inclination_age_ms": lambda x: x.inclination_age_ns * 1e-6,
+    "drive_age_ms": lambda x: x.drive_age_ns * 1e-6,
+    "rejects": lambda x: float(x.rejects),
+    "cell_nis": lambda x: x.cell_nis,
+    "lateness_us": lambda x: x.lateness_ns * 1e-3,
+    "skipped_ticks": lambda x: float(x.skipped_in_window),
+    "error_frames": lambda x: float(x.error_frames),
+    "command_age_s": lambda x: x.command_age_ns * 1e-9,
+}
+"""How each signal of `rigctl.config_limits.SIGNALS` is read off the sight."""
+
+
+class Rate:
+    """Rate of change of a signal, per second, absolute; starts anew after a pause."""
+
+    def __init__(self, value: Callable[[Sight], float]) -> None:
+        self._value = value
+        self._smooth = math.nan
+        self._t_ns = 0
+
+    def __call__(self, sight: Sight) -> float:
+        """The rate now; call it every tick."""
+        value, passed_ns = self._value(sight), sight.t_ns - self._t_ns
+        self._t_ns = sight.t_ns
+        if not math.isfinite(value):
+            return math.nan
+        if not math.isfinite(self._smooth) or not 0 <= passed_ns <= _GAP_NS:
+            self._smooth = value
+        rate = abs(value - self._smooth) / RATE_S
+        self._smooth += (value - self._smooth) * (1.0 - math.exp(-passed_ns * 1e-9 / RATE_S))
+        return rate
+
+
+def rows(settings: RigSettings) -> tuple[Row, ...]:
+    """A row per bound of each limit, in the rig file's order."""
+    return tuple(row for limit in settings.limits for row in _rows_of(limit))
+
+
+def _rows_of(limit: LimitSettings) -> list[Row]:
+    value, unit = VALUES[limit.signal], SIGNALS[limit.signal].unit
+    persistence_ns = limit.persistence_ms * 1_000_000
+    modes = frozenset(Mode[name] for name in limit.modes)
+    action = Action[limit.action.upper()]
+
+    def row(read: Callable[[Sight], float], bound: float, words: str, sign: float = 1.0) -> Row:
+        text = f"{limit.signal} {words}"
+        return Row(Fault.LIMIT, read, sign * bound, persistence_ns, modes, unit, action, text, sign)
+
+    found = []
+    if limit.high is not None:
+        found.append(row(value, limit.high, "above"))
+    if limit.low is not None:
+        found.append(row(lambda x: -value(x), limit.low, "below", -1.0))
+    if limit.rate is not None:
+        found.append(row(Rate(value), limit.rate, "changing by more per second than"))
+    return found

@@ -1,0 +1,90 @@
+"""What no single signal shows: does the stroke do as commanded, and the tension as the stroke says?
+
+Each figure is fed every tick and forgets over a time constant, so that what is small and steady does not add up.
+"""
+
+from __future__ import annotations
+
+import math
+
+from rigctl.config import RigSettings
+from rigctl.control.inbox import Inbox
+from rigctl.control.safety import Sight
+
+STROKE_MEMORY_S = 1.0
+CONTRADICTION_MEMORY_S = 0.2
+STRETCH_MEMORY_S = 1.0
+RATE_S = 0.005
+LATCH_TICKS = 1  # what the drive latches in a tick is read in the next
+
+
+class Plausibility:
+    """Writes six figures into the sight.
+
+    ``speed_error_mm_s``: drive's speed against the model of the drive (lag and delay of the plant) under the commands
+    sent. ``stroke_error_mm``: the same, of the position. ``contradiction_mm``: position against the speed reported
+    beside it. ``unexplained_mm``: stretch that the tension says and the stroke does not. ``cell_repeats``: how often in
+    a row the cell has sent the very same value. ``tension_rate_n_s``: low-passed by 5 ms.
+    """
+
+    def __init__(self, settings: RigSettings) -> None:
+        plant = settings.plant
+        self._dt = dt = 1.0 / settings.loop.rate_hz
+        self._stiffness = plant.stiffness_n_mm
+        self._share = 1.0 - math.exp(-dt / plant.cylinder_lag_s)
+        self._sent = [0.0] * (round(plant.command_delay_s / dt) + LATCH_TICKS)
+        self._at = 0
+        self._model_mm_s = 0.0
+        self._stroke_keep = math.exp(-dt / STROKE_MEMORY_S)
+        self._contradiction_keep = math.exp(-dt / CONTRADICTION_MEMORY_S)
+        self._stretch_keep = math.exp(-dt / STRETCH_MEMORY_S)
+        self._stroke_mm = self._tension_n = self._smooth_n = self._repeated_n = math.nan
+        self._unheard = 0  # ticks since the drive's newest word
+
+    def look(self, inbox: Inbox, sight: Sight, command_mm_s: float, *, ticks: int, slack: bool) -> None:
+        """One tick, ``ticks`` after the last; ``command_mm_s`` is what was sent in the last one."""
+        if inbox.cell_fresh:
+            self._look_at_cell(inbox, sight)
+        modelled_mm = self._model(command_mm_s, ticks)
+        self._unheard += ticks
+        moved_mm = said_mm = 0.0
+        if inbox.drive_fresh:
+            if math.isfinite(self._stroke_mm):
+                moved_mm = inbox.stroke_mm - self._stroke_mm
+                said_mm = inbox.speed_mm_s * self._unheard * self._dt
+            self._stroke_mm, self._unheard = inbox.stroke_mm, 0
+        if sight.drive_enabled:
+            sight.speed_error_mm_s = abs(inbox.speed_mm_s - self._model_mm_s)
+            sight.stroke_error_mm = self._stroke_keep * sight.stroke_error_mm + moved_mm - modelled_mm
+        else:
+            self._model_mm_s = inbox.speed_mm_s
+            sight.speed_error_mm_s = sight.stroke_error_mm = 0.0
+        sight.contradiction_mm = self._contradiction_keep * sight.contradiction_mm + moved_mm - said_mm
+        self._look_at_stretch(inbox, sight, moved_mm, slack)
+
+    def _model(self, command_mm_s: float, ticks: int) -> float:
+        """Let the modelled drive go on; how far it moves, in mm."""
+        sent, travel_mm = self._sent, 0.0
+        for _ in range(min(ticks, 2 * len(sent))):
+            delayed, sent[self._at] = sent[self._at], command_mm_s
+            self._at = (self._at + 1) % len(sent)
+            self._model_mm_s += (delayed - self._model_mm_s) * self._share
+            travel_mm += self._model_mm_s * self._dt
+        return travel_mm
+
+    def _look_at_cell(self, inbox: Inbox, sight: Sight) -> None:
+        sight.cell_repeats = sight.cell_repeats + 1 if inbox.reading_n == self._repeated_n else 0
+        self._repeated_n = inbox.reading_n
+        if not math.isfinite(self._smooth_n):
+            self._smooth_n = inbox.tension_n
+        sight.tension_rate_n_s = (inbox.tension_n - self._smooth_n) / RATE_S
+        self._smooth_n += (inbox.tension_n - self._smooth_n) * min(1.0, self._dt / RATE_S)
+
+    def _look_at_stretch(self, inbox: Inbox, sight: Sight, moved_mm: float, slack: bool) -> None:
+        if slack or not sight.drive_enabled or not math.isfinite(self._tension_n):
+            sight.unexplained_mm = 0.0
+        else:
+            gained_mm = (inbox.tension_n - self._tension_n) / self._stiffness if inbox.cell_fresh else 0.0
+            sight.unexplained_mm = self._stretch_keep * sight.unexplained_mm + gained_mm - moved_mm
+        if inbox.cell_fresh:
+            self._tension_n = inbox.tension_n

@@ -1,0 +1,55 @@
+"""``python -m rigctl.design.admission RUNTIME_DIR NAME < GAIN_FILE``: may the rig that runs there act by these gains?
+
+A process of its own, because the design's libraries are slow to load and the gateway must go on publishing. Answers
+one line of JSON: ``{"design": ...}`` as in ``active.json``, or ``{"refused": "why, in one line"}``.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+import msgspec
+
+from rigctl.config import RigSettings
+from rigctl.telemetry.runtime import Runtime
+
+LIMIT_S = 15.0
+
+
+class NotAdmittedError(ValueError):
+    """The gains are not to be used; ``str()`` says why, in one line."""
+
+
+def admit(runtime: Runtime, text: str, name: str) -> dict[str, Any]:
+    """The design that a gain file comes to on the rig that runs, as in ``active.json``.
+
+    Raises:
+        NotAdmittedError: it is no gain file, not for this rig, or its margins are refused.
+    """
+    command = [sys.executable, "-m", "rigctl.design.admission", str(runtime.directory), name]
+    try:
+        done = subprocess.run(command, input=text.encode(), stdout=subprocess.PIPE, timeout=LIMIT_S, check=True)
+        answer: dict[str, Any] = msgspec.json.decode(done.stdout)
+    except (subprocess.SubprocessError, OSError, msgspec.MsgspecError) as error:
+        raise NotAdmittedError(f"the gains could not be judged: {type(error).__name__}") from None
+    if "refused" in answer:
+        raise NotAdmittedError(str(answer["refused"]))
+    return dict(answer["design"])
+
+
+def _judge(directory: str, name: str, text: bytes) -> dict[str, Any]:
+    from rigctl.design.gain_file import design_while_running  # imports python-control
+    from rigctl.design.gains import DesignError
+
+    settings = RigSettings.model_validate(Runtime(directory).read_json("active.json")["settings"])
+    try:
+        found = design_while_running(settings, text.decode(), name)
+    except (DesignError, ArithmeticError, ValueError) as error:  # ... or numbers no plant has
+        return {"refused": " ".join(str(error).split())}
+    return {"design": found.as_dict()} if found.accepted else {"refused": found.verdict()}
+
+
+if __name__ == "__main__":
+    sys.stdout.buffer.write(msgspec.json.encode(_judge(sys.argv[1], sys.argv[2], sys.stdin.buffer.read())))

@@ -1,0 +1,212 @@
+"""The lease: one holder at a time, whoever asks for it in whatever order."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rigctl.telemetry.lease import ACTS, ID_BYTES, Act, Book, Change, Denial, Lease, Turn, is_id
+from rigctl.telemetry.lease_keeper import believed, why_not
+from rigctl.telemetry.lease_request import LeaseRequest, parse_lease
+from rigctl.telemetry.request import RequestError
+
+S = 1_000_000_000
+TERM = 300 * S
+ID = "0" * 31 + "1"
+
+
+@dataclass
+class Desk:
+    """A book whose ids count up, and what it has told."""
+
+    told: list[Change] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        numbers = itertools.count(1)
+        self.book = Book(TERM, self.told.append, make_id=lambda: f"{next(numbers):032x}")
+
+    def holder(self, now_ns: int) -> str | None:
+        lease = self.book.lease(now_ns)
+        return None if lease is None else lease.holder
+
+
+def granted(found: Lease | Denial) -> Lease:
+    assert isinstance(found, Lease)
+    return found
+
+
+def test_the_first_command_takes_the_lease_and_every_further_one_renews_it() -> None:
+    desk = Desk()
+    first = granted(desk.book.admit("anna", None, 0))
+    assert (first.holder, first.since_ns, first.until_ns) == ("anna", 0, TERM)
+    again = granted(desk.book.admit("anna", first.id, TERM - 1))
+    assert (again.id, again.since_ns, again.until_ns) == (first.id, 0, 2 * TERM - 1)
+    assert desk.told == [Change(0, Turn.TAKEN, "anna")]
+
+
+@pytest.mark.parametrize(
+    ("operator", "shown"),
+    [("kim", None), ("kim", ID), ("anna", None), ("anna", "f" * 32)],
+    ids=["another", "another with the right id", "same name elsewhere", "same name with a wrong id"],
+)
+def test_a_second_operator_is_refused_while_the_lease_runs(operator: str, shown: str | None) -> None:
+    desk = Desk()
+    assert granted(desk.book.admit("anna", None, 0)).id == ID
+    assert desk.book.admit(operator, shown, TERM - 1) is Denial.HELD
+    assert desk.book.take(operator, shown, "", TERM - 1) is Denial.HELD  # a takeover says why
+    assert desk.book.give_back(operator, shown, TERM - 1) is Denial.HELD
+    assert desk.book.renew(operator, shown, TERM - 1) is None
+    assert desk.book.lease(TERM - 1) == Lease(ID, "anna", 0, TERM)
+
+
+def test_a_takeover_is_told_with_both_names_and_the_reason() -> None:
+    desk = Desk()
+    old = granted(desk.book.admit("anna", None, 0))
+    new = granted(desk.book.take("kim", None, "anna left", 5))
+    assert new.id != old.id
+    assert desk.told[-1] == Change(5, Turn.TAKEN_OVER, "kim", "anna", "anna left")
+    assert desk.book.admit("anna", old.id, 6) is Denial.HELD
+    assert granted(desk.book.admit("kim", new.id, 7)).holder == "kim"
+
+
+def test_a_lapsed_id_is_not_taken_for_a_new_one() -> None:
+    desk = Desk()
+    old = granted(desk.book.admit("anna", None, 0))
+    assert desk.book.has_lapsed(TERM)
+    assert not desk.book.has_lapsed(TERM - 1)
+    assert desk.book.admit("anna", old.id, TERM) is Denial.LAPSED
+    assert desk.told == [Change(0, Turn.TAKEN, "anna"), Change(TERM, Turn.LAPSED, "anna")]
+    desk.book.expire(TERM + 1)
+    assert len(desk.told) == 2
+    assert granted(desk.book.take("anna", old.id, "", TERM)).id != old.id
+    assert desk.told[-1] == Change(TERM, Turn.TAKEN, "anna")
+
+
+def test_a_lease_given_back_is_anyones() -> None:
+    desk = Desk()
+    assert desk.book.give_back("anna", None, 0) is Denial.NOT_HELD
+    lease = granted(desk.book.admit("anna", None, 0))
+    assert desk.book.give_back("anna", lease.id, 1) is None
+    assert desk.told[-1] == Change(1, Turn.RETURNED, "anna")
+    assert granted(desk.book.admit("kim", None, 2)).holder == "kim"
+
+
+def test_ids_are_unguessable_and_of_the_form_that_is_asked_for() -> None:
+    book = Book(TERM, lambda _change: None)
+    ids = {granted(book.take(str(n), None, "test", n)).id for n in range(100)}
+    assert len(ids) == 100
+    assert all(is_id(id_) for id_ in ids)
+
+
+STEPS = st.lists(
+    st.tuples(
+        st.sampled_from(["command", "take", "take for a reason", "give back", "look"]),
+        st.sampled_from(["anna", "kim"]),
+        st.none() | st.integers(0, 5),  # the id shown: none, or the newest but so many
+        st.integers(0, TERM + S),
+    ),
+    max_size=40,
+)
+
+
+@given(STEPS)
+def test_any_sequence_has_one_holder_who_lost_it_only_in_ways_that_are_told(steps: list[Any]) -> None:
+    """The book is followed by what it tells alone: that gives the holder at every moment, and never two."""
+    desk, now, ids = Desk(), 0, ["f" * 32]
+    holder: str | None = None
+    for what, operator, shown, pause_ns in steps:
+        now += pause_ns
+        before, until_ns = desk.book.lease(now), 0
+        id_ = None if shown is None else ids[-1 - shown % len(ids)]
+        desk.told.clear()
+        found: Lease | Denial | None = None
+        match what:
+            case "command":
+                found = desk.book.admit(operator, id_, now)
+            case "give back":
+                found = desk.book.give_back(operator, id_, now)
+            case "look":
+                desk.book.expire(now)
+            case _:
+                found = desk.book.take(operator, id_, "a reason" if what == "take for a reason" else "", now)
+        for change in desk.told:
+            assert change.t_ns == now
+            match change.turn:
+                case Turn.TAKEN:
+                    assert holder is None
+                    holder = change.operator
+                case Turn.TAKEN_OVER:
+                    assert (holder, change.reason, what) == (change.other, "a reason", "take for a reason")
+                    holder = change.operator
+                case Turn.LAPSED:
+                    assert holder == change.operator
+                    assert before is None
+                    holder = None
+                case Turn.RETURNED:
+                    assert (holder, change.operator, what) == (operator, operator, "give back")
+                    holder = None
+        lease = desk.book.lease(now)
+        if isinstance(found, Lease):
+            assert found == lease
+            assert (lease.holder, lease.until_ns) == (operator, now + TERM)
+            ids.append(found.id)
+            until_ns = found.until_ns
+        elif before is not None and what != "give back":
+            assert lease == before  # refused or merely looked: nothing has changed, not even its time
+        assert desk.holder(now) == (None if desk.book.has_lapsed(now) else holder)
+        assert until_ns in (0, now + TERM)
+
+
+def test_only_what_a_gateway_would_have_written_is_believed() -> None:
+    good = Lease(ID, "anna", 5 * S, 10 * S)
+    written = msgspec.to_builtins(good)
+    now = 6 * S
+    assert believed(written, TERM, now) == good
+    assert believed(written, TERM, 10 * S) == good  # lapsed meanwhile: for the book to tell
+    bad: list[Any] = [
+        None, [], "x", {}, {**written, "id": "x"}, {**written, "id": ID.upper() + "A"}, {**written, "holder": ""},
+        {**written, "holder": "a\nb"}, {**written, "holder": 7}, {**written, "since_ns": 7 * S},
+        {**written, "since_ns": -1}, {**written, "until_ns": now + TERM + 1}, {**written, "until_ns": 5 * S},
+        {**written, "until_ns": "soon"}, {**written, "until_ns": 1e30},
+    ]  # fmt: skip
+    for forged in bad:
+        assert believed(forged, TERM, now) is None, forged
+
+
+def test_a_denial_says_who_since_when_how_long_and_how_to_take_over() -> None:
+    lease = Lease(ID, "anna", 0, TERM)
+    how = "since 88 s, for another 212 s; to take it over: rigctl lease take --reason TEXT"
+    assert why_not(Denial.HELD, "kim", lease, 88 * S) == f"anna holds the lease, {how}"
+    elsewhere = f"anna holds the lease in another terminal or program, {how}"
+    assert why_not(Denial.HELD, "anna", lease, 88 * S) == elsewhere
+    assert "rigctl lease take" in why_not(Denial.LAPSED, "kim", None, 0)
+    assert why_not(Denial.NOT_HELD, "kim", None, 0) == "nobody holds the lease"
+    assert ID not in "".join(why_not(denial, "kim", lease, 0) for denial in Denial)
+
+
+def test_an_act_on_the_lease_is_read() -> None:
+    assert ACTS == {"lease_take": Act.TAKE, "lease_return": Act.RETURN}
+    payload = {"operator": " kim ", "lease": ID, "reason": " tea "}
+    assert parse_lease(Act.TAKE, msgspec.json.encode(payload)) == LeaseRequest(Act.TAKE, "kim", ID, "tea")
+    assert parse_lease(Act.RETURN, b'{"operator": "kim"}') == LeaseRequest(Act.RETURN, "kim")
+
+
+@pytest.mark.parametrize("act", Act)
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"lease": 7}, {"lease": ""}, {"lease": "0" * (2 * ID_BYTES + 1)}, {"lease": "G" * 2 * ID_BYTES},
+        {"lease": [[]]}, {"lease": {"id": ID}}, {"reason": "x" * 121}, {"reason": "a\nb"}, {"reason": 7},
+        {"operator": ""}, {"value": 1}, {"lease": ID + "\n"},
+    ],
+)  # fmt: skip
+def test_a_malformed_act_is_one_line(act: Act, more: dict[str, Any]) -> None:
+    with pytest.raises(RequestError, match="allowed") as refused:
+        parse_lease(act, msgspec.json.encode({"operator": "kim"} | more))
+    assert "\n" not in str(refused.value)
