@@ -10,6 +10,9 @@ from rich.table import Table
 from rigctl import config_wording
 from rigctl.config import RigSettings
 from rigctl.config_base import Settings
+from rigctl.config_limits import SIGNALS
+from rigctl.control import limits, safety
+from rigctl.control.modes import Mode
 from rigctl.devices import busload
 
 NARROW = 72
@@ -70,6 +73,11 @@ def show(settings: RigSettings, console: Console) -> None:
         )
         for signal in message.signals.values():
             console.print(f"  {signal}", highlight=False)
+    console.print(_watched(settings))
+    console.print(
+        "limits may watch: " + ", ".join(f"{name} ({signal.meaning})" for name, signal in SIGNALS.items()),
+        highlight=False,
+    )
     frames = Table(title="bus", title_justify="left", box=None)
     frames.add_column("frame", overflow="fold")
     for column in ("bytes", "per second", "bit/s at worst"):
@@ -78,6 +86,23 @@ def show(settings: RigSettings, console: Console) -> None:
         frames.add_row(item.name, str(item.size), f"{item.rate_hz:g}", f"{item.bit_s:.0f}")
     console.print(frames)
     console.print(verdict(settings), highlight=False)
+
+
+def _watched(settings: RigSettings) -> Table:
+    """The safety table: the built-in rows, then the rig file's limits."""
+    table = Table(title="watched (modes by their first letters)", title_justify="left", box=None)
+    table.add_column("what", overflow="fold")
+    for column in ("beyond", "for ms", "action"):
+        table.add_column(column, overflow="fold")
+    table.add_column("modes", min_width=len(Mode))
+    for row in (*safety.table(settings), *limits.rows(settings)):
+        nanoseconds = row.unit == "ns"
+        limit = row.sign * row.limit * (1e-6 if nanoseconds else 1.0)
+        beyond = f"{limit:g} {'ms' if nanoseconds else row.unit}".rstrip() if limit or row.unit else "-"
+        modes = "".join(mode.name[0] if mode in row.modes else "." for mode in Mode)
+        action = row.action.name.lower().replace("_", " ")
+        table.add_row(row.text or row.fault.name, beyond, f"{row.persistence_ns // 1_000_000}", action, modes)
+    return table
 
 
 def _add_section(table: Table, section: str, settings: Settings, narrow: bool) -> None:

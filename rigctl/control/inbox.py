@@ -12,7 +12,8 @@ from rigctl.control.correction import Correction
 from rigctl.devices import codecs, dbc
 from rigctl.devices import objects as od
 from rigctl.devices.plain import PlainMessage
-from rigctl.telemetry.record import Quality
+from rigctl.telemetry.record import FrameFlag, Quality
+from rigctl.telemetry.ring import RingWriter
 
 MAX_FRAMES_PER_TICK = 256
 MAX_NOTICES = 32
@@ -23,34 +24,31 @@ _NEVER = Quality.NEVER.value
 _EMCY_SIZE = 8
 
 
+Handler = Callable[[bytes | bytearray, int], None]
+
+
+def _flagged(message: can.Message) -> int:
+    """Identifier of a frame that is no plain one, with the flags that say so."""
+    can_id = message.arbitration_id & 0x1FFFFFFF
+    can_id |= FrameFlag.EXTENDED.value if message.is_extended_id else 0
+    can_id |= FrameFlag.REMOTE.value if message.is_remote_frame else 0
+    return can_id | (FrameFlag.ERROR.value if message.is_error_frame else 0)
+
+
 class Inbox:
     """Drains the bus to empty without blocking and decodes by CAN id; foreign ids are only counted."""
 
-    def __init__(self, bus: can.BusABC, settings: RigSettings) -> None:
-        self._bus = bus
+    def __init__(self, bus: can.BusABC, settings: RigSettings, frames: RingWriter | None = None) -> None:
+        """``frames``: where every frame that comes is kept, None for nowhere."""
+        self._bus, self._frames = bus, frames
         rail = settings.rail_encoder
         self._divisors: tuple[int, ...] = (1, settings.inclinometer_divisor, 1)
-        if rail is not None:
-            self._divisors = (*self._divisors, settings.loop.rate_hz // rail.rate_hz)
-        nodes, plain = settings.canopen_nodes, settings.plain_messages
-        self._handlers: dict[int, Callable[[bytes | bytearray, int], None]] = {}
-        for device, base, on_frame in (
-            ("tension_cell", od.CELL_TPDO.cob_base, self._on_cell),
-            ("inclinometer", od.SLOPE_TPDO.cob_base, self._on_slope),
-            ("cylinder", od.DRIVE_TPDO.cob_base, self._on_drive),
-            ("rail_encoder", od.ENCODER_TPDO.cob_base, self._on_rail),
-        ):
-            if device in nodes:
-                self._handlers[base + nodes[device]] = on_frame
-        for device, handler in (
-            ("tension_cell", self._plain_cell_handler),
-            ("inclinometer", self._plain_slope_handler),
-        ):
-            if device in plain:
-                self._handlers[plain[device].can_id] = handler(plain[device])
-        for node in nodes.values():
-            self._handlers[od.EMCY_BASE + node] = self._emergency_handler(node)
-            self._handlers[od.HEARTBEAT_BASE + node] = self._heartbeat_handler(node)
+        self._divisors += (settings.loop.rate_hz // rail.rate_hz if rail is not None else 1,)
+        self._divisors += (settings.status_divisor or 1,)
+        self._handlers = self._handlers_of(settings)
+        e_stop = settings.cylinder.e_stop_input
+        self._e_stop_bit = 1 << e_stop if e_stop is not None else 0
+        self._rated_current_a = settings.cylinder.rated_current_a or math.nan
         self._rail_node = rail.node if rail is not None else 0
         self._counts_per_turn = rail.counts_per_turn if rail is not None else 1
         self.correction = Correction()
@@ -69,9 +67,16 @@ class Inbox:
         self.stroke_mm = math.nan
         self.speed_mm_s = 0.0
         self.drive_t_ns = NEVER_NS
+        self.drive_current_a = self.drive_temperature_c = math.nan
+        self.drive_status_t_ns = NEVER_NS
+        self.e_stop = False  # by the newest of the drive's input and its emergency message
         self.bus_t_ns = NEVER_NS
         self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
         self.received = self.refused = self.error_frames = self.receive_failures = 0
+        self._drive_node = settings.cylinder.node
+        self._in_error: set[int] = set()
+        self.sensors_in_error = 0  # cell and inclinometer with an emergency that stands
+        self.drive_in_error = False
         self.emergencies: list[tuple[int, int]] = []  # (node, code) since last taken
         self.node_states: list[tuple[int, int]] = []  # (node, NMT state) changes since last taken
         self.bus_errors: list[tuple[int, int]] = []  # (error class, controller byte) since last taken
@@ -79,15 +84,40 @@ class Inbox:
         self._tension_max_n = settings.tension_cell.range_n * OVERRANGE
         self._slope_max_rad = math.radians(settings.inclinometer.range_deg)
         self._states: dict[int, int] = {}
-        self._counts = [0, 0, 0, 0]  # cell, slope, drive, rail frames since the first of each
-        self._bases = [-1, -1, -1, -1]  # SYNCs sent when the first came
+        self._counts = [0] * 5  # cell, slope, drive, rail, drive status frames since the first of each
+        self._bases = [-1] * 5  # SYNCs sent when the first came
         self._syncs = 0
+
+    def _handlers_of(self, settings: RigSettings) -> dict[int, Handler]:
+        """What to do with the frames of each identifier that means something."""
+        nodes, plain = settings.canopen_nodes, settings.plain_messages
+        handlers: dict[int, Handler] = {}
+        for device, base, on_frame in (
+            ("tension_cell", od.CELL_TPDO.cob_base, self._on_cell),
+            ("inclinometer", od.SLOPE_TPDO.cob_base, self._on_slope),
+            ("cylinder", od.DRIVE_TPDO.cob_base, self._on_drive),
+            ("rail_encoder", od.ENCODER_TPDO.cob_base, self._on_rail),
+        ):
+            if device in nodes:
+                handlers[base + nodes[device]] = on_frame
+        for device, handler in (
+            ("tension_cell", self._plain_cell_handler),
+            ("inclinometer", self._plain_slope_handler),
+        ):
+            if device in plain:
+                handlers[plain[device].can_id] = handler(plain[device])
+        for node in nodes.values():
+            handlers[od.EMCY_BASE + node] = self._emergency_handler(node)
+            handlers[od.HEARTBEAT_BASE + node] = self._heartbeat_handler(node)
+        if settings.status_divisor:
+            handlers[od.DRIVE_TPDO2.cob_base + settings.cylinder.node] = self._on_drive_status
+        return handlers
 
     def drain(self, now_ns: int, syncs_sent: int) -> None:
         """Read until the bus is empty; samples are stamped ``now_ns``."""
         self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
         self._syncs = syncs_sent
-        receive, handlers = self._bus.recv, self._handlers
+        receive, handlers, frames = self._bus.recv, self._handlers, self._frames
         for _ in range(MAX_FRAMES_PER_TICK):
             try:
                 message = receive(0)
@@ -96,6 +126,11 @@ class Inbox:
                 return
             if message is None:
                 return
+            if frames is not None:
+                can_id = message.arbitration_id
+                if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+                    can_id = _flagged(message)
+                frames.write(now_ns, can_id, 0, message.dlc, message.data)
             if message.is_error_frame:
                 self._on_error_frame(message)
                 continue
@@ -168,6 +203,14 @@ class Inbox:
         self.drive_fresh = True
         self._count(2)
 
+    def _on_drive_status(self, data: bytes | bytearray, now_ns: int) -> None:
+        current, self.drive_temperature_c, inputs = codecs.decode_drive_status(data)
+        self.drive_current_a = current * self._rated_current_a
+        if self._e_stop_bit:
+            self.e_stop = not inputs & self._e_stop_bit
+        self.drive_status_t_ns = now_ns
+        self._count(4)
+
     def _on_rail(self, data: bytes | bytearray, now_ns: int) -> None:
         """Newest angle of the rail; invalid while its encoder reports an error, or runs unverified after a restart."""
         angle_rad = codecs.decode_encoder(data, self._counts_per_turn)
@@ -179,7 +222,7 @@ class Inbox:
         self.rail_fresh = good
         self._count(3)
 
-    def _plain_cell_handler(self, message: PlainMessage) -> Callable[[bytes | bytearray, int], None]:
+    def _plain_cell_handler(self, message: PlainMessage) -> Handler:
         decode = dbc.tension_decoder(message)
 
         def on_cell(data: bytes | bytearray, now_ns: int) -> None:
@@ -189,7 +232,7 @@ class Inbox:
 
         return on_cell
 
-    def _plain_slope_handler(self, message: PlainMessage) -> Callable[[bytes | bytearray, int], None]:
+    def _plain_slope_handler(self, message: PlainMessage) -> Handler:
         decode = dbc.inclination_decoder(message)
 
         def on_slope(data: bytes | bytearray, now_ns: int) -> None:
@@ -199,19 +242,27 @@ class Inbox:
 
         return on_slope
 
-    def _emergency_handler(self, node: int) -> Callable[[bytes | bytearray, int], None]:
+    def _emergency_handler(self, node: int) -> Handler:
         def on_emergency(data: bytes | bytearray, _now_ns: int) -> None:
             if len(data) != _EMCY_SIZE:
                 raise ValueError("length")
             code = data[0] | data[1] << 8
+            error = code != od.EmcyCode.NO_ERROR
             if node == self._rail_node:
-                self._rail_in_error = code != od.EmcyCode.NO_ERROR
+                self._rail_in_error = error
+            elif node == self._drive_node:
+                self.drive_in_error = error
+                if code == od.EmcyCode.EXTERNAL and self._e_stop_bit:
+                    self.e_stop = True  # at once; the input follows with the next status
+            else:
+                (self._in_error.add if error else self._in_error.discard)(node)
+                self.sensors_in_error = len(self._in_error)
             if len(self.emergencies) < MAX_NOTICES:
                 self.emergencies.append((node, code))
 
         return on_emergency
 
-    def _heartbeat_handler(self, node: int) -> Callable[[bytes | bytearray, int], None]:
+    def _heartbeat_handler(self, node: int) -> Handler:
         def on_heartbeat(data: bytes | bytearray, _now_ns: int) -> None:
             if len(data) != 1:
                 raise ValueError("length")

@@ -16,6 +16,7 @@ from rigctl.control.tension import TensionLaw
 from rigctl.telemetry.events import Kind
 from rigctl.telemetry.record import Flag, Quality
 from rigctl.telemetry.ring import RingReader, RingWriter
+from rigctl.telemetry.runtime import Runtime
 
 NOTICE_NS = 1_000_000_000
 NOTICES_KEPT = 64
@@ -25,12 +26,21 @@ _ENABLED, _ARMING = Flag.DRIVE_ENABLED.value, Flag.ARMING.value
 
 @dataclass(frozen=True)
 class Rings:
-    """Where a loop's records, events and replies go, and where its commands come from."""
+    """Where a loop's records, events, replies and frames go, and where its commands come from."""
 
     records: RingWriter
     events: RingWriter
     replies: RingWriter
+    frames: RingWriter
     commands: RingReader
+
+    @classmethod
+    def of(cls, runtime: Runtime) -> Rings:
+        """The loop's ends of a runtime folder's rings."""
+        return cls(
+            runtime.record_writer(), runtime.event_writer(), runtime.reply_writer(), runtime.frame_writer(),
+            runtime.command_reader(),
+        )  # fmt: skip
 
 
 class Logbook:

@@ -46,18 +46,20 @@ class Loop:
         rings: Rings,
         *,
         supervised: bool,
+        host_checks: int = 0,
         law: LawFactory | None = None,
         correction: Correction | None = None,
     ) -> None:
         """``supervised``: start-up has verified that the drive stops by itself when we go silent.
 
+        ``host_checks``: what fails of `rigctl.control.safety.HOST_CHECKS`, until the gateway says otherwise.
         ``law``: makes another law than ours, to be compared with it; it may look into the inbox.
         ``correction``: of the tension cell, from the ledger.
         """
         self.settings = settings
         self.machine = Machine(_stopping_ns(settings))
-        self.inbox = Inbox(bus, settings)
-        self.outbox = Outbox(bus, settings)
+        self.inbox = Inbox(bus, settings, rings.frames)
+        self.outbox = Outbox(bus, settings, rings.frames)
         self.observer = Observer(settings, self.inbox)
         self.law = TensionLaw(settings, gains) if law is None else law(settings, gains, self.inbox)
         self.exceptions_untold = 0
@@ -73,6 +75,7 @@ class Loop:
         )
         self._work_ns = self._stop_until = self._off_until = 0
         logbook.event(clock.now(), Kind.STARTED)
+        self.observer.sight.host_checks = host_checks
         if correction is not None:
             self.observer.sight.calibration_overdue = correction.overdue
             self._orders.correct(correction, clock.now())
@@ -137,10 +140,15 @@ class Loop:
         machine.follow_drive(sight.drive_enabled, t_ns)
         orders.attend()
         if machine.mode is Mode.TENSIONING and law.tensioned(estimate):
-            machine.on(Event.TENSIONED)
+            if self._signs.passed:
+                machine.on(Event.TENSIONED)
+            elif not self._signs.probe_mm_s:
+                self._signs.feel(estimate.stroke_mm, self.observer.tension_n)
         elif machine.mode is Mode.RELEASING and law.slack(estimate):
             machine.on(Event.SLACK)
         for change in machine.changes:
+            if change.before is Mode.FAULT:
+                self._plausibility.forget_stretch(sight)
             if change.after in (Mode.TENSIONING, Mode.RELEASING):
                 law.begin(estimate.tension_n * self.observer.cosine, estimate.speed_mm_s)
                 self._signs.begin(estimate.stroke_mm, self.observer.tension_n)
@@ -152,7 +160,7 @@ class Loop:
             law.hold(estimate)
             speed_mm_s = 0.0
         elif mode is Mode.TENSIONING:
-            speed_mm_s = law.tensioning(estimate, cosine)
+            speed_mm_s = law.tensioning(estimate, cosine, self._signs.probe_mm_s)
         elif mode is Mode.COMPENSATING:
             speed_mm_s = law.compensating(estimate, cosine)
         elif mode is Mode.RELEASING:
@@ -177,7 +185,7 @@ class Loop:
         elif power is not Power.OFF:
             self._off_until = t_ns + STOP_LIMIT_NS
         state = drive_state(self.inbox.statusword)
-        outbox.command(next_controlword(state, power, outbox.controlword), speed_mm_s)
+        outbox.command(next_controlword(state, power, outbox.controlword), speed_mm_s, self._clock.now())
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
         logbook, machine, observer = self._logbook, self.machine, self.observer
@@ -217,7 +225,7 @@ class Loop:
     def _stop_safely(self, t_ns: int, error: Exception) -> None:
         """The safe command first: no speed, the drive as it is. Then FAULT, latched, and a word about why."""
         try:
-            self.outbox.command(self.outbox.controlword, 0.0)
+            self.outbox.command(self.outbox.controlword, 0.0, t_ns)
         except Exception:  # noqa: BLE001 - the bus itself fails: the drive stops by its own supervision
             self.outbox.failures += 1
         self.law.follow_speed(0.0)

@@ -60,6 +60,7 @@ class Setting(IntEnum):
     K_TENSION = 131  # these three come in this order, the last puts all in force; see rigctl.control.tension.Gains
     K_SPEED = 132
     K_INTEGRAL = 133
+    HOST_CHECKS = 134  # value: bits of rigctl.control.safety.HOST_CHECKS that fail; told before every ARM
 
 
 class Refusal(IntEnum):

@@ -16,6 +16,7 @@ from rigctl.control.tension import Estimate
 from rigctl.devices.objects import OFF_STATES, STATUS_WARNING, DriveState, drive_state
 
 _SECOND_NS = 1_000_000_000
+STATUS_PERIODS = 3  # the drive's status is stale when this many have not come
 LEAST_COSINE = 0.5  # a rope at 60 deg: nothing beyond it is believed
 
 
@@ -40,6 +41,9 @@ class Observer:
         self._slack_n = settings.tension.slack_n
         rail, run_out = settings.rail_encoder, settings.run_out
         self.rail_stale_ns = stale_ns(rail) if rail is not None else 0
+        status_ns = settings.status_divisor * settings.loop.period_ns
+        self._status_stale_ns = STATUS_PERIODS * status_ns  # 0 where it is not asked for
+        self._e_stop_fitted = settings.cylinder.e_stop_input is not None
         self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
 
     @property
@@ -70,11 +74,23 @@ class Observer:
         sight.drive_enabled = state is DriveState.OPERATION_ENABLED
         sight.drive_off = state in OFF_STATES
         sight.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
+        self._look_at_drive_status(now_ns)
         sight.drive_warning = bool(inbox.statusword & STATUS_WARNING)
         sight.bus_age_ns = now_ns - inbox.bus_t_ns
         sight.error_frames = self._recent_error_frames(now_ns)
         sight.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
         sight.device_restarted = inbox.restarted
+        sight.sensor_emergency, sight.drive_emergency = inbox.sensors_in_error > 0, inbox.drive_in_error
+
+    def _look_at_drive_status(self, now_ns: int) -> None:
+        """Current, temperature and E-stop, where the drive is asked for them; what is old is not known."""
+        if not self._status_stale_ns:
+            return
+        inbox, sight = self.inbox, self.sight
+        stale = now_ns - inbox.drive_status_t_ns > self._status_stale_ns
+        sight.drive_temperature_c = math.nan if stale else inbox.drive_temperature_c
+        sight.drive_current_a = math.nan if stale else inbox.drive_current_a
+        sight.e_stop, sight.e_stop_unseen = inbox.e_stop, stale and self._e_stop_fitted
 
     def estimate(self, skipped: int, *, regulated: bool) -> Estimate:
         """What the filters make of it, predicted to when a command acts; ``regulated``: the run-out table may learn.

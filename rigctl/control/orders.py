@@ -12,7 +12,7 @@ from rigctl.control.logbook import Logbook, number
 from rigctl.control.machine import Machine
 from rigctl.control.modes import Mode, Refusal, Setting, Situation, Verb
 from rigctl.control.observer import Observer
-from rigctl.control.safety import Check, Fault, Watch
+from rigctl.control.safety import HOST_CHECKS, Check, Fault, Watch
 from rigctl.control.tension import Gains, TensionLaw
 from rigctl.telemetry.events import Kind
 from rigctl.telemetry.record import COMMAND_LIFETIME_NS
@@ -39,6 +39,7 @@ class Orders:
         self.trial: trials.Trial | None = None
         self._settings, self._machine, self._observer = settings, machine, observer
         self._law, self._watch, self._logbook, self._supervised = law, watch, logbook, supervised
+        self._near_end = False  # the last command was an ARM that drives away from an end of the stroke
         self._found = (0.0, 0.0)  # value and spread of the last trial
         self._gains: list[float] = []  # those of a set that have come
 
@@ -50,7 +51,9 @@ class Orders:
         elif abs(t_ns - given_ns) > COMMAND_LIFETIME_NS:
             self._reply(t_ns, id_, Refusal.EXPIRED)
         elif code in _SETTINGS:
-            self._reply(t_ns, id_, self._set(Setting(code), value, t_ns), value=value)
+            refusal = self._set(Setting(code), value, t_ns)
+            checks = int(self.failed_checks()) if code == Setting.HOST_CHECKS else 0
+            self._reply(t_ns, id_, refusal, checks, value)
         else:
             self._obey(id_, Verb(code), value, t_ns)
 
@@ -75,7 +78,7 @@ class Orders:
         for given in machine.answers:
             checks, value, spread = 0, number(self._observer.tension_n), 0.0
             if given.refusal is Refusal.PREFLIGHT:
-                checks = int(self.failed_checks())
+                checks = int(self.failed_checks(near_end=self._near_end))
             elif given.refusal is Refusal.CAUSE_PRESENT:
                 value = float(self._watch.present(self._observer.sight))
             elif given.refusal is Refusal.LOADED:
@@ -92,15 +95,18 @@ class Orders:
         self._observer.correct(correction)
         self._logbook.event(t_ns, Kind.CORRECTION, value=correction.zero_n, limit=correction.scale)
 
-    def failed_checks(self) -> Check:
-        """What stands against arming now."""
+    def failed_checks(self, *, near_end: bool = False) -> Check:
+        """What stands against arming now; ``near_end``: see `rigctl.control.safety.preflight`."""
         verified = self._supervised and not self._observer.inbox.restarted
-        return safety.preflight(self._observer.sight, self._settings, supervision_verified=verified)
+        sight = self._observer.sight
+        beyond = self._watch.beyond(sight, Mode.HOLD)
+        return safety.preflight(sight, self._settings, beyond, supervision_verified=verified, near_end=near_end)
 
     def _obey(self, id_: int, verb: Verb, value: float, t_ns: int) -> None:
         machine, observer, settings = self._machine, self._observer, self._settings
+        self._near_end = verb is Verb.ARM and value == 1.0
         situation = Situation(
-            failed_checks=int(self.failed_checks()),
+            failed_checks=int(self.failed_checks(near_end=self._near_end)),
             fault_latched=machine.fault is not Fault.NONE,
             value=value,
             cause_present=self._watch.present(observer.sight) is not Fault.NONE,
@@ -124,6 +130,8 @@ class Orders:
         if setting is Setting.OVERDUE:
             self._observer.sight.calibration_overdue = value != 0.0
             return Refusal.NONE
+        if setting is Setting.HOST_CHECKS:
+            return self._take_host_checks(value)
         if setting in _GAINS:
             return self._set_gain(setting, value, t_ns)
         inbox = self._observer.inbox
@@ -137,6 +145,12 @@ class Orders:
             return Refusal.OUT_OF_RANGE
         self.correct(wanted, t_ns)
         return Refusal.NONE
+
+    def _take_host_checks(self, value: float) -> Refusal:
+        """Bits of the checks the loop cannot make itself; the answer says what stands against arming in all."""
+        known = value >= 0.0 and value.is_integer() and not int(value) & ~int(HOST_CHECKS)
+        self._observer.sight.host_checks = int(value) if known else int(Check.HOST)
+        return Refusal.NONE if known else Refusal.OUT_OF_RANGE
 
     def _set_gain(self, setting: Setting, value: float, t_ns: int) -> Refusal:
         """Gains come one by one, in their order; the last puts the set in force, in any mode, without a bump."""

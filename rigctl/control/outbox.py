@@ -7,26 +7,30 @@ import can
 from rigctl.config import RigSettings
 from rigctl.devices import codecs
 from rigctl.devices import objects as od
+from rigctl.telemetry.ring import RingWriter
 
 
 class Outbox:
     """Sends and counts; a frame the bus does not take is a missed send, not an error of the tick."""
 
-    def __init__(self, bus: can.BusABC, settings: RigSettings) -> None:
-        self._bus = bus
+    def __init__(self, bus: can.BusABC, settings: RigSettings, frames: RingWriter) -> None:
+        """``frames``: where every frame the bus has taken is kept."""
+        self._bus, self._frames = bus, frames
         self._command_id = od.DRIVE_RPDO.cob_base + settings.cylinder.node
         self._heartbeat_id = od.HEARTBEAT_BASE + settings.can.controller_node
         period_ticks = settings.can.heartbeat_ms * settings.loop.rate_hz // 1000
         self._heartbeat_every = max(1, period_ticks)
         self._until_heartbeat = 1
         self._operational = bytes([od.NmtState.OPERATIONAL])
+        self._now_ns = 0
         self.controlword = 0
         self.sent = self.failures = self.syncs = 0
         self.failure_text = ""
         self.safe_frames = 0  # commands of no speed in a row that the bus has taken
 
-    def command(self, controlword: int, speed_mm_s: float) -> None:
+    def command(self, controlword: int, speed_mm_s: float, now_ns: int) -> None:
         """The command PDO, then SYNC, then the heartbeat when it is due."""
+        self._now_ns = now_ns
         self.controlword = controlword
         taken = self._send(self._command_id, codecs.encode_command(controlword, speed_mm_s))
         self.safe_frames = self.safe_frames + taken if speed_mm_s == 0.0 else 0
@@ -44,4 +48,5 @@ class Outbox:
             self.failure_text = str(error)
             return 0
         self.sent += 1
+        self._frames.write(self._now_ns, can_id, 1, len(data), data)
         return 1

@@ -13,18 +13,21 @@ from rigctl.control.safety import Sight
 
 STROKE_MEMORY_S = 1.0
 CONTRADICTION_MEMORY_S = 0.2
-STRETCH_MEMORY_S = 1.0
+STRETCH_MEMORY_S = 2.0
+UNREST_S = 0.1
+LARGEST_STEP_NOISES = 150.0  # beyond this, and 1 mm of stretch, a step counts as no larger
 RATE_S = 0.005
 LATCH_TICKS = 1  # what the drive latches in a tick is read in the next
 
 
 class Plausibility:
-    """Writes six figures into the sight.
+    """Writes seven figures into the sight.
 
     ``speed_error_mm_s``: drive's speed against the model of the drive (lag and delay of the plant) under the commands
     sent. ``stroke_error_mm``: the same, of the position. ``contradiction_mm``: position against the speed reported
     beside it. ``unexplained_mm``: stretch that the tension says and the stroke does not. ``cell_repeats``: how often in
-    a row the cell has sent the very same value. ``tension_rate_n_s``: low-passed by 5 ms.
+    a row the cell has sent the very same value. ``cell_unrest_n``: mean step from sample to sample over 100 ms,
+    of which one alone counts little. ``tension_rate_n_s``: low-passed by 5 ms.
     """
 
     def __init__(self, settings: RigSettings) -> None:
@@ -39,6 +42,8 @@ class Plausibility:
         self._contradiction_keep = math.exp(-dt / CONTRADICTION_MEMORY_S)
         self._stretch_keep = math.exp(-dt / STRETCH_MEMORY_S)
         self._stroke_mm = self._tension_n = self._smooth_n = self._repeated_n = math.nan
+        self._largest_n = LARGEST_STEP_NOISES * settings.tension_cell.noise_n + plant.stiffness_n_mm
+        self._unrest_share = dt / UNREST_S
         self._unheard = 0  # ticks since the drive's newest word
 
     def look(self, inbox: Inbox, sight: Sight, command_mm_s: float, *, ticks: int, slack: bool) -> None:
@@ -62,6 +67,10 @@ class Plausibility:
         sight.contradiction_mm = self._contradiction_keep * sight.contradiction_mm + moved_mm - said_mm
         self._look_at_stretch(inbox, sight, moved_mm, slack)
 
+    def forget_stretch(self, sight: Sight) -> None:
+        """What was unexplained before is acknowledged."""
+        sight.unexplained_mm = 0.0
+
     def _model(self, command_mm_s: float, ticks: int) -> float:
         """Let the modelled drive go on; how far it moves, in mm."""
         sent, travel_mm = self._sent, 0.0
@@ -73,18 +82,22 @@ class Plausibility:
         return travel_mm
 
     def _look_at_cell(self, inbox: Inbox, sight: Sight) -> None:
-        sight.cell_repeats = sight.cell_repeats + 1 if inbox.reading_n == self._repeated_n else 0
+        step_n = abs(inbox.reading_n - self._repeated_n)
+        sight.cell_repeats = sight.cell_repeats + 1 if step_n == 0.0 else 0
         self._repeated_n = inbox.reading_n
+        if math.isfinite(step_n):
+            sight.cell_unrest_n += (min(step_n, self._largest_n) - sight.cell_unrest_n) * self._unrest_share
         if not math.isfinite(self._smooth_n):
             self._smooth_n = inbox.tension_n
         sight.tension_rate_n_s = (inbox.tension_n - self._smooth_n) / RATE_S
         self._smooth_n += (inbox.tension_n - self._smooth_n) * min(1.0, self._dt / RATE_S)
 
     def _look_at_stretch(self, inbox: Inbox, sight: Sight, moved_mm: float, slack: bool) -> None:
-        if slack or not sight.drive_enabled or not math.isfinite(self._tension_n):
+        if not sight.drive_enabled or not math.isfinite(self._tension_n):
             sight.unexplained_mm = 0.0
-        else:
+        else:  # a slack rope takes up stroke without a word, but does not lose tension either
             gained_mm = (inbox.tension_n - self._tension_n) / self._stiffness if inbox.cell_fresh else 0.0
-            sight.unexplained_mm = self._stretch_keep * sight.unexplained_mm + gained_mm - moved_mm
+            explained_mm = 0.0 if slack else moved_mm
+            sight.unexplained_mm = self._stretch_keep * sight.unexplained_mm + gained_mm - explained_mm
         if inbox.cell_fresh:
             self._tension_n = inbox.tension_n

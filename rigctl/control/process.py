@@ -22,6 +22,7 @@ from rigctl.control import realtime
 from rigctl.control.clock import GridClock, SimulatedClock
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
+from rigctl.control.safety import Check
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.devices import startup
@@ -37,6 +38,7 @@ def receive_filters(settings: RigSettings) -> CanFilters:
     """Ids the loop reads; on interfaces that filter in the kernel nothing else wakes or fills the socket."""
     bases = (od.TPDO1_BASE, od.EMCY_BASE, od.HEARTBEAT_BASE)
     ids = [base + node for base in bases for node in settings.canopen_nodes.values()]
+    ids += [od.TPDO2_BASE + settings.cylinder.node] if settings.status_divisor else []
     ids += [message.can_id for message in settings.plain_messages.values()]
     return [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in ids]
 
@@ -56,11 +58,6 @@ def open_bus(settings: RigSettings) -> can.BusABC:
         raise startup.StartupError(f"{where} cannot be opened: {' '.join(str(error).split())}") from None
 
 
-def open_rings(runtime: Runtime) -> Rings:
-    """The loop's ends of the rings."""
-    return Rings(runtime.record_writer(), runtime.event_writer(), runtime.reply_writer(), runtime.command_reader())
-
-
 def warm_up(settings: RigSettings, gains: Gains, directory: Runtime) -> None:
     """Run every path of the tick on a bus of its own, so that the first real tick meets nothing for the first time."""
     runtime = Runtime(directory.directory / f"warm-up-{os.getpid()}")
@@ -70,7 +67,7 @@ def warm_up(settings: RigSettings, gains: Gains, directory: Runtime) -> None:
         bus = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
         other = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
         clock = SimulatedClock(settings.loop.period_ns, lambda _t: _answer(other, settings))
-        loop = Loop(settings, gains, bus, clock, open_rings(runtime), supervised=True)
+        loop = Loop(settings, gains, bus, clock, Rings.of(runtime), supervised=True)
         for _ in range(WARM_UP_TICKS):
             loop.tick()
         bus.shutdown()
@@ -90,6 +87,9 @@ def _answer(bus: can.BusABC, settings: RigSettings) -> None:
     for device, node in settings.canopen_nodes.items():
         layout, values = samples[device]
         frames[layout.cob_base + node] = layout.codec.pack(*values)
+    if settings.status_divisor:
+        layout = od.DRIVE_TPDO2
+        frames[layout.cob_base + settings.cylinder.node] = layout.codec.pack(100, 300, 0xFFFFFFFF)
     for message in settings.plain_messages.values():
         frames[message.can_id] = message.payload({"tension": 300.0, "tangential": 1e-3, "normal": 0.0, "valid": 1.0})
     for can_id, data in frames.items():
@@ -126,7 +126,16 @@ def run(directory: str) -> int:
         bus.set_filters(receive_filters(settings))
     clock = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000)
     correction = in_force(runtime).correction
-    loop = Loop(settings, gains, bus, clock, open_rings(runtime), supervised=True, correction=correction)
+    loop = Loop(
+        settings,
+        gains,
+        bus,
+        clock,
+        Rings.of(runtime),
+        supervised=report.supervised,
+        host_checks=Check.HOST,  # the gateway judges them before an operator can arm
+        correction=correction,
+    )
     signal.signal(signal.SIGTERM, _stop_on_signal(loop))
     applied = [*realtime.apply(settings.loop), realtime.freeze_garbage_collector()]
     runtime.write_json(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
 from rigctl.config import RigSettings
+from rigctl.control.correction import tare_limit_n
 from rigctl.control.modes import Mode
 
 
@@ -52,6 +53,10 @@ class Fault(IntEnum):
     STROKE_MOVES = 21  # the stroke moves though the drive is off: the brake does not hold
     STRETCH_UNEXPLAINED = 22  # tension changed as no stroke explains, or did not where the stroke says it must
     E_STOP = 23  # the emergency stop is seen pressed
+    CELL_NOISY = 24  # far more than the cell's noise, and no payload moves like that
+    CELL_NEGATIVE = 25  # a rope cannot push
+    SENSOR_EMERGENCY = 26  # cell or inclinometer has sent an emergency message, and not taken it back
+    DRIVE_EMERGENCY = 27  # the drive has
 
 
 class Check(IntFlag):
@@ -68,6 +73,20 @@ class Check(IntFlag):
     DRIVE_SUPERVISION = 256  # the drive's own stop was not verified (0x1016, 0x6007, 0x605E, deadline)
     CALIBRATION = 512  # the cell's calibration is missing or overdue, and not waived
     E_STOP = 1024  # the emergency stop is pressed
+    CELL_IMPLAUSIBLE = 2048  # stuck, noisy or negative
+    EMERGENCY = 4096  # a device's emergency message stands
+    LIMIT = 8192  # a limit of the rig file, with an action, is passed now
+    E_STOP_UNSEEN = 1 << 14  # an emergency stop is fitted, and its input is not seen
+    STROKE_NEAR_END = 1 << 15  # within the margin of an end; ``arm --near-end`` is for that
+    TARE = 1 << 16  # no tare on record that still holds, and not waived
+    MARGINS = 1 << 17  # of the law in use there are none, or they are refused
+    REALTIME = 1 << 18  # the system refused what was asked of it, and not waived
+    DISK = 1 << 19  # hardly any room where the rig writes things down
+    HOST = 1 << 20  # these four are not known: the gateway has not judged them within the last seconds
+
+
+HOST_CHECKS = Check.TARE | Check.MARGINS | Check.REALTIME | Check.DISK | Check.HOST
+"""What the loop cannot see for itself, see `rigctl.commission.preflight`."""
 
 
 @dataclass(slots=True)
@@ -93,6 +112,7 @@ class Sight:
     drive_temperature_c: float = math.nan
     drive_current_a: float = math.nan
     e_stop: bool = False
+    e_stop_unseen: bool = False  # one is fitted, and what it says is not known
     bus_age_ns: int = 1 << 62
     error_frames: int = 0  # in the last second
     skipped_in_window: int = 0
@@ -102,19 +122,23 @@ class Sight:
     drive_wanted: bool = False
     rope_lost: bool = False
     device_restarted: bool = False
+    sensor_emergency: bool = False
+    drive_emergency: bool = False
     drive_reversed: bool = False  # see rigctl.control.signs
     cell_reversed: bool = False
     rejects: int = 0
     slope_rejects: int = 0
     cell_nis: float = 0.0
     calibration_overdue: bool = False
+    host_checks: int = 0  # bits of HOST_CHECKS that fail
     vertical_error_n: float = 0.0  # from the set-point on its ramp, while there is one
     disturbance_mm_s: float = 0.0
-    speed_error_mm_s: float = 0.0  # these six: see rigctl.control.plausibility
+    speed_error_mm_s: float = 0.0  # these seven: see rigctl.control.plausibility
     stroke_error_mm: float = 0.0
     contradiction_mm: float = 0.0
     unexplained_mm: float = 0.0
     cell_repeats: int = 0
+    cell_unrest_n: float = 0.0
     tension_rate_n_s: float = 0.0
 
 
@@ -144,6 +168,7 @@ _TENSIONING = frozenset({Mode.TENSIONING})
 _MOVING = _CLOSED | {Mode.RELEASING}
 _REGULATED = frozenset({Mode.COMPENSATING})
 _OFF = frozenset({Mode.DISARMED})
+_AT_REST = frozenset({Mode.HOLD, Mode.FAULT})
 _EVERY = frozenset(Mode)
 _MS = 1_000_000
 STROKE_END_NS = 200 * _MS
@@ -152,10 +177,15 @@ STROKE_SPARE_MM = 2.0
 SPEED_ERROR_MM_S, SPEED_ERROR_NS = 2.5, 15 * _MS  # a lag half as long again as the plant's makes 1.5 mm/s of 10
 STROKE_ERROR_MM = 0.5
 CONTRADICTION_MM = 0.3
-SLOPE_REJECTS = 10  # 100 ms of an inclinometer at 100 Hz; until then the filter goes on by itself
-UNEXPLAINED_MM = 8.0  # the paper's move makes 0.1, a payload that rises at 6 mm/s makes 6 ...
+SLOPE_REJECTS = 50  # half a second of an inclinometer at 100 Hz; until then the filter goes on by itself
+UNEXPLAINED_MM = 10.0  # the paper's move makes 0.1, a payload that rises and falls by 10 mm in 10 s makes 8 ...
 UNEXPLAINED_NS = 15 * _MS  # ... and a single bad sample makes anything
-BRAKE_SLIP_MM_S, BRAKE_SLIP_NS = 0.5, 200 * _MS  # a stop that has begun takes less
+AT_REST_MM, AT_REST_NS = 2.5, 15 * _MS  # in HOLD: the rail's run-out is 1.5
+PAYLOAD_MM_S = 80.0  # faster than any payload; a jolt of 1 mm in 20 ms makes 50
+UNREST_NOISES = 30.0
+UNREST_NS = 5 * _MS
+NEGATIVE_NS = 10 * _MS
+BRAKE_SLIP_MM_S, BRAKE_SLIP_NS = 0.2, 200 * _MS  # a stop that has begun takes less
 
 
 def _highest_n(sight: Sight) -> float:
@@ -169,6 +199,11 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
     stale, slope = s.stale_ms * _MS, s.inclination_stale_ms * _MS
     persist = s.persistence_ms * _MS
     stuck = s.stuck_samples - 1 if s.stuck_samples else math.inf
+    unrest_n = max(
+        UNREST_NOISES * settings.tension_cell.noise_n,
+        settings.plant.stiffness_n_mm * PAYLOAD_MM_S / settings.loop.rate_hz,
+    )
+    negative_n = settings.tension.slack_n + tare_limit_n(settings)
     lost = Action.POWER_OFF  # a drive that does not obey is not told to hold, but taken off power
     return (
         Row(Fault.E_STOP, lambda x: x.e_stop, 0, 0, _EVERY, "", Action.QUICK_STOP),
@@ -183,9 +218,13 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.CELL_INVALID, lambda x: x.cell_quality, 0, 0, _ARMED, ""),
         Row(Fault.INCLINATION_INVALID, lambda x: x.inclination_quality, 0, 0, _ARMED, ""),
         Row(Fault.TENSION_HIGH, _highest_n, s.tension_high_n, persist, _EVERY, "N"),
+        Row(Fault.CELL_NEGATIVE, lambda x: -x.tension_n, negative_n, NEGATIVE_NS, _ARMED, "N", sign=-1.0),
         Row(Fault.TENSION_LOW, lambda x: -x.tension_n, -s.tension_low_n, persist, _REGULATED, "N", sign=-1.0),
         Row(Fault.TENSION_LOW, lambda x: x.rope_lost, 0, persist, _TENSIONING, ""),
         Row(Fault.CELL_STUCK, lambda x: x.cell_repeats, stuck, 0, _ARMED, "samples"),
+        Row(Fault.CELL_NOISY, lambda x: x.cell_unrest_n, unrest_n, UNREST_NS, _ARMED, "N"),
+        Row(Fault.SENSOR_EMERGENCY, lambda x: x.sensor_emergency, 0, 0, _ARMED, ""),
+        Row(Fault.DRIVE_EMERGENCY, lambda x: x.drive_emergency, 0, 0, _ARMED, ""),
         Row(Fault.DRIVE_NOT_FOLLOWING, lambda x: x.speed_error_mm_s, SPEED_ERROR_MM_S, SPEED_ERROR_NS, _ARMED, "mm/s",
             lost),
         Row(Fault.DRIVE_NOT_FOLLOWING, lambda x: abs(x.stroke_error_mm), STROKE_ERROR_MM, 0, _ARMED, "mm", lost),
@@ -193,7 +232,9 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.STROKE_MOVES, _unbraked_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _OFF, "mm/s"),
         Row(Fault.INNOVATION, lambda x: x.rejects, settings.estimator.reject_limit - 1, 0, _MOVING, "samples"),
         Row(Fault.INNOVATION, lambda x: x.slope_rejects, SLOPE_REJECTS - 1, 0, _MOVING, "slopes"),
-        Row(Fault.STRETCH_UNEXPLAINED, lambda x: abs(x.unexplained_mm), UNEXPLAINED_MM, UNEXPLAINED_NS, _ON, "mm"),
+        Row(Fault.STRETCH_UNEXPLAINED, lambda x: abs(x.unexplained_mm), UNEXPLAINED_MM, UNEXPLAINED_NS, _MOVING, "mm"),
+        Row(Fault.STRETCH_UNEXPLAINED, lambda x: abs(x.unexplained_mm), AT_REST_MM, AT_REST_NS, _AT_REST, "mm at rest",
+            lost),
         Row(Fault.STROKE_END, lambda x: x.stroke_limited, 0, STROKE_END_NS, _MOVING, ""),
         Row(Fault.DEVICE_RESTARTED, lambda x: x.device_restarted, 0, 0, _ARMED, ""),
         Row(Fault.OVERRUN, lambda x: x.skipped_in_window, s.overrun_ticks - 1, 0, _ARMED, "ticks"),
@@ -251,6 +292,14 @@ class Watch:
                 strongest = _trip(row, value)
         return strongest
 
+    def beyond(self, sight: Sight, mode: Mode) -> set[Fault]:
+        """Faults that would come, sooner or later, if the rig were in ``mode``."""
+        return {
+            row.fault
+            for row in self._rows
+            if mode in row.modes and row.action is not Action.LOG and row.value(sight) > row.limit
+        }
+
     def present(self, sight: Sight) -> Fault:
         """First cause that is there at this instant, whatever the mode; what keeps a fault from being reset.
 
@@ -273,15 +322,26 @@ def _trip(row: Row, value: float) -> Trip:
 _BLOCK_RESET = frozenset(
     {Fault.BUS_SILENT, Fault.DRIVE_STALE, Fault.CELL_STALE, Fault.CELL_INVALID, Fault.INCLINATION_STALE,
      Fault.INCLINATION_INVALID, Fault.TENSION_HIGH, Fault.OVERRUN, Fault.DEVICE_RESTARTED, Fault.CELL_STUCK,
-     Fault.E_STOP}
+     Fault.E_STOP, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SENSOR_EMERGENCY}
 )  # fmt: skip
 
 
-def preflight(sight: Sight, settings: RigSettings, *, supervision_verified: bool) -> Check:
-    """Checks that fail now; arming needs none to."""
+_IMPLAUSIBLE = frozenset({Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE})
+_EMERGENCY = frozenset({Fault.SENSOR_EMERGENCY, Fault.DRIVE_EMERGENCY})
+
+
+def preflight(
+    sight: Sight, settings: RigSettings, beyond: set[Fault], *, supervision_verified: bool, near_end: bool = False
+) -> Check:
+    """Checks that fail now; arming needs none to. ``beyond``: `Watch.beyond` of HOLD, the mode that arming leads to.
+
+    ``near_end``: the operator means to drive away from an end of the stroke, where the law lets it go no further.
+    """
     s = settings.safety
-    cylinder = settings.cylinder
+    cylinder, margin_mm = settings.cylinder, settings.preflight.stroke_margin_mm
     low, high = cylinder.stroke_min_mm - STROKE_SPARE_MM, cylinder.stroke_max_mm + STROKE_SPARE_MM
+    inside = cylinder.stroke_min_mm + margin_mm <= sight.stroke_mm <= cylinder.stroke_max_mm - margin_mm
+    in_range = low <= sight.stroke_mm <= high
     failing = {
         Check.CELL_STALE: sight.cell_age_ns > s.stale_ms * _MS,
         Check.CELL_INVALID: sight.cell_quality != 0,
@@ -290,12 +350,17 @@ def preflight(sight: Sight, settings: RigSettings, *, supervision_verified: bool
         Check.DRIVE_STALE: sight.drive_age_ns > s.stale_ms * _MS,
         Check.DRIVE_FAULT: sight.drive_faulted,
         Check.TENSION_HIGH: not _highest_n(sight) <= s.tension_high_n,
-        Check.STROKE_RANGE: not low <= sight.stroke_mm <= high,
+        Check.STROKE_RANGE: not in_range,
+        Check.STROKE_NEAR_END: in_range and not inside and not near_end,
         Check.DRIVE_SUPERVISION: not supervision_verified,
         Check.CALIBRATION: sight.calibration_overdue,
         Check.E_STOP: sight.e_stop,
+        Check.CELL_IMPLAUSIBLE: not beyond.isdisjoint(_IMPLAUSIBLE),
+        Check.EMERGENCY: not beyond.isdisjoint(_EMERGENCY),
+        Check.LIMIT: Fault.LIMIT in beyond,
+        Check.E_STOP_UNSEEN: sight.e_stop_unseen,
     }
-    result = Check(0)
+    result = Check(sight.host_checks)
     for check, fails in failing.items():
         if fails:
             result |= check

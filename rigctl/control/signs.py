@@ -4,6 +4,9 @@ A positive command must move the stroke up, and a shorter rope must pull harder,
 A rig that is wired, mounted or configured the other way round would run away as soon as the loop closes on it; here it
 is caught within a millimetre, or within the tension that counts as slack. As long as a tensioning has been too short
 to tell, the next one is watched again.
+
+A rig that starts tight and on target has no way to go that would tell. It feels its way first: the loop open, the
+tension lowered by `SLOPE_N` at low speed (raised where there is no room below); the ramp then leads back.
 """
 
 from __future__ import annotations
@@ -19,29 +22,44 @@ FOLLOWS, OPPOSES = 0.5, -0.25  # of what was expected
 SLOPE_N, SLOPE_MM = 15.0, 0.2  # the tension's slope is judged over this stretch: far above noise and the screw's play
 SLOPE_FACTOR = 3.0  # what the plant in the rig file may be wrong by
 FALL_NOISES = 20.0
+PROBE_S, PROBE_MM_S = 0.5, 0.2  # a move that only feels lasts; but no slower: there a drive's dead band may hold it
 
 
 class SignCheck:
-    """Fed every tick of TENSIONING until ``passed``; ``slope_n_mm`` is what it found."""
+    """Fed every tick of TENSIONING until ``passed``; ``slope_n_mm`` is what it found.
+
+    ``probe_mm_s``: speed at which the stroke is to move, loop open, so that there is something to find; 0 for none.
+    """
 
     def __init__(self, settings: RigSettings) -> None:
         plant, tension = settings.plant, settings.tension
         self._stiffness = plant.stiffness_n_mm
         self._dt = 1.0 / settings.loop.rate_hz
         self._share = 1.0 - math.exp(-self._dt / plant.cylinder_lag_s)
+        self._stroke_min_mm = settings.cylinder.stroke_min_mm
         self._tight_n = 2.0 * tension.slack_n
         self._fall_n = max(tension.slack_n, FALL_NOISES * settings.tension_cell.noise_n)
-        self._span_mm = max(SLOPE_N / self._stiffness, SLOPE_MM)
         self.passed = False
         self.slope_n_mm = math.nan
         self.begin(0.0, 0.0)
 
     def begin(self, stroke_mm: float, tension_n: float) -> None:
         """A tensioning starts here."""
+        self.probe_mm_s = 0.0
+        self._travel_mm, self._span_mm = TRAVEL_MM, max(SLOPE_N / self._stiffness, SLOPE_MM)
         self._start_mm, self._start_n = stroke_mm, tension_n
         self._tight_at: tuple[float, float] | None = None
         self._expected_mm = self._speed_mm_s = 0.0
         self._drive_follows = False
+
+    def feel(self, stroke_mm: float, tension_n: float) -> None:
+        """The rope is tight here and has nowhere to go: move it for the sake of the signs."""
+        self.begin(stroke_mm, tension_n)
+        # Load seats the nut: no play to get beyond, and a stiff rope is not pulled by more than a soft one.
+        self._span_mm = span_mm = SLOPE_N / self._stiffness
+        self._travel_mm = min(TRAVEL_MM, 0.5 * span_mm)
+        room = stroke_mm - span_mm > self._stroke_min_mm and tension_n - SLOPE_N > self._tight_n
+        self.probe_mm_s = math.copysign(max(span_mm / PROBE_S, PROBE_MM_S), -1.0 if room else 1.0)
 
     def see(self, command_mm_s: float, stroke_mm: float, tension_n: float) -> Fault:
         """One tick: the command that acts in it, and what drive and cell say; the fault there is, or NONE."""
@@ -54,7 +72,7 @@ class SignCheck:
         return Fault.NONE
 
     def _drive_opposes(self, stroke_mm: float) -> bool:
-        if abs(self._expected_mm) < TRAVEL_MM:
+        if abs(self._expected_mm) < self._travel_mm:
             return False
         share = (stroke_mm - self._start_mm) / self._expected_mm
         self._drive_follows = share >= FOLLOWS
@@ -76,4 +94,6 @@ class SignCheck:
         self.slope_n_mm = (tension_n - at_n) / moved_mm
         plausible = self._stiffness / SLOPE_FACTOR <= self.slope_n_mm <= self._stiffness * SLOPE_FACTOR
         self.passed = plausible and self._drive_follows
+        if self.passed:
+            self.probe_mm_s = 0.0
         return not plausible

@@ -114,8 +114,11 @@ class TensionLaw:
         self.integral_mm_s = self._error_n = self._speed_error_mm_s = 0.0
         return self.limited(0.0, estimate.stroke_mm)
 
-    def tensioning(self, estimate: Estimate, cosine: float) -> float:
-        """Take up slack at a fixed speed, then follow a ramp to the target."""
+    def tensioning(self, estimate: Estimate, cosine: float, probe_mm_s: float = 0.0) -> float:
+        """Take up slack at a fixed speed, then follow a ramp to the target.
+
+        ``probe_mm_s``: if not 0, move a tight rope at this speed instead; the ramp begins anew where that ends.
+        """
         self._tight |= estimate.tension_n > 2.0 * self._slack_n
         self.rope_lost = self._tight and estimate.tension_n < self._slack_n
         if self.rope_lost:
@@ -123,6 +126,9 @@ class TensionLaw:
         if estimate.tension_n < self._slack_n:
             self.start_ramp(estimate.tension_n, estimate.speed_mm_s)
             return self.limited(self._take_up, estimate.stroke_mm)
+        if probe_mm_s:
+            self.start_ramp(estimate.tension_n * cosine, estimate.speed_mm_s)
+            return self.limited(probe_mm_s, estimate.stroke_mm)
         return self._closed(estimate, cosine, self._ramp_towards(self.target_n))
 
     def compensating(self, estimate: Estimate, cosine: float) -> float:

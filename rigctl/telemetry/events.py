@@ -65,6 +65,10 @@ FAULT_TEXT: dict[Fault, str] = {
     Fault.STRETCH_UNEXPLAINED: "tension and stroke contradict each other by {value:.1f} mm of stretch "
     "(limit {limit:.1f} mm): rope, cell or payload",
     Fault.E_STOP: "emergency stop pressed",
+    Fault.CELL_NOISY: "tension cell jumps by {value:.1f} N from sample to sample (limit {limit:.1f} N)",
+    Fault.CELL_NEGATIVE: "tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
+    Fault.SENSOR_EMERGENCY: "a sensor's emergency message stands (see the events)",
+    Fault.DRIVE_EMERGENCY: "the drive's emergency message stands (see the events)",
     Fault.DEVICE_RESTARTED: "a device restarted and lost its settings; start the daemon anew",
 }
 
@@ -82,6 +86,9 @@ CHECK_TEXT: dict[Check, str] = {
     Check.TENSION_HIGH: "tension above its limit",
     Check.STROKE_RANGE: "stroke outside its limits",
     Check.DRIVE_SUPERVISION: "drive's own stop on loss of the controller is not verified",
+    Check.CELL_IMPLAUSIBLE: "tension cell is stuck, noisy or reads a push: check cable and amplifier",
+    Check.EMERGENCY: "a device's emergency message stands (see the events)",
+    Check.LIMIT: "a limit of the rig file is passed (rigctl watch shows the signals)",
     Check.E_STOP: "emergency stop is pressed",
     Check.CALIBRATION: "tension cell's calibration is missing or overdue: rigctl calibrate (or calibration.waiver)",
 }

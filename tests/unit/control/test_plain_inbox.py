@@ -115,7 +115,7 @@ def test_the_filters_let_through_what_is_decoded_and_nothing_else() -> None:
         assert all(f["can_mask"] == 0x7FF and not f.get("extended", True) for f in filters)
         return {f["can_id"] for f in filters}
 
-    assert ids(PLAIN) == {0x110, 0x111, 0x084, 0x184, 0x704}
+    assert ids(PLAIN) == {0x110, 0x111, 0x084, 0x184, 0x284, 0x704}
     canopen = ids(config.load(CONFIG / "paper_rig.yaml"))
     assert canopen == {base + node for base in (0x080, 0x180, 0x700) for node in (2, 3, 4)}
 

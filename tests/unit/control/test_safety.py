@@ -8,8 +8,10 @@ from dataclasses import replace
 import pytest
 
 from rigctl import config
+from rigctl.config_limits import LimitSettings
+from rigctl.control import limits
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Check, Fault, Row, Sight, Watch, preflight, table
+from rigctl.control.safety import Action, Check, Fault, Row, Sight, Watch, preflight, table
 
 SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
 ROWS = table(SETTINGS)
@@ -37,10 +39,15 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.DRIVE_NOT_FOLLOWING, "mm"): {"stroke_error_mm": -0.51},
     (Fault.DRIVE_CONTRADICTS, "mm"): {"contradiction_mm": -0.31},
     (Fault.STROKE_MOVES, "mm/s"): {"speed_mm_s": -0.51, "drive_off": True},
-    (Fault.STRETCH_UNEXPLAINED, "mm"): {"unexplained_mm": -8.1},
+    (Fault.STRETCH_UNEXPLAINED, "mm"): {"unexplained_mm": -10.1},
+    (Fault.STRETCH_UNEXPLAINED, "mm at rest"): {"unexplained_mm": 2.6},
+    (Fault.CELL_NOISY, "N"): {"cell_unrest_n": 1.0},
+    (Fault.CELL_NEGATIVE, "N"): {"tension_n": -15.1},
+    (Fault.SENSOR_EMERGENCY, ""): {"sensor_emergency": True},
+    (Fault.DRIVE_EMERGENCY, ""): {"drive_emergency": True},
     (Fault.CELL_STUCK, "samples"): {"cell_repeats": 20},
     (Fault.E_STOP, ""): {"e_stop": True},
-    (Fault.INNOVATION, "slopes"): {"slope_rejects": 10},
+    (Fault.INNOVATION, "slopes"): {"slope_rejects": 50},
     (Fault.CELL_INVALID, ""): {"cell_quality": 4},
     (Fault.INCLINATION_INVALID, ""): {"inclination_quality": 2},
     (Fault.TENSION_HIGH, "N"): {"tension_n": 400.1},
@@ -76,7 +83,8 @@ def test_a_row_trips_in_its_modes_after_its_persistence(row: Row, mode: Mode) ->
     sight = bad_for(row)
     watch = Watch(SETTINGS)
     if mode not in row.modes:
-        assert all(watch.trips(sight, mode, t * MS) is None for t in range(500))
+        trips = [watch.trips(sight, mode, t * MS) for t in range(500)]
+        assert all(trip is None or (trip.fault, trip.limit) != (row.fault, row.sign * row.limit) for trip in trips)
         return
     tripped = next(t for t in range(500) if watch.trips(sight, mode, t * MS) is not None)
     assert tripped * MS == row.persistence_ns
@@ -130,14 +138,14 @@ def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -
     ],
 )
 def test_preflight_names_what_failed(bad: dict[str, object], check: Check) -> None:
-    assert preflight(GOOD, SETTINGS, supervision_verified=True) == Check(0)
+    assert preflight(GOOD, SETTINGS, set(), supervision_verified=True) == Check(0)
     sight = replace(GOOD, **bad)  # type: ignore[arg-type]
-    assert preflight(sight, SETTINGS, supervision_verified=True) == check
-    assert preflight(sight, SETTINGS, supervision_verified=False) == check | Check.DRIVE_SUPERVISION
+    assert preflight(sight, SETTINGS, set(), supervision_verified=True) == check
+    assert preflight(sight, SETTINGS, set(), supervision_verified=False) == check | Check.DRIVE_SUPERVISION
 
 
 def test_nothing_has_been_seen_at_first() -> None:
-    unseen = preflight(Sight(), SETTINGS, supervision_verified=True)
+    unseen = preflight(Sight(), SETTINGS, set(), supervision_verified=True)
     assert Check.CELL_STALE | Check.DRIVE_STALE | Check.INCLINATION_STALE | Check.STROKE_RANGE in unseen
 
 
@@ -148,3 +156,46 @@ def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> Non
     trips = [watch.trips(sight, mode, t * MS) for t in range(40)]
     assert trips[-1] is not None
     assert trips[-1].fault is Fault.TENSION_HIGH
+
+
+@pytest.mark.parametrize(
+    ("bad", "check"),
+    [
+        ({"cell_repeats": 20}, Check.CELL_IMPLAUSIBLE),
+        ({"cell_unrest_n": 1.0}, Check.CELL_IMPLAUSIBLE),
+        ({"tension_n": -15.1}, Check.CELL_IMPLAUSIBLE),
+        ({"sensor_emergency": True}, Check.EMERGENCY),
+        ({"drive_emergency": True}, Check.EMERGENCY),
+        ({"tangential_rad": 0.2}, Check.LIMIT),
+        ({"tangential_rad": -0.2}, Check.LIMIT),
+    ],
+)
+def test_nobody_arms_into_what_would_trip(bad: dict[str, object], check: Check) -> None:
+    tilted = LimitSettings(signal="tangential_deg", low=-5.0, high=5.0, action="hold", modes=["HOLD"])
+    watch = Watch(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [tilted]})))
+    sight = replace(GOOD, **bad)  # type: ignore[arg-type]
+    assert preflight(sight, SETTINGS, watch.beyond(sight, Mode.HOLD), supervision_verified=True) == check
+    assert preflight(GOOD, SETTINGS, watch.beyond(GOOD, Mode.HOLD), supervision_verified=True) == Check(0)
+
+
+def test_a_limit_that_is_only_logged_is_told_once_when_it_begins_and_once_when_it_is_over() -> None:
+    late = LimitSettings(signal="lateness_us", high=500.0, persistence_ms=2, action="log", modes=["HOLD"])
+    watch = Watch(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [late]})))
+    bad = replace(GOOD, lateness_ns=600_000)
+    for t, sight in enumerate([GOOD, bad, bad, bad, bad, GOOD, GOOD]):
+        assert watch.trips(sight, Mode.HOLD, t * MS) is None
+    told = [(trip.text, trip.value, trip.limit, begins) for trip, begins in watch.crossed]
+    assert told == [("lateness_us above", 600.0, 500.0, True), ("lateness_us above", 500.0, 500.0, False)]
+    assert watch.beyond(bad, Mode.HOLD) == set()
+
+
+def test_of_several_rows_the_strongest_acts_and_among_equals_the_first() -> None:
+    watch = Watch(SETTINGS)
+    sight = replace(GOOD, cell_quality=1, inclination_quality=1)
+    trip = watch.trips(sight, Mode.HOLD, 0)
+    assert trip is not None
+    assert (trip.fault, trip.action) == (Fault.CELL_INVALID, Action.HOLD)
+    runaway = replace(sight, stroke_error_mm=1.0)
+    trip = watch.trips(runaway, Mode.HOLD, MS)
+    assert trip is not None
+    assert (trip.fault, trip.action) == (Fault.DRIVE_NOT_FOLLOWING, Action.POWER_OFF)

@@ -1,0 +1,91 @@
+"""``python -m rigctl.control.diagram > docs/modes.md``: the modes as the tables in `rigctl.control.modes` have them."""
+
+from __future__ import annotations
+
+import sys
+
+from rigctl.control.loop import SAFE_FRAMES
+from rigctl.control.modes import TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Situation, Verb, decide
+from rigctl.control.safety import Action
+
+_HEAD = f"""\
+# Modes
+
+Generated from `rigctl/control/modes.py` by `python -m rigctl.control.diagram`; a test holds this file to it.
+
+Every change of mode is an event that names both modes, what caused it, and how many commands of no speed went out in a
+row before it. {SAFE_FRAMES} such safe frames are sent before the drive is switched on, and as many, at standstill,
+before it is switched off.
+
+A trip latches the first fault. RELEASING with a fault latched is a ramp down that a limit began: whatever ends it
+(slack, hold, stop, a stronger trip) ends in FAULT. Only `reset` leaves FAULT, once its cause is gone.
+"""
+_EVENTS = {
+    Event.ENABLED: "drive enabled after `arm`",
+    Event.TENSION: "`tension`",
+    Event.TENSIONED: "target reached",
+    Event.RELEASE: "`release`",
+    Event.SLACK: "rope slack",
+    Event.HOLD: "`hold`",
+    Event.DISARM: "`disarm`",
+    Event.TRIP: "trip",
+    Event.RESET_HELD: "`reset`, drive on",
+    Event.RESET_OFF: "`reset`, drive off",
+    Event.STOP: "daemon stops",
+    Event.RAMP_DOWN: "limit asks for a ramp down",
+}
+_ACTIONS = {
+    Action.LOG: "an event when it begins and when it is over",
+    Action.RAMP_DOWN: "the tension is lowered on its ramp until the rope is slack, then FAULT; a hold ends it",
+    Action.HOLD: "FAULT: the stroke is held under power",
+    Action.QUICK_STOP: "FAULT: the drive stops on its own ramp (0x6085), then closes its brake and goes off",
+    Action.POWER_OFF: "the same, and power is cut, which closes the brake, once the drive has had its time to stop",
+}
+
+
+def document() -> str:
+    """The whole page, in Markdown with a Mermaid diagram."""
+    parts = [_HEAD, "```mermaid", "stateDiagram-v2", "    [*] --> DISARMED"]
+    parts += [
+        f"    {mode.name} --> {transition.after.name}: {_EVENTS[event].replace('`', '')}{_brackets(transition.guard)}"
+        for (mode, event), transition in TRANSITIONS.items()
+        if mode is not transition.after
+    ]
+    parts += ["```", "", "## Guards", ""]
+    guards = {transition.guard for transition in TRANSITIONS.values()} | set(WITHOUT_EVENT.values())
+    named = sorted((guard for guard in guards if guard is not None), key=lambda guard: guard.__name__)
+    parts += [f"- `{guard.__name__}`: {_said(guard)}" for guard in named]
+    parts += ["", "## Commands", "", "| command | " + " | ".join(mode.name for mode in Mode) + " |"]
+    parts += ["|---" * (len(Mode) + 1) + "|"]
+    parts += [f"| `{verb.name.lower()}` | " + " | ".join(_cell(mode, verb) for mode in Mode) + " |" for verb in Verb]
+    parts += ["", "## Actions of the safety table, the weakest first", ""]
+    parts += [f"- `{action.name.lower()}`: {_ACTIONS[action]}" for action in Action]
+    return "\n".join(parts) + "\n"
+
+
+def _brackets(guard: Guard | None) -> str:
+    return "" if guard is None else f" [{guard.__name__}]"
+
+
+def _said(guard: Guard) -> str:
+    return (guard.__doc__ or "").strip()
+
+
+def _cell(mode: Mode, verb: Verb) -> str:
+    """What a command leads to in a mode; a dash where it is refused whatever the situation."""
+    if (mode, verb) in WITHOUT_EVENT:
+        return f"carried out{_brackets(WITHOUT_EVENT[mode, verb])}"
+    found = {
+        TRANSITIONS[mode, event].after.name
+        for enabled in (True, False)
+        if (event := decide(mode, verb, _situation(enabled)).event) is not None
+    }
+    return " or ".join(sorted(found)) or "-"
+
+
+def _situation(enabled: bool) -> Situation:
+    return Situation(drive_enabled=enabled, unloaded=True, value=1.0, target_max_n=1.0)
+
+
+if __name__ == "__main__":
+    sys.stdout.write(document())

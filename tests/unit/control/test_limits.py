@@ -1,0 +1,125 @@
+"""Limits of the rig file: each bound is a row, every signal is read off the sight as it is named."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+from dataclasses import replace
+from typing import Any, get_args
+
+import pytest
+from pydantic import ValidationError
+
+from rigctl import config
+from rigctl.config_limits import SIGNALS, LimitSettings, SignalName
+from rigctl.control import limits
+from rigctl.control.modes import Mode
+from rigctl.control.safety import Action, Fault, Row, Sight, Watch
+
+SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+MS = 1_000_000
+SEEN: dict[str, tuple[dict[str, Any], float]] = {
+    "tension_n": ({"tension_n": 290.0}, 290.0),
+    "tension_rate_n_s": ({"tension_rate_n_s": -50.0}, 50.0),
+    "vertical_error_n": ({"vertical_error_n": -2.0}, 2.0),
+    "tangential_deg": ({"tangential_rad": math.radians(-3.0)}, -3.0),
+    "normal_deg": ({"normal_rad": math.radians(4.0)}, 4.0),
+    "stroke_mm": ({"stroke_mm": 55.0}, 55.0),
+    "speed_mm_s": ({"speed_mm_s": -1.5}, -1.5),
+    "disturbance_mm_s": ({"disturbance_mm_s": -2.5}, 2.5),
+    "drive_temperature_c": ({"drive_temperature_c": 41.0}, 41.0),
+    "drive_current_a": ({"drive_current_a": -3.0}, 3.0),
+    "drive_warning": ({"drive_warning": True}, 1.0),
+    "cell_age_ms": ({"cell_age_ns": 3 * MS}, 3.0),
+    "inclination_age_ms": ({"inclination_age_ns": 12 * MS}, 12.0),
+    "drive_age_ms": ({"drive_age_ns": 4 * MS}, 4.0),
+    "rejects": ({"rejects": 7}, 7.0),
+    "cell_nis": ({"cell_nis": 1.25}, 1.25),
+    "lateness_us": ({"lateness_ns": 250_000}, 250.0),
+    "skipped_ticks": ({"skipped_in_window": 9}, 9.0),
+    "error_frames": ({"error_frames": 11}, 11.0),
+    "command_age_s": ({"command_age_ns": 90_000_000_000}, 90.0),
+}
+
+
+def rows(**limit: Any) -> tuple[Row, ...]:
+    found = LimitSettings.model_validate({"action": "hold", "modes": ["HOLD"], **limit})
+    return limits.rows(SETTINGS.model_copy(update={"limits": [found]}))
+
+
+def test_every_signal_has_a_name_a_meaning_and_a_way_to_read_it() -> None:
+    assert set(SIGNALS) == set(limits.VALUES) == set(SEEN) == set(get_args(SignalName))
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
+def test_a_signal_is_what_its_name_says(signal: str) -> None:
+    seen, value = SEEN[signal]
+    assert limits.VALUES[signal](replace(Sight(), **seen)) == pytest.approx(value)
+
+
+def test_each_bound_is_a_row_of_its_own_that_shows_value_and_limit_as_they_are() -> None:
+    high, low = rows(signal="stroke_mm", low=-5.0, high=5.0, persistence_ms=7, action="power_off")
+    for row, inside, outside, words, bound in ((high, 5.0, 5.1, "above", 5.0), (low, -5.0, -5.1, "below", -5.0)):
+        assert row.text == f"stroke_mm {words}"
+        assert (row.fault, row.action, row.persistence_ns) == (Fault.LIMIT, Action.POWER_OFF, 7 * MS)
+        assert not row.value(Sight(stroke_mm=inside)) > row.limit
+        assert row.value(Sight(stroke_mm=outside)) > row.limit
+        assert row.sign * row.limit == bound
+        assert row.sign * row.value(Sight(stroke_mm=outside)) == outside
+
+
+def test_what_is_not_known_passes_no_limit() -> None:
+    (row,) = rows(signal="drive_temperature_c", high=70.0)
+    assert not row.value(Sight()) > row.limit
+
+
+@pytest.mark.parametrize("slope", [40.0, -40.0])
+def test_a_rate_is_the_slope_of_the_signal_whatever_its_sign(slope: float) -> None:
+    (row,) = rows(signal="tension_n", rate=1.0)
+    found = [row.value(Sight(t_ns=t * MS, tension_n=300.0 + slope * t * 1e-3)) for t in range(400)]
+    assert found[0] == 0.0
+    assert found[-1] == pytest.approx(abs(slope), rel=0.03)
+    assert max(found) <= 1.03 * abs(slope)
+
+
+def test_a_rate_starts_anew_after_a_pause_and_knows_nothing_of_what_is_not_a_number() -> None:
+    (row,) = rows(signal="tension_n", rate=1.0)
+    row.value(Sight(t_ns=0, tension_n=0.0))
+    assert row.value(Sight(t_ns=500 * MS, tension_n=300.0)) == 0.0
+    assert math.isnan(row.value(Sight(t_ns=501 * MS, tension_n=math.nan)))
+    assert row.value(Sight(t_ns=502 * MS, tension_n=300.0)) == 0.0
+
+
+def test_a_limit_trips_with_its_own_action_and_words() -> None:
+    watch = Watch(SETTINGS, rows(signal="drive_temperature_c", high=85.0, action="ramp_down"))
+    good = Sight(tension_n=300.0, stroke_mm=50.0, cell_age_ns=0, inclination_age_ns=0, drive_age_ns=0, bus_age_ns=0)
+    assert watch.trips(replace(good, drive_temperature_c=85.0), Mode.HOLD, 0) is None
+    trip = watch.trips(replace(good, drive_temperature_c=86.0), Mode.HOLD, MS)
+    assert trip is not None
+    assert (trip.fault, trip.action, trip.text) == (Fault.LIMIT, Action.RAMP_DOWN, "drive_temperature_c above")
+    assert (trip.value, trip.limit) == (86.0, 85.0)
+    assert watch.trips(replace(good, drive_temperature_c=86.0), Mode.COMPENSATING, 2 * MS) is None
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        {"signal": "tension_n"},
+        {"signal": "tension_n", "low": 5.0, "high": 5.0},
+        {"signal": "tension_n", "rate": 0.0},
+        {"signal": "tension", "high": 5.0},
+        {"signal": "tension_n", "high": 5.0, "modes": []},
+        {"signal": "tension_n", "high": 5.0, "modes": ["hold"]},
+        {"signal": "tension_n", "high": 5.0, "action": "explode"},
+        {"signal": "tension_n", "high": math.inf},
+    ],
+)
+def test_a_limit_that_is_none_is_refused(limit: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        LimitSettings.model_validate({"action": "hold", **limit})
+
+
+def test_the_papers_rig_watches_all_but_what_it_has_no_bound_for() -> None:
+    watched = {limit.signal for limit in SETTINGS.limits}
+    assert set(SIGNALS) - watched <= {"drive_current_a"}
+    assert {limit.action for limit in SETTINGS.limits} >= {"log", "hold", "ramp_down"}

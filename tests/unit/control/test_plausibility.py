@@ -1,0 +1,180 @@
+"""What no single signal shows, tick by tick on signals made up for it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import pathlib
+from collections.abc import Callable
+
+import can
+import pytest
+
+from rigctl import config
+from rigctl.control.inbox import Inbox
+from rigctl.control.plausibility import STRETCH_MEMORY_S, Plausibility
+from rigctl.control.safety import Sight
+
+SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+K = SETTINGS.plant.stiffness_n_mm
+LAG = SETTINGS.plant.cylinder_lag_s
+DELAY = round(SETTINGS.plant.command_delay_s * 1000) + 1
+DT = 1e-3
+Signal = Callable[[float], float]
+DITHER = itertools.cycle((0.0, 0.002))
+
+
+class Stand:
+    """Feeds the figures; the drive is on, the rope tight, unless said otherwise."""
+
+    def __init__(self) -> None:
+        bus = can.Bus(interface="virtual", channel="plausibility")
+        self.inbox = Inbox(bus, SETTINGS)
+        bus.shutdown()
+        self.sight = Sight(drive_enabled=True)
+        self.subject = Plausibility(SETTINGS)
+        self._t = 0.0
+
+    def run(
+        self, seconds: float, tension: Signal, stroke: Signal = lambda _: 50.0, speed: Signal = lambda _: 0.0,
+        command: Signal = lambda _: 0.0, *, slack: bool = False, fresh: Callable[[int], bool] = lambda _: True,
+    ) -> list[Sight]:  # fmt: skip
+        inbox, seen = self.inbox, []
+        for n in range(round(seconds / DT)):
+            t = n * DT
+            inbox.cell_fresh = inbox.drive_fresh = fresh(n)
+            if fresh(n):
+                inbox.reading_n = inbox.tension_n = tension(t) + next(DITHER)
+                inbox.stroke_mm, inbox.speed_mm_s = stroke(t), speed(t)
+            self.subject.look(inbox, self.sight, command(t - DT), ticks=1, slack=slack)
+            seen.append(Sight(**{name: getattr(self.sight, name) for name in Sight.__slots__}))
+        return seen
+
+
+def as_commanded(lag_s: float = LAG, delay: int = DELAY, level: float = 10.0) -> tuple[Signal, Signal, Signal]:
+    """Stroke, speed and command of a step of speed through a drive of this lag, ``delay`` in ticks."""
+
+    def since(t: float) -> float:
+        return max(0.0, t - 0.1 - (delay - 1) * DT)
+
+    def speed(t: float) -> float:
+        return level * (1.0 - math.exp(-since(t) / lag_s))
+
+    def stroke(t: float) -> float:
+        return 50.0 + level * (since(t) - lag_s * (1.0 - math.exp(-since(t) / lag_s)))
+
+    return stroke, speed, lambda t: level if t >= 0.1 else 0.0
+
+
+def follow(stroke: Signal) -> Signal:
+    return lambda t: 300.0 + K * (stroke(t) - 50.0)
+
+
+def test_a_drive_that_does_as_modelled_shows_nothing() -> None:
+    stroke, speed, command = as_commanded()
+    seen = Stand().run(1.0, follow(stroke), stroke, speed, command)
+    assert max(s.speed_error_mm_s for s in seen) < 0.6
+    assert max(abs(s.stroke_error_mm) for s in seen) < 0.03
+    assert max(abs(s.contradiction_mm) for s in seen) < 0.03
+    assert max(abs(s.unexplained_mm) for s in seen) < 0.01
+
+
+def test_a_drive_half_as_slow_again_stays_well_below_what_trips() -> None:
+    stroke, speed, command = as_commanded(1.5 * LAG)
+    seen = Stand().run(1.0, follow(stroke), stroke, speed, command)
+    assert 1.0 < max(s.speed_error_mm_s for s in seen) < 2.2
+    assert max(abs(s.stroke_error_mm) for s in seen) < 0.2
+
+
+def test_a_runaway_shows_in_speed_at_once_and_in_stroke_soon() -> None:
+    seen = Stand().run(0.2, lambda _t: 300.0, lambda t: 50.0 + 3.0 * t, lambda _t: 3.0)
+    assert seen[0].speed_error_mm_s == pytest.approx(3.0)
+    assert seen[-1].stroke_error_mm == pytest.approx(3.0 * 0.2, rel=0.15)
+
+
+def test_a_drive_that_ignores_its_command_shows_the_stroke_it_owes() -> None:
+    _, _, command = as_commanded(level=2.0)
+    seen = Stand().run(0.6, lambda _t: 300.0, command=command)
+    assert seen[-1].speed_error_mm_s == pytest.approx(2.0, abs=0.01)
+    assert seen[-1].stroke_error_mm == pytest.approx(-2.0 * (0.5 - LAG - 0.002) * 0.8, rel=0.1)
+
+
+def test_with_the_drive_off_nothing_is_expected_of_it() -> None:
+    stand = Stand()
+    stand.sight.drive_enabled = False
+    seen = stand.run(0.2, lambda t: 300.0 - 200.0 * t, lambda t: 50.0 + 5.0 * t, lambda _t: 5.0)
+    last = seen[-1]
+    assert (last.speed_error_mm_s, last.stroke_error_mm, last.unexplained_mm) == (0.0, 0.0, 0.0)
+    stand.sight.drive_enabled = True
+    assert stand.run(0.002, lambda _t: 300.0, lambda _t: 51.0, lambda _t: 5.0)[0].speed_error_mm_s < 0.5
+
+
+def test_speed_and_position_that_contradict_each_other_add_up_but_lost_frames_do_not() -> None:
+    honest = Stand().run(1.0, lambda _t: 300.0, lambda t: 50.0 + 8.0 * t, lambda _t: 8.0, fresh=lambda n: n % 3 != 1)
+    assert max(abs(s.contradiction_mm) for s in honest) < 0.01
+    lying = Stand().run(0.2, lambda _t: 300.0, lambda t: 50.0 + 3.0 * t, lambda _t: 0.0)
+    assert lying[-1].contradiction_mm == pytest.approx(3.0 * 0.2 * (1 - math.exp(-1)), rel=0.02)
+
+
+def test_tension_that_no_stroke_explains_is_counted_as_stretch_and_forgotten() -> None:
+    stand = Stand()
+    seen = stand.run(0.5, lambda t: 300.0 - (60.0 if t > 0.1 else 0.0))
+    assert seen[90].unexplained_mm == pytest.approx(0.0, abs=1e-3)
+    assert seen[102].unexplained_mm == pytest.approx(-60.0 / K, rel=0.01)
+    later = stand.run(STRETCH_MEMORY_S, lambda _t: 240.0)
+    assert later[-1].unexplained_mm == pytest.approx(-60.0 / K * math.exp(-0.4 / STRETCH_MEMORY_S - 1), rel=0.02)
+    stand.subject.forget_stretch(stand.sight)
+    assert stand.sight.unexplained_mm == 0.0
+
+
+def test_stroke_that_the_tension_does_not_show_is_counted_too_but_not_on_a_slack_rope() -> None:
+    moving: tuple[Signal, Signal] = lambda t: 50.0 + 10.0 * t, lambda _t: 10.0
+    tight = Stand().run(0.5, lambda _t: 300.0, *moving)
+    assert tight[-1].unexplained_mm == pytest.approx(-5.0, rel=0.15)
+    slack = Stand().run(0.5, lambda _t: 0.0, *moving, slack=True)
+    assert slack[-1].unexplained_mm == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_tension_that_goes_in_one_step_is_unexplained_even_though_the_rope_then_is_slack() -> None:
+    stand = Stand()
+    stand.run(0.1, lambda _t: 300.0)
+    seen = stand.run(0.02, lambda _t: 0.0, slack=True)
+    assert seen[-1].unexplained_mm == pytest.approx(-300.0 / K, rel=0.02)
+
+
+def test_equal_samples_in_a_row_are_counted_and_one_other_ends_it() -> None:
+    stand = Stand()
+    values = [300.0] * 25 + [300.001] + [300.001] * 3
+    counts = []
+    for value in values:
+        stand.inbox.cell_fresh, stand.inbox.drive_fresh = True, False
+        stand.inbox.reading_n = stand.inbox.tension_n = value
+        stand.subject.look(stand.inbox, stand.sight, 0.0, ticks=1, slack=False)
+        counts.append(stand.sight.cell_repeats)
+    assert counts == [*range(25), 0, 1, 2, 3]
+
+
+def test_unrest_is_the_mean_step_and_a_spike_alone_counts_little() -> None:
+    noisy = Stand().run(0.5, lambda t: 300.0 + (10.0 if round(t / DT) % 2 else -10.0))
+    assert noisy[-1].cell_unrest_n == pytest.approx(min(20.0, 150 * 0.03 + K), rel=0.02)
+    assert noisy[20].cell_unrest_n > 0.9
+    spike = Stand().run(0.5, lambda t: 380.0 if round(t / DT) == 100 else 300.0)
+    assert max(s.cell_unrest_n for s in spike) < 0.3
+
+
+def test_the_rate_of_tension_is_its_slope() -> None:
+    seen = Stand().run(0.2, lambda t: 300.0 - 500.0 * t)
+    assert seen[-1].tension_rate_n_s == pytest.approx(-500.0, rel=0.05)
+
+
+def test_ticks_that_were_skipped_are_caught_up() -> None:
+    stroke, speed, command = as_commanded()
+    stand = Stand()
+    for n in range(0, 600, 3):
+        t = n * DT
+        stand.inbox.cell_fresh = stand.inbox.drive_fresh = True
+        stand.inbox.reading_n = stand.inbox.tension_n = follow(stroke)(t) + next(DITHER)
+        stand.inbox.stroke_mm, stand.inbox.speed_mm_s = stroke(t), speed(t)
+        stand.subject.look(stand.inbox, stand.sight, command(t - DT), ticks=3, slack=False)
+        assert stand.sight.speed_error_mm_s < 1.6
+        assert abs(stand.sight.stroke_error_mm) < 0.1
