@@ -1,0 +1,1 @@
+"""The fault catalogue: what may fail, what has to happen then, and what does happen."""

@@ -1,0 +1,17 @@
+"""The catalogue: every fault as one row of a table, with what has to happen in every mode it can happen in.
+
+What is expected follows from what carries the load, not from what the loop does: any loss of a sensor, of the bus or
+of a process ends with the stroke held, latched; a drive that disobeys loses its power, its brake holds; what a healthy
+rig has to live with is ridden through within a bound on the true tension.
+"""
+
+from __future__ import annotations
+
+from hil.faults.rows_bus import BUS
+from hil.faults.rows_drive import DRIVE, DRIVE_FEEDBACK
+from hil.faults.rows_plant import CONTROLLER, PLANT
+from hil.faults.rows_sensors import SENSOR_CELL, SENSOR_SLOPE
+
+CATALOGUE = (*SENSOR_CELL, *SENSOR_SLOPE, *DRIVE_FEEDBACK, *BUS, *DRIVE, *PLANT, *CONTROLLER)
+"""What simulated time can show; `hil.faults.processes` has the faults of real processes."""
+BY_ID = {fault.id: fault for fault in CATALOGUE}

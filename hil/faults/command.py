@@ -1,0 +1,119 @@
+"""``python -m hil faults``: play the catalogue, print it, and write what is asked for."""
+
+from __future__ import annotations
+
+import json as json_codec
+import pathlib
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+from hil.faults import gateway, kills, output, processes, study
+from hil.faults.catalogue import CATALOGUE
+from hil.faults.expected import Fault
+from hil.faults.judge import Row
+from hil.progress import progress
+from hil.scenario.command import check_outputs, simulated_rig
+from hil.scenario.errors import ScenarioError
+from rigctl import output_file
+from rigctl.control.modes import Mode
+
+NAMES = (*(fault.id for fault in CATALOGUE), *(fault.id for fault in processes.CATALOGUE))
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Rows to play."""
+
+    lockstep: tuple[tuple[Fault, Mode], ...]
+    processes: tuple[tuple[processes.ProcessFault, Mode], ...]
+
+
+def run_kills(rig_file: pathlib.Path, count: int, json: pathlib.Path | None) -> int:
+    """Kill and stop processes of the real daemon ``count`` times; 0 when the load never noticed.
+
+    Raises:
+        ScenarioError: bad input, or the daemon does not come up or back.
+        OutputError: a file that cannot be written.
+    """
+    rig = simulated_rig(rig_file)
+    check_outputs({"--json": json}, [rig_file])
+    with progress("kills", count) as advance:
+        found = kills.document(kills.play(rig, count, advance))
+    output.show_kills(found)
+    _write(json, found)
+    return 0 if found["ok"] else 1
+
+
+def run_gateway(rig_file: pathlib.Path, count: int, json: pathlib.Path | None) -> int:
+    """Kill the gateway ``count`` times while COMPENSATING; 0 when nobody noticed. See `run_kills`."""
+    rig = simulated_rig(rig_file)
+    check_outputs({"--json": json}, [rig_file])
+    with progress("the gateway", count) as advance:
+        found = gateway.play(rig, count, advance).as_dict()
+    output.show_figures(found)
+    _write(json, found)
+    return 0 if found["ok"] else 1
+
+
+def run(rig_file: pathlib.Path, only: Sequence[str], modes: Sequence[str], json: pathlib.Path | None) -> int:
+    """Play the rows asked for, print them, write the file asked for.
+
+    Args:
+        rig_file: with the ``simulation`` section.
+        only: ids of faults; none = all.
+        modes: names of modes; none = all.
+        json: where the rows go.
+
+    Returns:
+        0 when every row is as expected, else 1.
+
+    Raises:
+        ScenarioError: bad input, or a rig that cannot be simulated.
+        OutputError: a file that cannot be written.
+    """
+    rig = simulated_rig(rig_file)
+    chosen = choose(only, modes)
+    check_outputs({"--json": json}, [rig_file])
+    with progress("the fault catalogue", len(chosen.lockstep) + len(chosen.processes)) as advance:
+        rows = study.play(rig, chosen.lockstep, advance)
+        rows += processes.play(rig, chosen.processes, advance)
+    output.show(rows)
+    _write(json, document(rows))
+    return 0 if all(row.ok for row in rows) else 1
+
+
+def choose(only: Sequence[str], modes: Sequence[str]) -> Chosen:
+    """The rows of these faults in these modes.
+
+    Raises:
+        ScenarioError: no such fault, no such mode, or no row at all.
+    """
+    _known("--only", only, NAMES)
+    _known("--mode", modes, [mode.name for mode in Mode])
+    wanted = [mode for mode in Mode if not modes or mode.name in modes]
+    lockstep = tuple((f, m) for f in CATALOGUE if not only or f.id in only for m in f.modes if m in wanted)
+    real = tuple((p, m) for p in processes.CATALOGUE if not only or p.id in only for m in p.expected if m in wanted)
+    if not lockstep and not real:
+        raise ScenarioError([f"--mode: found {', '.join(modes)}, allowed a mode in which {', '.join(only)} can happen"])
+    return Chosen(lockstep, real)
+
+
+def document(rows: Sequence[Row]) -> dict[str, object]:
+    """What ``--json`` writes."""
+    return {"faults": [row.as_dict() for row in rows], "ok": all(row.ok for row in rows), "total": len(rows)}
+
+
+def _write(file: pathlib.Path | None, found: Mapping[str, object]) -> None:
+    if file is not None:
+        output_file.write(file, json_codec.dumps(found, indent=2, allow_nan=False) + "\n")
+
+
+def show_list() -> None:
+    """Print every fault, what it is, and what has to happen in which mode."""
+    output.show_list([*CATALOGUE, *processes.CATALOGUE])
+
+
+def _known(option: str, names: Collection[str], allowed: Sequence[str]) -> None:
+    for name in names:
+        if name not in allowed:
+            raise ScenarioError([f"{option}: found {name!r}, allowed {', '.join(allowed)}"])

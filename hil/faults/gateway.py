@@ -1,0 +1,141 @@
+"""The gateway killed again and again while COMPENSATING: the loop must not notice, no listener may lose a record."""
+
+from __future__ import annotations
+
+import signal
+import time
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.faults.live import GATEWAY, Live, LiveError, give, live
+from hil.progress import Advance
+from hil.scenario.errors import ScenarioError
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode
+from rigctl.telemetry.client import Client
+from rigctl.telemetry.fast import FastReader
+from rigctl.telemetry.ring import RingReader
+
+QUIET_S = 15.0
+"""Without kills, before and after: as many ticks as a percentile of one in a thousand needs."""
+BETWEEN_S = 0.5
+BACK_S = 30.0
+CHANGE = 0.2
+"""What the lateness may differ by, with kills from without ..."""
+FLOOR_US = 5.0
+"""... or this much, where it is next to nothing."""
+Ints = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Lateness in us; records by their sequence numbers."""
+
+    kills: int
+    quiet_p999_us: float
+    killed_p999_us: float
+    skipped: int
+    records: int
+    lost: int  # records a listener has missed for good
+    left_compensating: bool
+
+    @property
+    def ok(self) -> bool:
+        """The loop has not noticed, and no record is missing."""
+        allowed = max((1.0 + CHANGE) * self.quiet_p999_us, self.quiet_p999_us + FLOOR_US)
+        return self.killed_p999_us <= allowed and self.lost == 0 and not self.left_compensating
+
+    def as_dict(self) -> dict[str, object]:
+        """For JSON."""
+        return {**asdict(self), "ok": self.ok}
+
+
+class _Lateness:
+    """Follows the loop's records."""
+
+    def __init__(self, records: RingReader) -> None:
+        self._records = records
+        self._parts: list[Ints] = []
+        self.left = False
+        self.first_skipped = self.last_skipped = -1
+
+    def follow(self) -> None:
+        """Take in what has been written."""
+        slots = self._records.read()
+        if len(slots):
+            self._parts.append(slots["lateness_ns"].astype(np.int64))
+            self.left |= bool(np.any(slots["mode"] != Mode.COMPENSATING))
+            self.last_skipped = int(slots["skipped"][-1])
+            if self.first_skipped < 0:
+                self.first_skipped = self.last_skipped
+
+    def take(self) -> Ints:
+        """All since the last call, ns."""
+        parts, self._parts = self._parts, []
+        return np.concatenate(parts) if parts else np.zeros(0, np.int64)
+
+
+def play(settings: RigSettings, count: int, advance: Advance) -> Figures:
+    """Kill the gateway ``count`` times.
+
+    Raises:
+        ScenarioError: rig and daemon do not come up, or the gateway not back (1).
+    """
+    try:
+        with live(settings) as rig:
+            rig.enter(Mode.COMPENSATING)
+            time.sleep(1.0)
+            with Client(rig.endpoint) as client:
+                return _play(rig, client, count, advance)
+    except LiveError as error:
+        raise ScenarioError([f"faults: {error}"], exit_code=1) from None
+
+
+def _play(rig: Live, client: Client, count: int, advance: Advance) -> Figures:
+    stream = FastReader(client)
+    loop = _Lateness(rig.runtime.record_reader())
+    _listen(stream, loop, QUIET_S)
+    quiet = [loop.take()]
+    for i in range(count):
+        advance(1.0, f"gateway killed {i + 1} times")
+        _kill(rig, stream, loop)
+        _listen(stream, loop, BETWEEN_S)
+    killed = loop.take()
+    _listen(stream, loop, QUIET_S)
+    quiet.append(loop.take())
+    counted = stream.count
+    return Figures(
+        count,
+        _p999_us(np.concatenate(quiet)),
+        _p999_us(killed),
+        loop.last_skipped - loop.first_skipped,
+        counted.received,
+        counted.lost,
+        loop.left,
+    )
+
+
+def _kill(rig: Live, stream: FastReader, loop: _Lateness) -> None:
+    """Kill the gateway and wait until the next one publishes."""
+    give(rig.pid(GATEWAY), signal.SIGKILL)
+    _listen(stream, loop, 0.1)
+    blocks, until = stream.count.blocks, time.monotonic() + BACK_S
+    while stream.count.blocks == blocks:
+        if time.monotonic() > until:
+            raise LiveError("the gateway does not come back")
+        _listen(stream, loop, 0.1)
+
+
+def _listen(stream: FastReader, loop: _Lateness, seconds: float) -> None:
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        for _ in stream.read():
+            pass
+        loop.follow()
+        time.sleep(0.02)
+
+
+def _p999_us(lateness_ns: Ints) -> float:
+    return float(np.percentile(lateness_ns, 99.9)) * 1e-3 if len(lateness_ns) else 0.0

@@ -1,0 +1,196 @@
+"""Faults of the devices: what a sensor measures, what a drive does with its commands, and their power."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hil.faults.stand import Injector, Stand, Step
+from hil.nodes.node import Node
+from rigctl.devices import objects
+from rigctl.devices.objects import AiStatus
+
+Address = tuple[int, int]
+CELL = (objects.AI_PROCESS_VALUE, 1)
+CELL_STATUS = (objects.AI_STATUS, 1)
+LONG, LATERAL = (objects.SLOPE_LONG, 0), (objects.SLOPE_LATERAL, 0)
+STATUS = (objects.STATUSWORD, 0)
+STROKE, SPEED = (objects.POSITION_ACTUAL, 0), (objects.VELOCITY_ACTUAL_16, 0)
+_UNITS = {CELL: objects.N_PER_CELL_UNIT, LONG: 0.01, LATERAL: 0.01, STROKE: 1e-3, SPEED: 1e-2}
+"""N, deg, mm, mm/s in one unit of the object."""
+_INT16, _INT32 = (-(1 << 15) + 1, (1 << 15) - 1), (-(1 << 31) + 1, (1 << 31) - 1)
+_RANGES = {CELL: _INT32, STROKE: _INT32, LONG: _INT16, LATERAL: _INT16, SPEED: _INT16}
+NOT_A_NUMBER = -(1 << 31)
+SPIKE_EVERY_MS = 200
+CREEP_N = 600.0
+"""A motor without power, its windings shorted, gives way at 1 mm/s under this load."""
+
+
+def reads(
+    address: Address,
+    *,
+    times: float = 1.0,
+    plus: float = 0.0,
+    drift_s: float = 0.0,
+    noise: float = 0.0,
+    freezes: bool = False,
+    spikes: float = 0.0,
+) -> Injector:
+    """A sensor that measures wrongly, and says nothing of it.
+
+    In N, deg, mm or mm/s: a factor, then an offset, a drift per second, noise (rms) and, every 200 ms, a spike of one
+    sample. ``freezes``: what it measures stays what it was.
+    """
+
+    def inject(stand: Stand) -> Step:
+        unit, (least, most) = _UNITS[address], _RANGES[address]
+        since = [0.0]
+        first: list[float] = []
+
+        def distorted(raw: int) -> int:
+            if not first:
+                first.append(raw * unit)
+            value = times * (first[0] if freezes else raw * unit) + plus + drift_s * since[0]
+            value += stand.random.gauss(0.0, noise) if noise else 0.0
+            value += spikes if round(since[0] * 1e3) % SPIKE_EVERY_MS == 0 else 0.0
+            return min(max(round(value / unit), least), most)
+
+        def step(t_s: float) -> None:
+            since[0] = t_s
+
+        _device(stand, address).distort(*address, distorted)
+        return step
+
+    return inject
+
+
+def stuck(address: Address) -> Injector:
+    """A sensor that keeps its last value, to the last bit."""
+
+    def inject(stand: Stand) -> None:
+        first: list[int] = []
+
+        def held(raw: int) -> int:
+            if not first:
+                first.append(raw)
+            return first[0]
+
+        _device(stand, address).distort(*address, held)
+
+    return inject
+
+
+def says(address: Address, raw: int) -> Injector:
+    """An object that reads as this number."""
+
+    def inject(stand: Stand) -> None:
+        _device(stand, address).distort(*address, lambda _: raw)
+
+    return inject
+
+
+def overloaded() -> Injector:
+    """An amplifier that says it is overloaded, at the end of its range."""
+
+    def inject(stand: Stand) -> None:
+        most = round(stand.settings.tension_cell.range_n / objects.N_PER_CELL_UNIT)
+        stand.cell.distort(*CELL, lambda _: most)
+        stand.cell.distort(*CELL_STATUS, lambda _: int(AiStatus.POSITIVE_OVERLOAD))
+
+    return inject
+
+
+def both(*parts: Injector) -> Injector:
+    """Several faults at once."""
+
+    def inject(stand: Stand) -> Step:
+        steps = [step for part in parts if (step := part(stand)) is not None]
+
+        def step_all(t_s: float) -> None:
+            for step in steps:
+                step(t_s)
+
+        return step_all
+
+    return inject
+
+
+def reboots(*which: Callable[[Stand], Node]) -> Injector:
+    """Devices that start anew and, as after power-on, wait to be configured."""
+
+    def inject(stand: Stand) -> None:
+        for node in which:
+            node(stand).reset_node()
+
+    return inject
+
+
+def power_dip(seconds: float) -> Injector:
+    """All devices without power for a moment: silent, the brake closes; then they start anew."""
+
+    def inject(stand: Stand) -> Step:
+        hub = stand.rig.hub
+        hub.tap = lambda _, __: ()
+        stand.drive.reset_node()
+
+        def back() -> None:
+            hub.tap = None
+            for node in stand.rig.rig.nodes:
+                node.reset_node()
+
+        return stand.ends_after(seconds, back)
+
+    return inject
+
+
+def trips(code: int) -> Injector:
+    """The drive finds a fault of its own."""
+
+    def inject(stand: Stand) -> None:
+        stand.drive.trip(code)
+
+    return inject
+
+
+def ignores_commands() -> Injector:
+    """The motor stands still whatever it is told; brake and states go on as if nothing were."""
+
+    def inject(stand: Stand) -> None:
+        stand.drive.defect = lambda _, braked: (0.0, braked)
+
+    return inject
+
+
+def runs_away(speed_mm_s: float) -> Injector:
+    """The motor turns at a speed of its own while it has power."""
+
+    def inject(stand: Stand) -> None:
+        stand.drive.defect = lambda _, braked: (0.0 if stand.drive.stopping else speed_mm_s, braked)
+
+    return inject
+
+
+def brake_stays_closed() -> Injector:
+    """The brake does not open, or has closed by itself."""
+
+    def inject(stand: Stand) -> None:
+        stand.drive.defect = lambda speed, _: (speed, True)
+
+    return inject
+
+
+def brake_stays_open() -> Injector:
+    """The brake does not hold; a motor without power gives way slowly."""
+
+    def inject(stand: Stand) -> None:
+        def defect(speed: float, braked: bool) -> tuple[float, bool]:
+            return (-stand.plant.truth.tension_n / CREEP_N if braked else speed), False
+
+        stand.drive.defect = defect
+
+    return inject
+
+
+def _device(stand: Stand, address: Address) -> Node:
+    if address in (CELL, CELL_STATUS):
+        return stand.cell
+    return stand.slope if address in (LONG, LATERAL) else stand.drive

@@ -1,0 +1,112 @@
+"""Faults of rope, spring, payload and screw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from hil.faults.stand import Injector, Stand, Step
+from hil.plant.inputs import Track
+from hil.plant.layout import HEIGHT, MECHANISM
+from hil.scenario import disturbances, kinds
+
+GONE_MM = 1000.0
+ROPE_N_MM = 1000.0
+"""Of the rope alone: what is left where a spring with a safety chain has broken."""
+CHAIN_MM = 20.0
+
+
+def rope_breaks() -> Injector:
+    """Nothing hangs on the rope any more."""
+
+    def inject(stand: Stand) -> None:
+        stand.plant.parameters["free_length"] += GONE_MM
+
+    return inject
+
+
+def rope_slips(speed_mm_s: float, length_mm: float) -> Injector:
+    """The rope slips through its clamp."""
+
+    def inject(stand: Stand) -> Step:
+        start = float(stand.plant.parameters["free_length"][0])
+
+        def step(t_s: float) -> None:
+            stand.plant.parameters["free_length"] = start + min(speed_mm_s * t_s, length_mm)
+
+        return step
+
+    return inject
+
+
+def spring_breaks() -> Injector:
+    """Its chain takes over, 20 mm longer than the spring was stretched, and as stiff as the rope."""
+
+    def inject(stand: Stand) -> None:
+        p, truth = stand.plant.parameters, stand.plant.truth
+        p["free_length"] += truth.tension_n / p["stiffness"] + CHAIN_MM
+        p["stiffness"] = ROPE_N_MM
+
+    return inject
+
+
+def spring_stiffens(factor: float) -> Injector:
+    """Coils that no longer work: stiffer, at the tension there is."""
+
+    def inject(stand: Stand) -> None:
+        p, truth = stand.plant.parameters, stand.plant.truth
+        stretch_mm = truth.tension_n / p["stiffness"]
+        p["free_length"] += stretch_mm * (1.0 - 1.0 / factor)
+        p["stiffness"] *= factor
+
+    return inject
+
+
+def backlash(factor: float) -> Injector:
+    """The nut has worn."""
+
+    def inject(stand: Stand) -> None:
+        stand.plant.parameters["backlash"] *= factor
+
+    return inject
+
+
+def payload_moves(up_mm: float, speed_mm_s: float) -> Injector:
+    """The payload is pulled up or down, against the rope."""
+    lift = kinds.Lift(kind="move", up_mm=up_mm, speed_mm_s=speed_mm_s, acceleration_mm_s2=1000.0)
+    return _moved({HEIGHT: disturbances.vertical_move(lift)})
+
+
+def payload_jolts(height_mm: float, rise_s: float) -> Injector:
+    """A bump against the payload, upwards, which leaves it higher by a little."""
+    jolt = kinds.Jolt(kind="step", height_mm=height_mm, rise_s=rise_s, at_s=0.0)
+    return _moved({HEIGHT: disturbances.jolt(jolt)})
+
+
+def nothing() -> Injector:
+    """The rig's surroundings are the fault."""
+    return lambda _: None
+
+
+def heaving() -> Mapping[int, Track]:
+    """The payload goes up and down by 1 mm at 1 Hz, 6 mm/s: the cylinder has something to do."""
+    sine = kinds.Heave(kind="sine", amplitude_mm=1.0, frequency_hz=1.0, fade_s=0.1)
+    return {HEIGHT: disturbances.heave(sine, 60.0)}
+
+
+def rotating() -> Mapping[int, Track]:
+    """The mechanism turns as in the paper: the rope leans."""
+    turn = kinds.Rotate(kind="rotate", angle_deg=13.0, speed_deg_s=0.5, acceleration_deg_s2=2.0)
+    return {MECHANISM: disturbances.rotation(turn)}
+
+
+def rising(up_mm: float, speed_mm_s: float) -> Callable[[], Mapping[int, Track]]:
+    """The payload goes up, slowly enough for the cylinder to follow."""
+    lift = kinds.Lift(kind="move", up_mm=up_mm, speed_mm_s=speed_mm_s, acceleration_mm_s2=100.0)
+    return lambda: {HEIGHT: disturbances.vertical_move(lift)}
+
+
+def _moved(tracks: Mapping[int, Track]) -> Injector:
+    def inject(stand: Stand) -> None:
+        stand.plant.start_motion(tracks, stand.plant.t_ns)
+
+    return inject

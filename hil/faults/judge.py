@@ -1,0 +1,209 @@
+"""What a run shows, and whether it is what had to happen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hil.faults.expected import Fault, Reaction
+from hil.faults.run import Floats, Run, Trip
+from rigctl.config import RigSettings
+from rigctl.control import limits, safety
+from rigctl.control.modes import Mode, Refusal
+
+STANDS_MM = 0.1
+"""A stroke that is held moves less than this once it has come to rest ..."""
+REST_S = 0.15
+"""... which it has this long after the reaction: ramp, lag and brake."""
+CARRIED = 0.5
+"""Of the tension without the fault is still there: the load hangs on the rope."""
+DRIVE_STOPS_MS = 100.0
+"""A drive that nobody commands any more stands."""
+_WHAT_WILL_DO = {
+    Reaction.HELD: {Reaction.HELD, Reaction.DRIVE_OFF},
+    Reaction.EITHER: {Reaction.HELD, Reaction.DRIVE_OFF, Reaction.RIDDEN},
+    Reaction.REFUSED: {Reaction.REFUSED, Reaction.LATCHED},
+    Reaction.DRIVE_STOPS: {Reaction.DRIVE_OFF},
+}
+"""Where more than what is expected will do."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the catalogue's result."""
+
+    id: str
+    mode: str
+    expected: str
+    reaction: str
+    detection_ms: float | None  # from the fault to the first sample a limit calls bad
+    latency_ms: float | None  # from there to the safe command, or to the drive's own stop
+    tension_min_n: float
+    tension_max_n: float
+    tension_error_n: float  # largest distance of the true tension from what it may be expected to be
+    stroke_mm: float  # moved from the reaction on, or against the run without the fault where there is none
+    load_carried: bool
+    fault: str  # latched
+    findings: tuple[str, ...]  # what is not as expected
+
+    @property
+    def ok(self) -> bool:
+        """As expected."""
+        return not self.findings
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        unknown = {
+            name: None for name, value in values.items() if isinstance(value, float) and not math.isfinite(value)
+        }
+        return {**values, **unknown, "ok": self.ok}
+
+
+def judge(fault: Fault, mode: Mode, run: Run, undisturbed: Run, settings: RigSettings) -> Row:
+    """Hold a run against what the catalogue says."""
+    expected = fault.expected[mode]
+    at = _reaction_at(run, expected, mode)
+    reaction = _reaction(fault, run, undisturbed, mode, at)
+    detection_ms, latency_ms = _times(run, expected, at, settings)
+    error_n = _error_n(run, undisturbed, at)
+    stroke_mm = _moved_mm(run, undisturbed, at)
+    carried = bool(run.tension_n[-1] > CARRIED * _until(run, undisturbed, undisturbed.tension_n, at)[-1])
+    findings = []
+    if reaction not in _WHAT_WILL_DO.get(expected, {expected}):
+        findings.append(f"{reaction}")
+    if not math.isfinite(error_n) or error_n > fault.band_n:
+        findings.append(f"tension {error_n:.1f} N off, allowed {fault.band_n:g}")
+    if fault.carried and not carried:
+        findings.append("load not carried")
+    findings += _late(fault, mode, expected, detection_ms, latency_ms)
+    findings += _uncounted(fault, run, undisturbed)
+    return Row(
+        fault.id,
+        mode.name,
+        str(expected),
+        str(reaction),
+        detection_ms,
+        latency_ms,
+        float(run.tension_n.min()),
+        float(run.tension_n.max()),
+        error_n,
+        stroke_mm,
+        carried,
+        _named(int(run.records["fault"][-1])),
+        tuple(findings),
+    )
+
+
+def _named(number: int) -> str:
+    return safety.Fault(number).name
+
+
+def _reaction_at(run: Run, expected: Reaction, mode: Mode) -> float | None:
+    """When FAULT was entered (or the drive switched off, where that is what is waited for); None if it was not."""
+    if expected in (Reaction.DRIVE_STOPS, Reaction.DRIVE_OFF):
+        off = np.flatnonzero(~run.enabled)
+        return float(run.t_s[off[0]]) if len(off) else None
+    if mode is Mode.FAULT:
+        return None
+    tripped = np.flatnonzero(run.records["mode"] == Mode.FAULT)
+    return float(run.records_t_s[tripped[0]]) if len(tripped) else None
+
+
+def _reaction(fault: Fault, run: Run, undisturbed: Run, mode: Mode, at: float | None) -> Reaction:
+    last = Mode(run.records["mode"][-1])
+    expected = fault.expected[mode]
+    if last is Mode.FAULT:
+        if not _stands(run, at):
+            return Reaction.MOVES
+        if mode is Mode.FAULT:
+            same = run.records["fault"][-1] == undisturbed.records["fault"][-1]
+            if expected in (Reaction.DRIVE_OFF, Reaction.DRIVE_STOPS) and not run.enabled[-1]:
+                return Reaction.DRIVE_OFF
+            return Reaction.KEPT if same and np.all(run.records["mode"] == Mode.FAULT) else Reaction.LEFT
+        if mode is Mode.DISARMED:
+            return Reaction.LATCHED
+        return Reaction.HELD if run.enabled[-1] else Reaction.DRIVE_OFF
+    if run.refusal is not None:
+        return Reaction.ARMED if run.refusal is Refusal.NONE else Reaction.REFUSED
+    if np.any(run.records["mode"] == Mode.FAULT):
+        return Reaction.LEFT
+    return Reaction.RIDDEN if last == undisturbed.records["mode"][-1] else Reaction.LEFT
+
+
+def _stands(run: Run, at: float | None) -> bool:
+    since = 0.0 if at is None else at + REST_S
+    held = run.stroke_mm[run.t_s >= min(since, run.t_s[-1] - REST_S)]
+    return bool(np.ptp(held) <= STANDS_MM)
+
+
+def _times(run: Run, expected: Reaction, at: float | None, settings: RigSettings) -> tuple[float | None, float | None]:
+    if expected is Reaction.DRIVE_STOPS:
+        return (None, None) if at is None else (0.0, 1e3 * max(at, _stands_from(run)))
+    if not run.trips:
+        return None, None if at is None else 1e3 * at
+    first = run.trips[0]
+    bad_s = first.t_s - _persistence_s(first, settings)
+    return 1e3 * bad_s, 1e3 * ((at if at is not None else first.t_s) - bad_s)
+
+
+def _stands_from(run: Run) -> float:
+    """When the stroke had come to where it stayed."""
+    moving = run.t_s[np.abs(run.stroke_mm - run.stroke_mm[-1]) > STANDS_MM]
+    return float(moving[-1]) if len(moving) else 0.0
+
+
+def _persistence_s(trip: Trip, settings: RigSettings) -> float:
+    """How long the row of the safety table that has tripped had been bad; no row, no time."""
+    rows = (*safety.table(settings), *limits.rows(settings))
+    same = [r for r in rows if r.fault == trip.fault and math.isclose(r.sign * r.limit, trip.limit, abs_tol=1e-9)]
+    return max((row.persistence_ns * 1e-9 for row in same), default=0.0)
+
+
+def _until(run: Run, undisturbed: Run, values: Floats, at: float | None) -> Floats:
+    """Values of the undisturbed run at the times of the other, standing still from the reaction on."""
+    return np.interp(run.t_s if at is None else np.minimum(run.t_s, at), undisturbed.t_s, values)
+
+
+def _error_n(run: Run, undisturbed: Run, at: float | None) -> float:
+    """Without a reaction: against the run without the fault. With one: from there on against what it then was."""
+    return float(np.max(np.abs(run.tension_n - _until(run, undisturbed, undisturbed.tension_n, at))))
+
+
+def _moved_mm(run: Run, undisturbed: Run, at: float | None) -> float:
+    if at is None:
+        return float(np.max(np.abs(run.stroke_mm - _until(run, undisturbed, undisturbed.stroke_mm, None))))
+    after = run.stroke_mm[run.t_s >= at]
+    return float(np.max(np.abs(after - after[0]))) if len(after) else 0.0
+
+
+_UNTIMED = frozenset({Reaction.RIDDEN, Reaction.REFUSED, Reaction.KEPT, Reaction.EITHER})
+
+
+def _late(
+    fault: Fault, mode: Mode, expected: Reaction, detection_ms: float | None, latency_ms: float | None
+) -> list[str]:
+    if expected in _UNTIMED or latency_ms is None:
+        return []
+    limit_ms = DRIVE_STOPS_MS if expected is Reaction.DRIVE_STOPS else fault.latency_ms
+    findings = []
+    if mode is not Mode.FAULT and latency_ms > limit_ms + 1e-6:
+        findings.append(f"reacts after {latency_ms:.0f} ms, allowed {limit_ms:g}")
+    total_ms = latency_ms + (detection_ms or 0.0)
+    if total_ms > fault.within_ms:
+        findings.append(f"reacts {total_ms:.0f} ms after the fault, allowed {fault.within_ms:g}")
+    return findings
+
+
+def _uncounted(fault: Fault, run: Run, undisturbed: Run) -> list[str]:
+    if not fault.counter:
+        return []
+    grown, usual = (_growth(which, fault.counter) for which in (run, undisturbed))
+    return [] if grown > usual else [f"{fault.counter} did not count it"]
+
+
+def _growth(run: Run, counter: str) -> int:
+    return int(run.records[counter].max()) - int(run.before[counter])

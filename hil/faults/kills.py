@@ -1,0 +1,98 @@
+"""Killing and stopping processes of the real daemon at random instants in all modes: the load must not notice."""
+
+from __future__ import annotations
+
+import random
+import signal
+import time
+from dataclasses import dataclass
+
+from hil.faults.expected import Reaction
+from hil.faults.judge import DRIVE_STOPS_MS
+from hil.faults.live import CONTROL, GATEWAY, SUPERVISOR, LiveError, live
+from hil.faults.processes import TOLD_MS, Seen, judged, kills, strike
+from hil.progress import Advance
+from hil.scenario.errors import ScenarioError
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode
+
+SEED = 1
+SHARES = ((CONTROL, 0.5), (GATEWAY, 0.3), (SUPERVISOR, 0.2))
+SIGNALS = (signal.SIGKILL, signal.SIGSTOP)
+LONGEST_WAIT_S = 0.6
+"""After a mode was entered, until the blow falls; TENSIONING and RELEASING go on for longer."""
+
+
+@dataclass(frozen=True)
+class Kill:
+    """One blow, and what came of it."""
+
+    victim: str
+    signal: str
+    mode: str
+    moved_mm: float | None  # None where the loop went on moving the load as it should
+    tension_off_pct: float
+    findings: tuple[str, ...]
+
+
+def play(settings: RigSettings, count: int, advance: Advance, seed: int = SEED) -> list[Kill]:
+    """``count`` blows, modes in turn.
+
+    Raises:
+        ScenarioError: rig and daemon do not come up, or not back (1).
+    """
+    chance = random.Random(seed)
+    found: list[Kill] = []
+    try:
+        with live(settings) as rig:
+            for i in range(count):
+                mode = Mode(i % len(Mode))
+                victim = chance.choices([name for name, _ in SHARES], [share for _, share in SHARES])[0]
+                number = chance.choice(SIGNALS)
+                advance(0.0, f"{number.name} {victim} in {mode.name}")
+                rig.enter(mode)
+                time.sleep(chance.uniform(0.0, LONGEST_WAIT_S))
+                now = rig.mode
+                if now is None:
+                    raise LiveError(f"the loop does not tick in {mode.name}")
+                dies = victim == SUPERVISOR and number is signal.SIGKILL
+                seen = strike(rig, kills(victim, number), comes_back=not dies)
+                if dies:
+                    rig.start_daemon()
+                found.append(_judged(victim, number, now, seen, rig.target_n))
+                advance(1.0, "")
+    except LiveError as error:
+        raise ScenarioError([f"faults: {error}"], exit_code=1) from None
+    return found
+
+
+def _judged(victim: str, number: signal.Signals, mode: Mode, seen: Seen, target_n: float) -> Kill:
+    stops = victim == CONTROL or (victim == SUPERVISOR and number is signal.SIGKILL)
+    expected = Reaction.DRIVE_STOPS if stops and mode is not Mode.DISARMED else Reaction.RIDDEN
+    if mode is Mode.FAULT and not stops:
+        expected = Reaction.KEPT
+    within_ms = DRIVE_STOPS_MS if victim == CONTROL else TOLD_MS
+    _, findings = judged(expected, seen, mode, within_ms)
+    moves = not stops and mode in (Mode.TENSIONING, Mode.RELEASING)
+    off_n = seen.setpoint_off_n if moves else seen.tension_off_n
+    return Kill(
+        victim,
+        number.name,
+        mode.name,
+        None if moves else seen.moved_mm,
+        100.0 * off_n / target_n,
+        tuple(findings),
+    )
+
+
+def document(found: list[Kill]) -> dict[str, object]:
+    """What ``--json`` writes: every kill, and the largest figures."""
+    moved = [kill.moved_mm for kill in found if kill.moved_mm is not None]
+    return {
+        "kills": [{**vars(kill), "ok": not kill.findings} for kill in found],
+        "moved_max_mm": max(moved, default=None),
+        "tension_off_max_pct": max((kill.tension_off_pct for kill in found), default=None),
+        "bad": sum(bool(kill.findings) for kill in found),
+        "ok": not any(kill.findings for kill in found),
+        "total": len(found),
+    }

@@ -1,0 +1,270 @@
+"""Faults of the bus: what a tap on the wire, or a stranger on it, does to the frames."""
+
+from __future__ import annotations
+
+import errno
+import struct
+from collections import deque
+from collections.abc import Callable, Iterable
+
+import can
+
+from hil.faults.stand import Injector, Stand, Step
+from hil.hub import Port
+from hil.wire import ERROR_FLAG, FRAME
+from rigctl.devices import objects
+
+
+def everybody(_: Stand) -> int:
+    """The node id that means all of them."""
+    return 0
+
+
+Which = Callable[[Stand], int]
+"""Identifier of the frames a fault is about."""
+FULL_LOAD_FRAMES = 7
+"""Of 8 bytes in a millisecond at 1 Mbit/s, 135 bits each."""
+_LOWEST, _HIGHEST = 0x7F0, 0x001
+_BUS_OFF, _CONTROLLER, _PASSIVE = 0x040, 0x004, 0x30  # classes and byte 1 of linux/can/error.h
+
+
+def cell(stand: Stand) -> int:
+    """The cell's samples."""
+    return stand.data_id(stand.cell)
+
+
+def slope(stand: Stand) -> int:
+    """The inclinometer's samples."""
+    return stand.data_id(stand.slope)
+
+
+def drive(stand: Stand) -> int:
+    """The drive's samples."""
+    return stand.data_id(stand.drive)
+
+
+def can_id(frame: bytes) -> int:
+    """Identifier and flags of a frame."""
+    return int(FRAME.unpack(frame)[0])
+
+
+def silent(which: Which) -> Injector:
+    """One device's samples do not get through any more."""
+
+    def inject(stand: Stand) -> None:
+        gone = which(stand)
+        stand.rig.hub.tap = lambda _, frame: () if can_id(frame) == gone else (frame,)
+
+    return inject
+
+
+def lost(share: float) -> Injector:
+    """A share of all frames, whoever sends them."""
+
+    def inject(stand: Stand) -> None:
+        draw = stand.random.random
+        stand.rig.hub.tap = lambda _, frame: () if draw() < share else (frame,)
+
+    return inject
+
+
+def burst(seconds: float) -> Injector:
+    """No frame at all gets through for a while."""
+
+    def inject(stand: Stand) -> Step:
+        stand.rig.hub.tap = lambda _, __: ()
+        return stand.ends_after(seconds, lambda: setattr(stand.rig.hub, "tap", None))
+
+    return inject
+
+
+def twice() -> Injector:
+    """Every frame comes twice."""
+
+    def inject(stand: Stand) -> None:
+        stand.rig.hub.tap = lambda _, frame: (frame, frame)
+
+    return inject
+
+
+def late(ticks: int) -> Injector:
+    """What the devices answer comes some ticks later."""
+
+    def inject(stand: Stand) -> Step:
+        hub, waiting = stand.rig.hub, deque[tuple[int, Port, bytes]]()
+        now = [0]
+
+        def tap(port: Port, frame: bytes) -> Iterable[bytes]:
+            if _from_controller(stand, frame):
+                return (frame,)
+            waiting.append((now[0] + ticks, port, frame))
+            return ()
+
+        def step(_: float) -> None:
+            now[0] += 1
+            while waiting and waiting[0][0] < now[0]:
+                _, port, frame = waiting.popleft()
+                hub.put(port, frame)
+
+        hub.tap = tap
+        return step
+
+    return inject
+
+
+def reordered() -> Injector:
+    """Neighbours on the wire swap places, every other frame of the devices."""
+
+    def inject(stand: Stand) -> None:
+        kept: list[bytes] = []
+
+        def tap(_: Port, frame: bytes) -> Iterable[bytes]:
+            if _from_controller(stand, frame):
+                return (frame,)
+            if kept:
+                return (frame, kept.pop())
+            kept.append(frame)
+            return ()
+
+        stand.rig.hub.tap = tap
+
+    return inject
+
+
+def cut(which: Which, share: float) -> Injector:
+    """A share of one device's frames has a byte too few."""
+
+    def inject(stand: Stand) -> None:
+        ours, draw = which(stand), stand.random.random
+
+        def tap(_: Port, frame: bytes) -> Iterable[bytes]:
+            identifier, size, data = FRAME.unpack(frame)
+            if identifier == ours and draw() < share:
+                return (FRAME.pack(identifier, size - 1, data),)
+            return (frame,)
+
+        stand.rig.hub.tap = tap
+
+    return inject
+
+
+def foreign(count: int) -> Injector:
+    """Frames with identifiers nobody here has, some of them extended ones."""
+
+    def inject(stand: Stand) -> Step:
+        known = {0x000, 0x080} | {base + node.id for base in range(0x80, 0x780, 0x80) for node in stand.rig.rig.nodes}
+        ids = [i for i in range(0x100, 0x700) if i not in known and i & 0x7F != stand.settings.can.controller_node]
+
+        def step(_: float) -> None:
+            for _n in range(count):
+                flag = 0x80000000 if stand.random.random() < 0.2 else 0
+                data = stand.random.randbytes(8)
+                stand.rig.inject(FRAME.pack(stand.random.choice(ids) | flag, stand.random.randrange(9), data))
+
+        return step
+
+    return inject
+
+
+def babble() -> Injector:
+    """A node sends all it can with the lowest priority: it waits for everybody else."""
+    return _every_tick(lambda stand: [FRAME.pack(_LOWEST, 8, stand.random.randbytes(8))] * FULL_LOAD_FRAMES)
+
+
+def babble_loud() -> Injector:
+    """A node sends all it can with the highest priority: nobody else gets the bus."""
+
+    def inject(stand: Stand) -> Step:
+        noise = FRAME.pack(_HIGHEST, 8, bytes(8))
+        stand.rig.hub.tap = lambda _, frame: (frame,) if frame == noise else ()
+
+        def step(_: float) -> None:
+            for _n in range(FULL_LOAD_FRAMES):
+                stand.rig.inject(noise)
+
+        return step
+
+    return inject
+
+
+def impostor() -> Injector:
+    """A foreign node sends samples of its own under the cell's identifier."""
+
+    def frames(stand: Stand) -> list[bytes]:
+        value = round(stand.random.uniform(0.0, 400.0) / objects.N_PER_CELL_UNIT)
+        return [FRAME.pack(cell(stand), 5, struct.pack("<iB", value, 0))]
+
+    return _every_tick(frames)
+
+
+def error_frames() -> Injector:
+    """The controller reports itself error-passive, ten times a second; every frame gets through all the same."""
+
+    def inject(stand: Stand) -> Step:
+        frame = FRAME.pack(ERROR_FLAG | _CONTROLLER, 8, bytes([0, _PASSIVE, 0, 0, 0, 0, 0, 0]))
+        ticks = [0]
+
+        def step(_: float) -> None:
+            ticks[0] += 1
+            if ticks[0] % 100 == 1:
+                stand.rig.inject(frame)
+
+        return step
+
+    return inject
+
+
+def bus_off() -> Injector:
+    """The controller's interface is off the bus: an error frame says so, then sending fails and nothing comes."""
+
+    def inject(stand: Stand) -> None:
+        def tap(_: Port, frame: bytes) -> Iterable[bytes]:
+            if _from_controller(stand, frame):
+                raise can.CanOperationError("no buffer space available", errno.ENOBUFS)
+            return ()
+
+        stand.rig.inject(FRAME.pack(ERROR_FLAG | _BUS_OFF, 8, bytes(8)))
+        stand.rig.hub.tap = tap
+
+    return inject
+
+
+def nmt(command: int, node: Callable[[Stand], int]) -> Injector:
+    """Another master gives an NMT command; node 0 is everybody."""
+
+    def inject(stand: Stand) -> None:
+        stand.rig.inject(FRAME.pack(objects.NMT_COB, 2, bytes([command, node(stand)])))
+
+    return inject
+
+
+def emergency(node: Callable[[Stand], int], code: int) -> Injector:
+    """A device's emergency message, which says no more than that something is wrong; its samples go on."""
+
+    def inject(stand: Stand) -> None:
+        data = struct.pack("<HB5x", code, 1)
+        stand.rig.inject(FRAME.pack(objects.EMCY_BASE + node(stand), 8, data))
+
+    return inject
+
+
+def _every_tick(frames: Callable[[Stand], list[bytes]]) -> Injector:
+    def inject(stand: Stand) -> Step:
+        def step(_: float) -> None:
+            for frame in frames(stand):
+                stand.rig.inject(frame)
+
+        return step
+
+    return inject
+
+
+def _from_controller(stand: Stand, frame: bytes) -> bool:
+    identifier = can_id(frame)
+    ours = (
+        objects.SYNC_COB,
+        objects.NMT_COB,
+        objects.DRIVE_RPDO.cob_base + stand.settings.cylinder.node,
+        objects.HEARTBEAT_BASE + stand.settings.can.controller_node,
+    )
+    return identifier in ours

@@ -1,0 +1,108 @@
+"""The catalogue's result as a table, what is not as expected first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from hil.faults.expected import ACCURACY_N, Expected, Fault, Reaction
+from hil.faults.judge import Row
+from hil.faults.processes import ProcessFault
+from rigctl.control.modes import Mode
+
+WIDTH = 150
+
+
+def show(rows: Sequence[Row]) -> None:
+    """Print all rows and a line that counts them."""
+    terminal = Console()
+    console = Console(width=WIDTH) if not terminal.is_terminal or terminal.width > WIDTH else terminal
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name, justify in _COLUMNS:
+        table.add_column(name, justify=justify, overflow="fold")
+    for row in sorted(rows, key=lambda row: row.ok):
+        table.add_row(*_cells(row), style="" if row.ok else "red")
+    console.print(table)
+    bad = sum(not row.ok for row in rows)
+    faults = len({row.id for row in rows})
+    verdict = "all as expected" if not bad else f"{bad} not as expected"
+    console.print(f"{len(rows)} rows of {faults} faults: {verdict}")
+
+
+def show_kills(found: Mapping[str, object]) -> None:
+    """Print the kills that were noticed, and the largest figures."""
+    kills = found["kills"]
+    assert isinstance(kills, list)
+    console = Console(soft_wrap=True)
+    for kill in kills:
+        if kill["findings"]:
+            console.print(f"{kill['signal']} {kill['victim']} in {kill['mode']}: {'; '.join(kill['findings'])}")
+    show_figures({name: value for name, value in found.items() if name != "kills"})
+
+
+def show_figures(found: Mapping[str, object]) -> None:
+    """Print figures by name."""
+    for name, value in found.items():
+        Console(soft_wrap=True).print(f"{name}: {value:.3g}" if isinstance(value, float) else f"{name}: {value}")
+
+
+def show_list(faults: Sequence[Fault | ProcessFault]) -> None:
+    """Print every fault, what it is, and what has to happen in which mode."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("fault", "what", "expected"):
+        table.add_column(name)
+    for fault in faults:
+        table.add_row(*map(Text, (fault.id, fault.what, worded(fault.expected))))
+    Console(width=WIDTH).print(table)
+
+
+def page_row(fault: Fault | ProcessFault) -> str:
+    """The fault's row in docs/faults.md."""
+    what = f"{fault.what}; {fault.why}" if isinstance(fault, Fault) and fault.why else fault.what
+    place = fault.place if isinstance(fault, Fault) else "process"
+    band_n = fault.band_n if isinstance(fault, Fault) else ACCURACY_N
+    bound = f"{band_n:g}" if not isinstance(fault, Fault) or fault.carried else "-"
+    return f"| `{fault.id}` | {place} | {what} | {worded(fault.expected)} | {bound} |"
+
+
+def worded(expected: Expected) -> str:
+    """What is expected, the modes that share it together."""
+    reactions: dict[Reaction, list[str]] = {}
+    for mode in Mode:
+        if mode in expected:
+            reactions.setdefault(expected[mode], []).append(mode.name)
+    return "; ".join(f"{reaction}: {', '.join(modes)}" for reaction, modes in reactions.items())
+
+
+_COLUMNS: tuple[tuple[str, Literal["left", "right"]], ...] = (
+    ("fault", "left"), ("mode", "left"), ("expected", "left"), ("reaction", "left"), ("latched", "left"),
+    ("detected ms", "right"), ("reacts ms", "right"), ("tension N", "right"), ("off N", "right"),
+    ("stroke mm", "right"), ("carried", "left"), ("not as expected", "left"),
+)  # fmt: skip
+
+
+def _cells(row: Row) -> list[Text]:
+    words = [
+        row.id,
+        row.mode,
+        row.expected,
+        row.reaction,
+        "" if row.fault == "NONE" else row.fault,
+        _number(row.detection_ms, 0),
+        _number(row.latency_ms, 0),
+        f"{_number(row.tension_min_n, 0)}..{_number(row.tension_max_n, 0)}",
+        _number(row.tension_error_n, 1),
+        _number(row.stroke_mm, 2),
+        "yes" if row.load_carried else "no",
+        "; ".join(row.findings),
+    ]
+    return [Text(word) for word in words]
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None or not math.isfinite(value) else f"{value:.{digits}f}"

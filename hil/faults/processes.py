@@ -1,0 +1,279 @@
+"""Faults of the daemon's processes: real ones, killed, stopped, starved; the simulated rig's truth is the witness."""
+
+from __future__ import annotations
+
+import math
+import resource
+import signal
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from hil.faults import wall_clock
+from hil.faults.expected import ACCURACY_N, DRIVE_STOPS, RIDE, Expected, Reaction
+from hil.faults.judge import DRIVE_STOPS_MS, STANDS_MM, Row
+from hil.faults.live import CONTROL, GATEWAY, SUPERVISOR, VICTIMS, Live, LiveError, give, live
+from hil.progress import Advance
+from hil.scenario.errors import ScenarioError
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode
+
+WATCHED_S = 0.8
+BACK_S = 30.0
+MOVED_MM = 1.0
+"""No load may move further than this because of a process."""
+TOLD_MS = 500.0
+"""A loop whose supervisor has gone has to be told, and then stops in order."""
+OTHER_SPRING_N_MM, OTHER_NODE = 60.0, 9
+BEFORE_S = 0.05
+NATURAL = {Mode.TENSIONING: {Mode.COMPENSATING}, Mode.RELEASING: {Mode.HOLD}}
+"""Modes that end by themselves."""
+
+Blow = Callable[[Live], AbstractContextManager[None]]
+"""What is done to the daemon while the context lasts."""
+
+
+@dataclass(frozen=True)
+class ProcessFault:
+    """One fault of a process."""
+
+    id: str
+    what: str
+    blow: Blow
+    expected: Expected
+    within_ms: float = DRIVE_STOPS_MS
+    """Until the stroke stands, where it has to."""
+    restart: bool = False
+    """The daemon has to be started again by hand."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What came of a blow, from the truth: from just before it until the rig was judged."""
+
+    mode_after: Mode
+    fault: str
+    stopped_ms: float  # from the blow until the stroke stood
+    moved_mm: float
+    tension_off_n: float  # from what it was
+    setpoint_off_n: float  # from the loop's set-point, while it ticked
+    tension_min_n: float
+    tension_max_n: float
+    tripped: bool
+    carried: bool
+
+
+def kills(victim: str, number: signal.Signals) -> Blow:
+    """A signal to one of the daemon's processes; one that is stopped goes on afterwards."""
+
+    @contextmanager
+    def blow(rig: Live) -> Any:
+        pid = rig.pid(victim)
+        give(pid, number)
+        yield
+        if number is signal.SIGSTOP:
+            give(pid, signal.SIGCONT)
+
+    return blow
+
+
+@contextmanager
+def disk_full(rig: Live) -> Any:
+    """No process of the daemon can write to a file any more (EFBIG, where a full disk says ENOSPC)."""
+    with ExitStack() as undo:
+        for pid in map(rig.pid, VICTIMS):
+            limits = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, limits[1]))
+            undo.callback(resource.prlimit, pid, resource.RLIMIT_FSIZE, limits)
+        yield
+
+
+def config_replaced(*, control_killed: bool) -> Blow:
+    """Somebody writes another rig's figures over the rig file, and (or) the loop has to start again."""
+
+    @contextmanager
+    def blow(rig: Live) -> Any:
+        good = rig.file.read_text()
+        other = yaml.safe_load(good)
+        other["plant"]["spring_n_mm"], other["tension_cell"]["node"] = OTHER_SPRING_N_MM, OTHER_NODE
+        rig.file.write_text(yaml.safe_dump(other))
+        try:
+            if control_killed:
+                give(rig.pid(CONTROL), signal.SIGKILL)
+            yield
+        finally:
+            rig.file.write_text(good)
+
+    return blow
+
+
+def clock_stepped(seconds: float) -> Blow:
+    """The wall clock of all processes jumps, as when somebody sets it, and jumps back."""
+
+    @contextmanager
+    def blow(rig: Live) -> Any:
+        wall_clock.step(rig.folder, round(seconds * 1e9))
+        yield
+        wall_clock.step(rig.folder, 0)
+
+    return blow
+
+
+CATALOGUE = (
+    ProcessFault("control_killed", "the loop's process is killed", kills(CONTROL, signal.SIGKILL), DRIVE_STOPS),
+    ProcessFault("control_stopped", "the loop's process hangs (SIGSTOP)", kills(CONTROL, signal.SIGSTOP), DRIVE_STOPS),
+    ProcessFault(
+        "supervisor_killed",
+        "the supervisor is killed",
+        kills(SUPERVISOR, signal.SIGKILL),
+        DRIVE_STOPS,
+        TOLD_MS,
+        restart=True,
+    ),
+    ProcessFault("supervisor_stopped", "the supervisor hangs", kills(SUPERVISOR, signal.SIGSTOP), RIDE),
+    ProcessFault("gateway_killed", "the gateway is killed", kills(GATEWAY, signal.SIGKILL), RIDE),
+    ProcessFault("gateway_stopped", "the gateway hangs", kills(GATEWAY, signal.SIGSTOP), RIDE),
+    ProcessFault("disk_full", "no process can write to a file", disk_full, RIDE),
+    ProcessFault("clock_forward", "the wall clock jumps forward by a day", clock_stepped(86_400.0), RIDE),
+    ProcessFault("clock_back", "the wall clock jumps back by an hour", clock_stepped(-3_600.0), RIDE),
+    ProcessFault(
+        "config_replaced", "another rig's figures in the rig file", config_replaced(control_killed=False), RIDE
+    ),
+    ProcessFault(
+        "config_replaced_killed", "... and the loop is killed", config_replaced(control_killed=True), DRIVE_STOPS
+    ),
+)
+"""With what has to happen in every mode; the loop's restart ends DISARMED."""
+
+
+def play(settings: RigSettings, rows: Sequence[tuple[ProcessFault, Mode]], advance: Advance) -> list[Row]:
+    """Play rows one after the other on one rig; in their order.
+
+    Raises:
+        ScenarioError: rig and daemon do not come up (1).
+    """
+    if not rows:
+        return []
+    found = []
+    try:
+        with live(settings) as rig:
+            for fault, mode in rows:
+                advance(0.0, f"{fault.id} in {mode.name}")
+                found.append(row_of(rig, fault, mode))
+                advance(1.0, "")
+    except LiveError as error:
+        raise ScenarioError([f"faults: {error}"], exit_code=1) from None
+    return found
+
+
+def row_of(rig: Live, fault: ProcessFault, mode: Mode) -> Row:
+    """Play and judge one row."""
+    rig.enter(mode)
+    time.sleep(0.2)
+    expected = fault.expected[mode]
+    came = strike(rig, fault.blow, comes_back=not fault.restart)
+    if fault.restart:
+        rig.start_daemon()
+    reaction, findings = judged(expected, came, mode, fault.within_ms)
+    return Row(
+        fault.id,
+        mode.name,
+        str(expected),
+        str(reaction),
+        0.0 if expected is Reaction.DRIVE_STOPS else None,
+        came.stopped_ms if expected is Reaction.DRIVE_STOPS else None,
+        came.tension_min_n,
+        came.tension_max_n,
+        came.setpoint_off_n if expected is Reaction.RIDDEN and mode in NATURAL else came.tension_off_n,
+        came.moved_mm,
+        came.carried,
+        came.fault,
+        tuple(findings),
+    )
+
+
+def strike(rig: Live, blow: Blow, *, comes_back: bool) -> Seen:
+    """Do something to the daemon and watch the truth until it ticks again (or for a moment)."""
+    records = rig.runtime.record_reader()
+    at_ns = time.monotonic_ns()
+    with blow(rig):
+        time.sleep(WATCHED_S)
+    until = time.monotonic() + BACK_S
+    while comes_back and not rig.ticking():
+        if time.monotonic() > until:
+            raise LiveError("the loop does not come back")
+        time.sleep(0.02)
+    time.sleep(0.1)
+    end_ns = time.monotonic_ns()
+    after, fault = rig.mode, rig.fault
+    ticks = records.read()
+    truth = rig.truth(at_ns - round(BEFORE_S * 1e9), end_ns)
+    return seen(truth, ticks, at_ns, after if after is not None else Mode.DISARMED, fault)
+
+
+def seen(truth: npt.NDArray[Any], ticks: npt.NDArray[Any], at_ns: int, after: Mode, fault: str) -> Seen:
+    """What the truth and the loop's records say of a blow at ``at_ns``.
+
+    Raises:
+        LiveError: no truth since then.
+    """
+    since = truth[truth["t_ns"] >= at_ns]
+    if not len(since):
+        raise LiveError("the simulated rig writes no truth")
+    first, last = since[0], since[-1]
+    moving = since["t_ns"][np.abs(since["stroke_mm"] - last["stroke_mm"]) > STANDS_MM]
+    ticks = ticks[np.isin(ticks["mode"], [Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING, Mode.FAULT])]
+    following = ticks[ticks["mode"] != Mode.FAULT]
+    off = np.abs(np.interp(following["t_ns"], truth["t_ns"], truth["tension_n"]) - following["setpoint_n"])
+    return Seen(
+        after,
+        fault,
+        1e-6 * float(moving[-1] - at_ns) if len(moving) else 0.0,
+        float(np.max(np.abs(since["stroke_mm"] - first["stroke_mm"]))),
+        float(np.max(np.abs(since["tension_n"] - first["tension_n"]))),
+        float(off.max()) if len(off) else 0.0,
+        float(since["tension_n"].min()),
+        float(since["tension_n"].max()),
+        bool(np.any(ticks["mode"] == Mode.FAULT)),
+        bool(last["tension_n"] > 0.5 * first["tension_n"]),
+    )
+
+
+def judged(expected: Reaction, seen: Seen, mode: Mode, within_ms: float = DRIVE_STOPS_MS) -> tuple[Reaction, list[str]]:
+    """What a blow came to, and what is not as it should be."""
+    findings = [] if seen.carried else ["load not carried"]
+    if expected is Reaction.DRIVE_STOPS:
+        reaction = Reaction.DRIVE_STOPS if seen.stopped_ms <= within_ms else Reaction.MOVES
+        if reaction is Reaction.MOVES:
+            findings.append(f"moves for {seen.stopped_ms:.0f} ms, allowed {within_ms:g}")
+        if seen.mode_after not in (Mode.DISARMED, Mode.FAULT):
+            findings.append(f"then {seen.mode_after.name}, not DISARMED or FAULT")
+        return reaction, findings + _moved(seen)
+    if mode is Mode.FAULT:
+        kept = seen.mode_after is Mode.FAULT
+        return Reaction.KEPT if kept else Reaction.LEFT, findings + _moved(seen) + ([] if kept else ["FAULT was left"])
+    if seen.tripped:
+        return Reaction.HELD, [*findings, f"tripped: {seen.fault}"]
+    if mode in NATURAL or mode is Mode.COMPENSATING:
+        allowed = {mode} | NATURAL.get(mode, set())
+        findings += [] if seen.mode_after in allowed else [f"then {seen.mode_after.name}"]
+        if seen.setpoint_off_n > ACCURACY_N:
+            findings.append(f"tension {seen.setpoint_off_n:.1f} N off its set-point, allowed {ACCURACY_N:g}")
+        return Reaction.RIDDEN, findings
+    findings += [] if seen.mode_after is mode else [f"then {seen.mode_after.name}"]
+    return Reaction.RIDDEN, findings + _moved(seen)
+
+
+def _moved(seen: Seen) -> list[str]:
+    findings = []
+    if seen.moved_mm > MOVED_MM:
+        findings.append(f"stroke moved {seen.moved_mm:.2f} mm, allowed {MOVED_MM:g}")
+    if not math.isfinite(seen.tension_off_n) or seen.tension_off_n > ACCURACY_N:
+        findings.append(f"tension {seen.tension_off_n:.1f} N off, allowed {ACCURACY_N:g}")
+    return findings

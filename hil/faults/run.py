@@ -1,0 +1,153 @@
+"""One row of the catalogue in simulated time: the same run with and without the fault."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.faults import stand
+from hil.faults.expected import Around, Fault, Reaction
+from hil.faults.stand import Stand, Step
+from hil.lockstep import Lockstep, lockstep
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.tension import Gains
+from rigctl.telemetry.events import Kind
+
+Floats = npt.NDArray[np.float64]
+SEED = "faults"
+
+
+@dataclass(frozen=True)
+class Trip:
+    """A row of the safety table that has tripped, as its event has it."""
+
+    t_s: float
+    fault: int
+    limit: float
+
+
+@dataclass(frozen=True)
+class Run:
+    """What was so (one sample a millisecond, ``t_s`` from the fault's beginning) and what the loop wrote."""
+
+    t_s: Floats
+    tension_n: Floats
+    stroke_mm: Floats
+    enabled: npt.NDArray[np.bool_]  # the drive's motor
+    records_t_s: Floats
+    records: npt.NDArray[Any]
+    before: Any  # the record before the first of them
+    trips: tuple[Trip, ...]
+    refusal: Refusal | None  # of the arm command at the end, where one was given
+
+
+class _Watcher:
+    """Samples the truth whenever the rig has gone on by a period."""
+
+    def __init__(self, rig: Lockstep) -> None:
+        self._rig = rig
+        self._origin_ns = rig.clock.now()
+        self.rows: list[tuple[float, float, float, bool]] = []
+
+    def __call__(self) -> None:
+        rig = self._rig.rig
+        truth = rig.truth
+        t_s = (truth.t_ns - self._origin_ns) * 1e-9
+        self.rows.append((t_s, truth.tension_n, truth.stroke_mm, rig.drive.control.enabled))
+
+
+class Bench:
+    """Plays rows on a rig and remembers the runs without a fault."""
+
+    def __init__(self, settings: RigSettings, gains: Gains) -> None:
+        self._settings = settings
+        self._gains = gains
+        self._undisturbed = functools.lru_cache(maxsize=None)(self._play_undisturbed)
+
+    def undisturbed(self, fault: Fault, mode: Mode) -> Run:
+        """The run of a row without its fault."""
+        return self._undisturbed(fault.around, mode, fault.seconds, fault.from_start)
+
+    def play(self, fault: Fault, mode: Mode) -> Run:
+        """The run of a row."""
+        arms = fault.expected[mode] is Reaction.REFUSED
+        return self._play(fault.around, mode, fault.seconds, fault.from_start, fault, arms=arms)
+
+    def _play_undisturbed(self, around: Around, mode: Mode, seconds: float, from_start: bool) -> Run:
+        return self._play(around, mode, seconds, from_start, None, arms=False)
+
+    def _play(
+        self, around: Around, mode: Mode, seconds: float, from_start: bool, fault: Fault | None, *, arms: bool
+    ) -> Run:
+        with lockstep(changed(self._settings, around.change), self._gains) as rig:
+            subject = Stand(rig, f"{SEED}:{fault.id if fault else ''}:{mode.name}")
+            step: Step | None = None
+            if from_start:
+                stand.start(rig, mode, 0.0)
+                step = fault.inject(subject) if fault else None
+                _to_tensioning(rig)
+            else:
+                stand.start(rig, mode, around.preload_n)
+                stand.enter(rig, mode)
+            before = rig.run(1.0 / rig.settings.loop.rate_hz)[-1]
+            rig.events.read()
+            origin_ns = rig.clock.now()
+            watcher = rig.on_advance = _Watcher(rig)
+            if around.motion is not None:
+                rig.rig.plant.start_motion(around.motion(), rig.rig.plant.t_ns)
+            if fault is not None and not from_start:
+                step = fault.inject(subject)
+            records = _go_on(rig, seconds, step)
+            rig.on_advance = None
+            trips = _trips(rig, origin_ns)
+            refusal = rig.command(Verb.ARM) if arms else None
+        t_s, tension_n, stroke_mm, enabled = map(np.array, zip(*watcher.rows, strict=True))
+        records_t_s = (records["t_ns"] - origin_ns) * 1e-9
+        return Run(t_s, tension_n, stroke_mm, enabled, records_t_s, records, before, trips, refusal)
+
+
+def changed(settings: RigSettings, change: tuple[tuple[str, float | None], ...]) -> RigSettings:
+    """Settings with some of them changed, by dotted key."""
+    for key, value in change:
+        settings = _replaced(settings, key.split("."), value)
+    return settings
+
+
+def _replaced(section: Any, path: list[str], value: float | None) -> Any:
+    first, *rest = path
+    inner = _replaced(getattr(section, first), rest, value) if rest else value
+    return section.model_copy(update={first: inner})
+
+
+def _to_tensioning(rig: Lockstep) -> None:
+    for verb in (Verb.ARM, Verb.TENSION):
+        if rig.command(verb) is not Refusal.NONE:
+            return  # refused: that is a result
+
+
+def _go_on(rig: Lockstep, seconds: float, step: Step | None) -> npt.NDArray[Any]:
+    start_ns, period_ns = rig.clock.now(), rig.settings.loop.period_ns
+    end_ns = start_ns + round(seconds * 1e9)
+    parts, ticks = [], 0
+    while (now_ns := rig.clock.now()) < end_ns:
+        if step is not None:
+            step((now_ns - start_ns) * 1e-9)
+        rig.clock.skip = min(rig.clock.skip, (end_ns - now_ns) // period_ns - 1)
+        rig.loop.tick()
+        ticks += 1
+        if ticks % 1000 == 0:
+            parts.append(rig.read_records())
+    return np.concatenate([*parts, rig.read_records()])
+
+
+def _trips(rig: Lockstep, origin_ns: int) -> tuple[Trip, ...]:
+    return tuple(
+        Trip((int(event["t_ns"]) - origin_ns) * 1e-9, int(event["a"]), float(event["limit"]))
+        for event in rig.events.read()
+        if event["kind"] == Kind.TRIP
+    )

@@ -1,0 +1,129 @@
+"""A rig brought to a mode, with the handles a fault is put in by."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+from hil.lockstep import Lockstep
+from hil.nodes.cylinder_drive import CylinderDrive
+from hil.nodes.inclinometer import Inclinometer
+from hil.nodes.node import Node
+from hil.nodes.tension_amplifier import TensionAmplifier
+from hil.plant import Plant
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.devices import objects
+
+WAKE_S = 0.2
+SETTLE_S = 0.6
+"""Until the filter has found a tension that was there before it."""
+RAMP_S = 1.0
+CLOSED_S = 0.3
+RELEASE_S = 0.5
+SILENCE_MS = 30
+TENSIONING_FROM_N = 100.0
+CLOSED_BELOW_N = 25.0
+"""Of the target: way enough for the sign checks of the first tensioning."""
+TENSION_LIMIT_S = 20.0
+
+_CLOSED = (Mode.COMPENSATING, Mode.FAULT)
+
+Step = Callable[[float], None]
+"""Called before every tick with the seconds since the fault began."""
+Injector = Callable[["Stand"], "Step | None"]
+
+
+class Stand:
+    """A lockstep rig. What is random in a fault comes from ``random``, which a row always seeds alike."""
+
+    def __init__(self, rig: Lockstep, seed: str) -> None:
+        self.rig = rig
+        self.random = random.Random(seed)
+
+    @property
+    def settings(self) -> RigSettings:
+        """The rig file, with the row's changes."""
+        return self.rig.settings
+
+    @property
+    def plant(self) -> Plant:
+        """Rope, payload, cylinder."""
+        return self.rig.rig.plant
+
+    @property
+    def drive(self) -> CylinderDrive:
+        """The cylinder's drive."""
+        return self.rig.rig.drive
+
+    @property
+    def cell(self) -> TensionAmplifier:
+        """The cell's amplifier, CANopen."""
+        assert isinstance(self.rig.rig.cell, TensionAmplifier)
+        return self.rig.rig.cell
+
+    @property
+    def slope(self) -> Inclinometer:
+        """The inclinometer, CANopen."""
+        assert isinstance(self.rig.rig.inclinometer, Inclinometer)
+        return self.rig.rig.inclinometer
+
+    def data_id(self, node: Node) -> int:
+        """Identifier of a device's samples."""
+        return objects.TPDO1_BASE + node.id
+
+    def ends_after(self, seconds: float, undo: Callable[[], None]) -> Step:
+        """A step that calls ``undo`` once, ``seconds`` after the fault began."""
+        pending = [undo]
+
+        def step(t_s: float) -> None:
+            if pending and t_s >= seconds:
+                pending.pop()()
+
+        return step
+
+
+def start(rig: Lockstep, mode: Mode, preload_n: float | None) -> None:
+    """Power on with the load on the rope (or slack, with 0 N), every signal fresh."""
+    target_n = rig.settings.tension.target_n
+    usual = {Mode.TENSIONING: TENSIONING_FROM_N, **dict.fromkeys(_CLOSED, target_n - CLOSED_BELOW_N)}.get(
+        mode, target_n
+    )
+    tension_n = usual if preload_n is None else preload_n
+    if tension_n:
+        rig.rig.plant.preload(tension_n)
+    rig.run(SETTLE_S if tension_n else WAKE_S)
+
+
+def enter(rig: Lockstep, mode: Mode) -> None:
+    """From DISARMED to a mode as an operator gets there; FAULT by a cell that is silent for a moment.
+
+    Raises:
+        RuntimeError: the rig did not get there.
+    """
+    if mode is not Mode.DISARMED:
+        _accepted(rig, Verb.ARM)
+        rig.run(WAKE_S)
+    if mode is Mode.TENSIONING or mode in _CLOSED:
+        _accepted(rig, Verb.TENSION)
+        if mode is not Mode.TENSIONING:
+            rig.run_until(Mode.COMPENSATING, TENSION_LIMIT_S)
+        rig.run(RAMP_S if mode is Mode.TENSIONING else CLOSED_S)
+    if mode is Mode.RELEASING:
+        _accepted(rig, Verb.RELEASE)
+        rig.run(RELEASE_S)
+    if mode is Mode.FAULT:
+        samples = objects.TPDO1_BASE + rig.settings.tension_cell.node
+        rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == samples else (frame,)
+        rig.run(SILENCE_MS * 1e-3)
+        rig.hub.tap = None
+        rig.run(WAKE_S)
+    found = rig.loop.machine.mode
+    if found is not mode:
+        raise RuntimeError(f"not in {mode.name} but in {found.name}, fault {rig.loop.machine.fault.name}")
+
+
+def _accepted(rig: Lockstep, verb: Verb) -> None:
+    refusal = rig.command(verb)
+    if refusal is not Refusal.NONE:
+        raise RuntimeError(f"{verb.name} was refused: {refusal.name}")
