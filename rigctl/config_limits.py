@@ -23,6 +23,7 @@ SIGNALS: dict[str, Signal] = {
     "tangential_deg": Signal("deg", "inclination of the rope along the move"),
     "normal_deg": Signal("deg", "inclination of the rope along the rail"),
     "stroke_mm": Signal("mm", "stroke of the cylinder, positive = shorter rope"),
+    "travel_mm": Signal("mm", "stroke since the target was reached, absolute; 0 unless COMPENSATING"),
     "speed_mm_s": Signal("mm/s", "speed the drive reports"),
     "disturbance_mm_s": Signal("mm/s", "speed of the rope's ends as the filter finds it, absolute"),
     "drive_temperature_c": Signal("deg C", "of the drive; never passes a limit while it is not known"),
@@ -41,7 +42,7 @@ SIGNALS: dict[str, Signal] = {
 
 ModeName = Literal["DISARMED", "HOLD", "TENSIONING", "COMPENSATING", "RELEASING", "FAULT"]
 SignalName = Literal[
-    "tension_n", "tension_rate_n_s", "vertical_error_n", "tangential_deg", "normal_deg", "stroke_mm", "speed_mm_s",
+    "tension_n", "tension_rate_n_s", "vertical_error_n", "tangential_deg", "normal_deg", "stroke_mm", "travel_mm", "speed_mm_s",
     "disturbance_mm_s", "drive_temperature_c", "drive_current_a", "drive_warning", "cell_age_ms", "inclination_age_ms",
     "drive_age_ms", "rejects", "cell_nis", "lateness_us", "skipped_ticks", "error_frames", "command_age_s",
 ]  # fmt: skip

@@ -172,9 +172,10 @@ DRIVE = (
         "device",
         "the brake does not hold: a motor without power gives way by 0.5 mm/s",
         in_device.brake_stays_open(),
-        {**RIDE, Mode.DISARMED: Reaction.LATCHED},
+        {**RIDE, Mode.DISARMED: Reaction.MOVES},
+        latency_ms=220,
         seconds=3.0,
-        why="with power the motor carries; without it somebody has to be told",
+        why="with power the motor carries; without it somebody has to be told, but nothing may arm by itself",
     ),
     Fault(
         "power_dip", "device", "all devices are without power for 100 ms", in_device.power_dip(0.1), HOLD, within_ms=20

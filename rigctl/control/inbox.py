@@ -12,6 +12,7 @@ from rigctl.control.correction import Correction
 from rigctl.devices import codecs, dbc
 from rigctl.devices import objects as od
 from rigctl.devices.plain import PlainMessage
+from rigctl.telemetry import can_errors
 from rigctl.telemetry.record import FrameFlag, Quality
 from rigctl.telemetry.ring import RingWriter
 
@@ -73,13 +74,14 @@ class Inbox:
         self.bus_t_ns = NEVER_NS
         self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
         self.received = self.refused = self.error_frames = self.receive_failures = 0
+        self.failure_text = ""  # of the last receive that failed
         self._drive_node = settings.cylinder.node
         self._in_error: set[int] = set()
         self.sensors_in_error = 0  # cell and inclinometer with an emergency that stands
         self.drive_in_error = False
         self.emergencies: list[tuple[int, int]] = []  # (node, code) since last taken
         self.node_states: list[tuple[int, int]] = []  # (node, NMT state) changes since last taken
-        self.bus_errors: list[tuple[int, int]] = []  # (error class, controller byte) since last taken
+        self.bus_errors: list[tuple[int, int]] = []  # (error class, its details) since last taken
         self.restarted = False  # a device booted since start-up: what was set and verified there is gone
         self._tension_max_n = settings.tension_cell.range_n * OVERRANGE
         self._slope_max_rad = math.radians(settings.inclinometer.range_deg)
@@ -121,8 +123,9 @@ class Inbox:
         for _ in range(MAX_FRAMES_PER_TICK):
             try:
                 message = receive(0)
-            except can.CanError:
+            except can.CanError as error:
                 self.receive_failures += 1
+                self.failure_text = str(error)
                 return
             if message is None:
                 return
@@ -281,5 +284,4 @@ class Inbox:
     def _on_error_frame(self, message: can.Message) -> None:
         self.error_frames += 1
         if len(self.bus_errors) < MAX_NOTICES:
-            controller = message.data[1] if len(message.data) > 1 else 0
-            self.bus_errors.append((message.arbitration_id & 0x1FFFFFFF, controller))
+            self.bus_errors.append((message.arbitration_id & 0x1FFFFFFF, can_errors.details(message.data)))

@@ -20,6 +20,7 @@ VALUES: dict[str, Callable[[Sight], float]] = {
     "tangential_deg": lambda x: math.degrees(x.tangential_rad),
     "normal_deg": lambda x: math.degrees(x.normal_rad),
     "stroke_mm": lambda x: x.stroke_mm,
+    "travel_mm": lambda x: abs(x.travel_mm),
     "speed_mm_s": lambda x: x.speed_mm_s,
     "disturbance_mm_s": lambda x: abs(x.disturbance_mm_s),
     "drive_temperature_c": lambda x: x.drive_temperature_c,

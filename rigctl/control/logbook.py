@@ -51,7 +51,7 @@ class Logbook:
         self._noticed: dict[tuple[Kind, int, int], int] = {}  # not again before
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._slope_stale_ns = settings.safety.inclination_stale_ms * 1_000_000
-        self._failures = 0
+        self._failures = self._receive_failures = 0
         self.tick = 0
 
     def record(
@@ -120,6 +120,9 @@ class Logbook:
             inbox.rail_rad,
             inbox.rail_quality | (_STALE if observer.rail_age_ns > observer.rail_stale_ns else 0),
             observer.run_out_mm_s,
+            sight.drive_current_a,
+            sight.drive_temperature_c,
+            sight.failed_checks,
         )
 
     def event(
@@ -167,6 +170,9 @@ class Logbook:
         if outbox.failures != self._failures:
             self._failures = outbox.failures
             self.notice(t_ns, Kind.SEND_FAILED, 0, 0, outbox.failure_text.encode()[:80])
+        if inbox.receive_failures != self._receive_failures:
+            self._receive_failures = inbox.receive_failures
+            self.notice(t_ns, Kind.RECEIVE_FAILED, 0, 0, inbox.failure_text.encode()[:80])
 
 
 def number(value: float) -> float:

@@ -69,6 +69,7 @@ class Loop:
         self._watch, self._signs = Watch(settings, limits.rows(settings)), SignCheck(settings)
         self._plausibility = Plausibility(settings)
         self._commanded_ns = clock.now()
+        self._travel_from_mm = 0.0
         self._logbook = logbook = Logbook(settings, rings)
         self._orders = Orders(
             settings, self.machine, self.observer, self.law, self._watch, logbook, supervised=supervised
@@ -118,6 +119,8 @@ class Loop:
         self._plausibility.look(self.inbox, sight, sent_mm_s, ticks=1 + skipped, slack=self.observer.slack)
         sight.lateness_ns, sight.command_age_ns = now_ns - t_ns, t_ns - self._commanded_ns
         regulated = machine.mode is Mode.TENSIONING or machine.mode is Mode.COMPENSATING
+        compensating = machine.mode is Mode.COMPENSATING
+        sight.travel_mm = self.inbox.stroke_mm - self._travel_from_mm if compensating else 0.0
         tight = regulated and not self.observer.slack
         sight.vertical_error_n = self.inbox.tension_n * self.observer.cosine - law.setpoint_n if tight else 0.0
         sight.stroke_limited = law.limits & Flag.LIMITED_STROKE.value != 0
@@ -132,13 +135,13 @@ class Loop:
         if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
             self._logbook.trip(t_ns, Kind.TRIP, trip)
         for slot in self._commands.read(COMMANDS_PER_TICK):
-            orders.take(slot, t_ns)
-            self._commanded_ns = t_ns
+            if orders.take(slot, t_ns):
+                self._commanded_ns = t_ns
         if self.stop_requested and not machine.stopping:
             self._stop_until = t_ns + STOP_LIMIT_NS
             machine.stop()
         machine.follow_drive(sight.drive_enabled, t_ns)
-        orders.attend()
+        orders.attend(t_ns)
         if machine.mode is Mode.TENSIONING and law.tensioned(estimate):
             if self._signs.passed:
                 machine.on(Event.TENSIONED)
@@ -149,6 +152,8 @@ class Loop:
         for change in machine.changes:
             if change.before is Mode.FAULT:
                 self._plausibility.forget_stretch(sight)
+            if change.after is Mode.COMPENSATING:
+                self._travel_from_mm = estimate.stroke_mm
             if change.after in (Mode.TENSIONING, Mode.RELEASING):
                 law.begin(estimate.tension_n * self.observer.cosine, estimate.speed_mm_s)
                 self._signs.begin(estimate.stroke_mm, self.observer.tension_n)

@@ -17,6 +17,7 @@ from rigctl.devices.objects import OFF_STATES, STATUS_WARNING, DriveState, drive
 
 _SECOND_NS = 1_000_000_000
 STATUS_PERIODS = 3  # the drive's status is stale when this many have not come
+UNLOADED_REJECTS = 3  # with the drive off, a rope that is loaded or let go by hand is believed after so many
 LEAST_COSINE = 0.5  # a rope at 60 deg: nothing beyond it is believed
 
 
@@ -72,6 +73,7 @@ class Observer:
         sight.tangential_rad, sight.normal_rad = inbox.tangential_rad, inbox.normal_rad
         sight.drive_age_ns = now_ns - inbox.drive_t_ns
         sight.drive_enabled = state is DriveState.OPERATION_ENABLED
+        sight.brake_slip_known &= not sight.drive_enabled
         sight.drive_off = state in OFF_STATES
         sight.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
         self._look_at_drive_status(now_ns)
@@ -120,6 +122,8 @@ class Observer:
             kalman.update(
                 inbox.tension_n if inbox.cell_fresh else None, inbox.speed_mm_s if inbox.drive_fresh else None
             )
+            if kalman.cell.rejects >= UNLOADED_REJECTS and not self.sight.drive_enabled:
+                kalman.reset(self.tension_n, inbox.speed_mm_s)
         kalman.predict(1 + skipped)
         slope.pass_ticks(1 + skipped)
         sight = self.sight

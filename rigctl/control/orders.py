@@ -18,6 +18,7 @@ from rigctl.telemetry.events import Kind
 from rigctl.telemetry.record import COMMAND_LIFETIME_NS
 
 _VERBS, _SETTINGS = frozenset(map(int, Verb)), frozenset(map(int, Setting))
+LOOK_NS = 500_000_000  # how often what stands against arming is looked at, to be shown; never while it is armed
 _GAINS = (Setting.K_TENSION, Setting.K_SPEED, Setting.K_INTEGRAL)
 
 
@@ -39,12 +40,13 @@ class Orders:
         self.trial: trials.Trial | None = None
         self._settings, self._machine, self._observer = settings, machine, observer
         self._law, self._watch, self._logbook, self._supervised = law, watch, logbook, supervised
+        self._look_ns = 0
         self._near_end = False  # the last command was an ARM that drives away from an end of the stroke
         self._found = (0.0, 0.0)  # value and spread of the last trial
         self._gains: list[float] = []  # those of a set that have come
 
-    def take(self, slot: object, t_ns: int) -> None:
-        """One slot of the command ring."""
+    def take(self, slot: object, t_ns: int) -> bool:
+        """One slot of the command ring; whether it was an operator's."""
         given_ns, id_, code, value = (slot[name].item() for name in ("t_ns", "id", "verb", "value"))  # type: ignore[index]
         if code not in _VERBS and code not in _SETTINGS:
             self._reply(t_ns, id_, Refusal.UNKNOWN)
@@ -52,13 +54,16 @@ class Orders:
             self._reply(t_ns, id_, Refusal.EXPIRED)
         elif code in _SETTINGS:
             refusal = self._set(Setting(code), value, t_ns)
-            checks = int(self.failed_checks()) if code == Setting.HOST_CHECKS else 0
-            self._reply(t_ns, id_, refusal, checks, value)
+            self._reply(t_ns, id_, refusal, value=value)
         else:
             self._obey(id_, Verb(code), value, t_ns)
+        return code in _VERBS
 
-    def attend(self) -> None:
+    def attend(self, t_ns: int) -> None:
         """Show the trial this tick; its answer is due when it is over, or when something has put an end to it."""
+        if t_ns >= self._look_ns and self._machine.mode in (Mode.DISARMED, Mode.FAULT):
+            self._look_ns = t_ns + LOOK_NS
+            self._observer.sight.failed_checks = int(self.failed_checks())
         trial = self.trial
         if trial is None:
             return
@@ -121,6 +126,7 @@ class Orders:
         machine.command(id_, verb, situation, t_ns)
         self.trial = trials.begin(machine.trial, settings, observer.inbox) if machine.trial is not None else None
         if fault is not machine.fault:
+            observer.sight.brake_slip_known |= fault is Fault.STROKE_MOVES
             self._logbook.event(t_ns, Kind.RESET, fault)
         if verb is Verb.TARGET and machine.answers and machine.answers[-1].refusal is Refusal.NONE:
             self._law.target_n = value
@@ -147,9 +153,10 @@ class Orders:
         return Refusal.NONE
 
     def _take_host_checks(self, value: float) -> Refusal:
-        """Bits of the checks the loop cannot make itself; the answer says what stands against arming in all."""
+        """Bits of the checks that fail among those the loop cannot make itself."""
         known = value >= 0.0 and value.is_integer() and not int(value) & ~int(HOST_CHECKS)
         self._observer.sight.host_checks = int(value) if known else int(Check.HOST)
+        self._look_ns = 0
         return Refusal.NONE if known else Refusal.OUT_OF_RANGE
 
     def _set_gain(self, setting: Setting, value: float, t_ns: int) -> Refusal:

@@ -103,10 +103,12 @@ class Sight:
     tangential_rad: float = 0.0
     normal_rad: float = 0.0
     stroke_mm: float = math.nan
+    travel_mm: float = 0.0  # since the target was reached
     speed_mm_s: float = 0.0
     drive_age_ns: int = 1 << 62
     drive_enabled: bool = False
     drive_off: bool = False  # no power, brake closed or closing
+    brake_slip_known: bool = False  # acknowledged: whoever arms now has the motor carry the load
     drive_faulted: bool = False
     drive_warning: bool = False
     drive_temperature_c: float = math.nan
@@ -131,6 +133,7 @@ class Sight:
     cell_nis: float = 0.0
     calibration_overdue: bool = False
     host_checks: int = 0  # bits of HOST_CHECKS that fail
+    failed_checks: int = 0  # bits of Check that failed when they were last looked at
     vertical_error_n: float = 0.0  # from the set-point on its ramp, while there is one
     disturbance_mm_s: float = 0.0
     speed_error_mm_s: float = 0.0  # these seven: see rigctl.control.plausibility
@@ -180,7 +183,7 @@ CONTRADICTION_MM = 0.3
 SLOPE_REJECTS = 50  # half a second of an inclinometer at 100 Hz; until then the filter goes on by itself
 UNEXPLAINED_MM = 10.0  # the paper's move makes 0.1, a payload that rises and falls by 10 mm in 10 s makes 8 ...
 UNEXPLAINED_NS = 15 * _MS  # ... and a single bad sample makes anything
-AT_REST_MM, AT_REST_NS = 2.5, 15 * _MS  # in HOLD: the rail's run-out is 1.5
+AT_REST_MM, AT_REST_NS = 1.6, 15 * _MS  # in HOLD: the rail's run-out is 1.5
 PAYLOAD_MM_S = 80.0  # faster than any payload; a jolt of 1 mm in 20 ms makes 50
 UNREST_NOISES = 30.0
 UNREST_NS = 5 * _MS
@@ -242,7 +245,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
 
 
 def _unbraked_mm_s(sight: Sight) -> float:
-    return abs(sight.speed_mm_s) if sight.drive_off else 0.0
+    return abs(sight.speed_mm_s) if sight.drive_off and not sight.brake_slip_known else 0.0
 
 
 def _dropped_out(sight: Sight) -> float:

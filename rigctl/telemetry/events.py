@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from types import MappingProxyType
 
 from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Check, Fault
+from rigctl.telemetry import can_errors
 
 
 class Kind(IntEnum):
@@ -20,7 +22,7 @@ class Kind(IntEnum):
     EMERGENCY = 4  # a: node, b: emergency code (CiA 301)
     NODE_STATE = 5  # a: node, b: NMT state
     EXCEPTION = 6  # text: exception and place
-    BUS_ERROR = 7  # a: error class bits of the frame's id, b: controller error byte
+    BUS_ERROR = 7  # a: error class bits of the frame's id, b: see rigctl.telemetry.can_errors.details
     SEND_FAILED = 8  # text: why
     STARTED = 9  # loop running
     STOPPED = 10  # loop ended, value: stroke, limit: tension
@@ -29,6 +31,7 @@ class Kind(IntEnum):
     GAINS = 14  # text: K_T, K_v, K_i now in force
     LIMIT = 15  # a: fault, b: action (LOG), value, limit, text: a limit of the rig file is passed ...
     LIMIT_OVER = 16  # ... and is kept again
+    RECEIVE_FAILED = 17  # text: why
     SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
 
 
@@ -61,7 +64,8 @@ FAULT_TEXT: dict[Fault, str] = {
     Fault.LIMIT: "{text} {limit:g} ({value:.4g})",
     Fault.CELL_STUCK: "tension cell has sent the very same value {value:.0f} times more",
     Fault.DRIVE_CONTRADICTS: "drive's position and speed contradict each other by {value:.2f} mm (limit {limit:.2f})",
-    Fault.STROKE_MOVES: "the stroke moves though the drive is off ({value:.2f} mm/s): the brake does not hold",
+    Fault.STROKE_MOVES: "the stroke moves though the drive is off ({value:.2f} mm/s): the brake does not hold; "
+    "reset, then arm: the motor carries",
     Fault.STRETCH_UNEXPLAINED: "tension and stroke contradict each other by {value:.1f} mm of stretch "
     "(limit {limit:.1f} mm): rope, cell or payload",
     Fault.E_STOP: "emergency stop pressed",
@@ -77,19 +81,28 @@ _SCALE: dict[Fault, float] = {
 }  # fmt: skip
 
 CHECK_TEXT: dict[Check, str] = {
-    Check.CELL_STALE: "no fresh tension sample",
-    Check.CELL_INVALID: "tension cell reports overload or no valid value",
-    Check.INCLINATION_STALE: "no fresh inclination sample",
-    Check.INCLINATION_INVALID: "inclinometer reports no valid value",
-    Check.DRIVE_STALE: "no fresh drive status",
+    Check.CELL_STALE: "no fresh tension sample: check the cell's power and cable",
+    Check.CELL_INVALID: "tension cell reports overload or no valid value: unload it, check its cable",
+    Check.INCLINATION_STALE: "no fresh inclination sample: check the inclinometer's power and cable",
+    Check.INCLINATION_INVALID: "inclinometer reports no valid value: check its mounting and range",
+    Check.DRIVE_STALE: "no fresh drive status: check the drive's power and cable",
     Check.DRIVE_FAULT: "drive reports a fault (reset clears it)",
-    Check.TENSION_HIGH: "tension above its limit",
-    Check.STROKE_RANGE: "stroke outside its limits",
-    Check.DRIVE_SUPERVISION: "drive's own stop on loss of the controller is not verified",
+    Check.TENSION_HIGH: "tension above its limit: unload the rope",
+    Check.STROKE_RANGE: "stroke beyond its limits: bring it back by hand or with the drive's own tool",
+    Check.STROKE_NEAR_END: "stroke too near its end (preflight.stroke_margin_mm): rigctl arm --near-end, then tension "
+    "or release, whichever leads away from it",
+    Check.DRIVE_SUPERVISION: "drive's own stop on loss of the controller is not verified since a device started anew: "
+    "start the daemon anew",
     Check.CELL_IMPLAUSIBLE: "tension cell is stuck, noisy or reads a push: check cable and amplifier",
     Check.EMERGENCY: "a device's emergency message stands (see the events)",
     Check.LIMIT: "a limit of the rig file is passed (rigctl watch shows the signals)",
-    Check.E_STOP: "emergency stop is pressed",
+    Check.E_STOP: "emergency stop is pressed: release it, then rigctl reset",
+    Check.E_STOP_UNSEEN: "emergency stop's input is not seen: check the drive's second TPDO (cylinder.e_stop_input)",
+    Check.TARE: "no tare on record that still holds: rigctl tare (or calibration.waiver)",
+    Check.MARGINS: "no accepted margins of the law in use: rigctl tune",
+    Check.REALTIME: "real-time settings are not in force: rigctl doctor (or loop.realtime_waiver)",
+    Check.DISK: "disk nearly full: make room for ledger, audit log and trip dumps",
+    Check.HOST: "tare, margins, real time and disk have not been looked at: try again in a second",
     Check.CALIBRATION: "tension cell's calibration is missing or overdue: rigctl calibrate (or calibration.waiver)",
 }
 
@@ -131,9 +144,9 @@ _ACTION_TEXT = {
 }
 
 
-def failed_checks(bits: int) -> list[str]:
-    """Preflight checks that failed, in words."""
-    return [CHECK_TEXT[check] for check in Check if bits & check]
+def failed_checks(bits: int, known: Mapping[Check, str] = MappingProxyType({})) -> list[str]:
+    """Preflight checks that failed, in words; ``known``: what more is known of some."""
+    return [known.get(check, CHECK_TEXT[check]) for check in Check if bits & check]
 
 
 def refusal_text(
@@ -144,15 +157,16 @@ def refusal_text(
     fault: Fault,
     limits: tuple[float, float],
     value: float = math.nan,
+    known: Mapping[Check, str] = MappingProxyType({}),
 ) -> str:
-    """Why a command was refused, in one line; ``value`` is the reply's."""
+    """Why a command was refused, in one line; ``value`` is the reply's, ``known`` as of `failed_checks`."""
     match refusal:
         case Refusal.ALREADY:
             return (
                 f"already {mode.name}" if verb is not Verb.RELEASE or mode is not Mode.HOLD else "rope is slack already"
             )
         case Refusal.PREFLIGHT:
-            return "; ".join(failed_checks(checks)) + (_SILENT_HINT if checks & _UNSEEN else "")
+            return "; ".join(failed_checks(checks, known)) + (_SILENT_HINT if checks & _UNSEEN else "")
         case Refusal.LOADED:
             return f"the rope is not unloaded: the cell reads {value:z.2f} N, more than calibration.tare_limit_n"
         case Refusal.OUT_OF_RANGE:
@@ -183,7 +197,7 @@ _SILENT = frozenset(
     {Fault.DEVICE_RESTARTED, Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE}
 )
 _UNSEEN = Check.DRIVE_SUPERVISION | Check.CELL_STALE | Check.INCLINATION_STALE | Check.DRIVE_STALE
-_SILENT_HINT = " (a device that was switched off needs the daemon started anew)"
+_SILENT_HINT = " (a device that was switched off or a CAN interface that was unplugged needs the daemon started anew)"
 _HINT: dict[tuple[Mode, Verb], str] = {
     **{(Mode.FAULT, verb): ": reset first" for verb in (Verb.ARM, Verb.TENSION, Verb.RELEASE, Verb.HOLD, *TRIED_IN)},
     **{(Mode.DISARMED, verb): ": arm first" for verb in (Verb.TENSION, Verb.RELEASE, Verb.HOLD, Verb.IDENTIFY)},
@@ -216,8 +230,11 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.EMERGENCY: _emergency,
     Kind.NODE_STATE: lambda a, b, _v, _l, _t: Worded("info" if b == 5 else "warning", f"node {a}: {_NMT.get(b, b)}"),
     Kind.EXCEPTION: lambda _a, _b, _v, _l, t: Worded("error", f"exception in the loop: {t}"),
-    Kind.BUS_ERROR: lambda a, b, _v, _l, _t: Worded("warning", f"CAN error frame 0x{a:03X}, controller 0x{b:02X}"),
+    Kind.BUS_ERROR: lambda a, b, _v, _l, _t: Worded(
+        "error" if can_errors.is_grave(a) else "warning", f"CAN error frame: {can_errors.in_words(a, b)}"
+    ),
     Kind.SEND_FAILED: lambda _a, _b, _v, _l, t: Worded("warning", f"frame not sent: {t}"),
+    Kind.RECEIVE_FAILED: lambda _a, _b, _v, _l, t: Worded("warning", f"bus not readable: {t}"),
     Kind.STARTED: lambda _a, _b, _v, _l, _t: Worded("info", "loop started, DISARMED"),
     Kind.STOPPED: lambda _a, _b, v, m, _t: Worded("info", f"loop stopped, stroke {v:.2f} mm, tension {m:z.1f} N"),
     Kind.SIGNS: lambda _a, _b, v, m, _t: Worded(

@@ -25,6 +25,7 @@ SEEN: dict[str, tuple[dict[str, Any], float]] = {
     "tangential_deg": ({"tangential_rad": math.radians(-3.0)}, -3.0),
     "normal_deg": ({"normal_rad": math.radians(4.0)}, 4.0),
     "stroke_mm": ({"stroke_mm": 55.0}, 55.0),
+    "travel_mm": ({"travel_mm": -11.0}, 11.0),
     "speed_mm_s": ({"speed_mm_s": -1.5}, -1.5),
     "disturbance_mm_s": ({"disturbance_mm_s": -2.5}, 2.5),
     "drive_temperature_c": ({"drive_temperature_c": 41.0}, 41.0),

@@ -40,7 +40,7 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.DRIVE_CONTRADICTS, "mm"): {"contradiction_mm": -0.31},
     (Fault.STROKE_MOVES, "mm/s"): {"speed_mm_s": -0.51, "drive_off": True},
     (Fault.STRETCH_UNEXPLAINED, "mm"): {"unexplained_mm": -10.1},
-    (Fault.STRETCH_UNEXPLAINED, "mm at rest"): {"unexplained_mm": 2.6},
+    (Fault.STRETCH_UNEXPLAINED, "mm at rest"): {"unexplained_mm": 1.7},
     (Fault.CELL_NOISY, "N"): {"cell_unrest_n": 1.0},
     (Fault.CELL_NEGATIVE, "N"): {"tension_n": -15.1},
     (Fault.SENSOR_EMERGENCY, ""): {"sensor_emergency": True},

@@ -14,6 +14,7 @@ from rigctl.control.signs import SignCheck
 
 SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
 K = SETTINGS.plant.stiffness_n_mm
+LOWEST = SETTINGS.cylinder.stroke_min_mm
 
 
 @dataclass
@@ -84,3 +85,28 @@ def test_too_short_a_tensioning_settles_nothing_and_the_next_is_watched_again() 
 def test_a_load_that_goes_off_the_rope_is_not_called_a_sign() -> None:
     check = SignCheck(SETTINGS)
     assert Rig(slack_mm=-40.0, load_n_s=-2000.0).run(check, seconds=0.03)[0] is Fault.NONE
+
+
+@pytest.mark.parametrize(
+    ("stroke_mm", "tension_n", "way"),
+    [(50.0, 300.0, -1.0), (LOWEST + 1.0, 300.0, 1.0), (50.0, 20.0, 1.0), (50.0, 50.0, -1.0)],
+)
+def test_a_rope_on_target_is_felt_downwards_where_there_is_room(stroke_mm: float, tension_n: float, way: float) -> None:
+    check = SignCheck(SETTINGS)
+    assert check.probe_mm_s == 0.0
+    check.feel(stroke_mm, tension_n)
+    assert math.copysign(1.0, check.probe_mm_s) == way
+    assert abs(check.probe_mm_s) < SETTINGS.tension.speed_max_mm_s
+    for _ in range(1000):
+        stroke_mm += check.probe_mm_s * 1e-3
+        tension_n += K * check.probe_mm_s * 1e-3
+        assert check.see(check.probe_mm_s, stroke_mm, tension_n) is Fault.NONE
+    assert check.passed
+    assert check.probe_mm_s == 0.0
+
+
+def test_a_tensioning_that_begins_anew_does_not_go_on_feeling() -> None:
+    check = SignCheck(SETTINGS)
+    check.feel(50.0, 300.0)
+    check.begin(50.0, 300.0)
+    assert check.probe_mm_s == 0.0
