@@ -197,6 +197,15 @@ def impostor() -> Injector:
     return _every_tick(frames)
 
 
+def rival() -> Injector:
+    """Another controller has the drive enabled and sends it a speed of its own every tick, after ours."""
+    command = objects.DRIVE_RPDO
+    data = command.codec.pack(objects.Controlword.ENABLE_OPERATION, 5000)
+    return _every_tick(
+        lambda stand: [FRAME.pack(command.cob_base + stand.settings.cylinder.node, command.size, data + bytes(2))]
+    )
+
+
 def error_frames() -> Injector:
     """The controller reports itself error-passive, ten times a second; every frame gets through all the same."""
 

@@ -69,6 +69,15 @@ BUS = (
         counter="frames_refused",
     ),
     Fault(
+        "rival_commands",
+        "bus",
+        "another controller sends the drive a speed of 5 mm/s",
+        on_bus.rival(),
+        HOLD,
+        within_ms=20,
+        why="who commands the drive must not be a question",
+    ),
+    Fault(
         "foreign_ids",
         "bus",
         "five frames a millisecond that are nobody's here",

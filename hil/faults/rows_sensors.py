@@ -22,7 +22,7 @@ SENSOR_CELL = (
         reads(CELL, times=0.99, noise=0.03, freezes=True),
         WHEN_MOVING,
         band_n=WAY_N,
-        latency_ms=80,
+        latency_ms=170,
         seconds=3.0,
         why="the law drives the stroke, and nothing comes of it: so does a payload that moves",
     ),

@@ -36,6 +36,12 @@ def _flagged(message: can.Message) -> int:
     return can_id | (FrameFlag.ERROR.value if message.is_error_frame else 0)
 
 
+def rival_ids(settings: RigSettings) -> list[int]:
+    """Identifiers of what only a controller of this rig sends: NMT, SYNC, its heartbeat, the drive's command."""
+    heartbeat = od.HEARTBEAT_BASE + settings.can.controller_node
+    return [od.NMT_COB, od.SYNC_COB, heartbeat, od.DRIVE_RPDO.cob_base + settings.cylinder.node]
+
+
 class Inbox:
     """Drains the bus to empty without blocking and decodes by CAN id; foreign ids are only counted."""
 
@@ -72,6 +78,7 @@ class Inbox:
         self.drive_status_t_ns = NEVER_NS
         self.e_stop = False  # by the newest of the drive's input and its emergency message
         self.bus_t_ns = NEVER_NS
+        self.rival_t_ns = NEVER_NS
         self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
         self.received = self.refused = self.error_frames = self.receive_failures = 0
         self.failure_text = ""  # of the last receive that failed
@@ -111,6 +118,8 @@ class Inbox:
         for node in nodes.values():
             handlers[od.EMCY_BASE + node] = self._emergency_handler(node)
             handlers[od.HEARTBEAT_BASE + node] = self._heartbeat_handler(node)
+        for can_id in rival_ids(settings):
+            handlers[can_id] = self._on_rival
         if settings.status_divisor:
             handlers[od.DRIVE_TPDO2.cob_base + settings.cylinder.node] = self._on_drive_status
         return handlers
@@ -244,6 +253,10 @@ class Inbox:
             self._take_slope(tangential, normal, quality, now_ns)
 
         return on_slope
+
+    def _on_rival(self, _data: bytes | bytearray, now_ns: int) -> None:
+        """What only a controller sends, and it was not us: the bus gives nobody his own frames."""
+        self.rival_t_ns = now_ns
 
     def _emergency_handler(self, node: int) -> Handler:
         def on_emergency(data: bytes | bytearray, _now_ns: int) -> None:

@@ -78,6 +78,7 @@ class Observer:
         sight.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
         self._look_at_drive_status(now_ns)
         sight.drive_warning = bool(inbox.statusword & STATUS_WARNING)
+        sight.rival_age_ns = now_ns - inbox.rival_t_ns
         sight.bus_age_ns = now_ns - inbox.bus_t_ns
         sight.error_frames = self._recent_error_frames(now_ns)
         sight.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0

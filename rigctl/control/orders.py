@@ -155,8 +155,9 @@ class Orders:
     def _take_host_checks(self, value: float) -> Refusal:
         """Bits of the checks that fail among those the loop cannot make itself."""
         known = value >= 0.0 and value.is_integer() and not int(value) & ~int(HOST_CHECKS)
-        self._observer.sight.host_checks = int(value) if known else int(Check.HOST)
-        self._look_ns = 0
+        sight = self._observer.sight
+        sight.host_checks = int(value) if known else int(Check.HOST)
+        sight.failed_checks = sight.failed_checks & ~int(HOST_CHECKS) | sight.host_checks
         return Refusal.NONE if known else Refusal.OUT_OF_RANGE
 
     def _set_gain(self, setting: Setting, value: float, t_ns: int) -> Refusal:

@@ -20,6 +20,7 @@ from rigctl.commission.ledger import in_force
 from rigctl.config import RigSettings
 from rigctl.control import realtime
 from rigctl.control.clock import GridClock, SimulatedClock
+from rigctl.control.inbox import rival_ids
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
 from rigctl.control.safety import Check
@@ -39,6 +40,7 @@ def receive_filters(settings: RigSettings) -> CanFilters:
     bases = (od.TPDO1_BASE, od.EMCY_BASE, od.HEARTBEAT_BASE)
     ids = [base + node for base in bases for node in settings.canopen_nodes.values()]
     ids += [od.TPDO2_BASE + settings.cylinder.node] if settings.status_divisor else []
+    ids += rival_ids(settings)
     ids += [message.can_id for message in settings.plain_messages.values()]
     return [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in ids]
 

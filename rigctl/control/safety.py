@@ -57,6 +57,7 @@ class Fault(IntEnum):
     CELL_NEGATIVE = 25  # a rope cannot push
     SENSOR_EMERGENCY = 26  # cell or inclinometer has sent an emergency message, and not taken it back
     DRIVE_EMERGENCY = 27  # the drive has
+    RIVAL = 28  # another controller commands this bus
 
 
 class Check(IntFlag):
@@ -82,6 +83,7 @@ class Check(IntFlag):
     MARGINS = 1 << 17  # of the law in use there are none, or they are refused
     REALTIME = 1 << 18  # the system refused what was asked of it, and not waived
     DISK = 1 << 19  # hardly any room where the rig writes things down
+    RIVAL = 1 << 21  # another controller commands this bus
     HOST = 1 << 20  # these four are not known: the gateway has not judged them within the last seconds
 
 
@@ -124,6 +126,7 @@ class Sight:
     drive_wanted: bool = False
     rope_lost: bool = False
     device_restarted: bool = False
+    rival_age_ns: int = 1 << 62  # since another controller was heard
     sensor_emergency: bool = False
     drive_emergency: bool = False
     drive_reversed: bool = False  # see rigctl.control.signs
@@ -175,6 +178,7 @@ _AT_REST = frozenset({Mode.HOLD, Mode.FAULT})
 _EVERY = frozenset(Mode)
 _MS = 1_000_000
 STROKE_END_NS = 200 * _MS
+RIVAL_NS = 500 * _MS  # a controller is heard far more often than this
 DRIVE_GRACE_NS = 20 * _MS  # the drive's answer to enable or disable may take this long
 STROKE_SPARE_MM = 2.0
 SPEED_ERROR_MM_S, SPEED_ERROR_NS = 2.5, 15 * _MS  # a lag half as long again as the plant's makes 1.5 mm/s of 10
@@ -211,6 +215,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
     return (
         Row(Fault.E_STOP, lambda x: x.e_stop, 0, 0, _EVERY, "", Action.QUICK_STOP),
         Row(Fault.BUS_SILENT, lambda x: x.bus_age_ns, s.bus_silent_ms * _MS, 0, _ARMED, "ns"),
+        Row(Fault.RIVAL, lambda x: x.rival_age_ns < RIVAL_NS, 0, 0, _ARMED, ""),
         Row(Fault.DRIVE_STALE, lambda x: x.drive_age_ns, stale, 0, _ARMED, "ns"),
         Row(Fault.CELL_STALE, lambda x: x.cell_age_ns, stale, 0, _ARMED, "ns"),
         Row(Fault.INCLINATION_STALE, lambda x: x.inclination_age_ns, slope, 0, _ARMED, "ns"),
@@ -325,7 +330,8 @@ def _trip(row: Row, value: float) -> Trip:
 _BLOCK_RESET = frozenset(
     {Fault.BUS_SILENT, Fault.DRIVE_STALE, Fault.CELL_STALE, Fault.CELL_INVALID, Fault.INCLINATION_STALE,
      Fault.INCLINATION_INVALID, Fault.TENSION_HIGH, Fault.OVERRUN, Fault.DEVICE_RESTARTED, Fault.CELL_STUCK,
-     Fault.E_STOP, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SENSOR_EMERGENCY}
+     Fault.E_STOP, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SENSOR_EMERGENCY,
+     Fault.RIVAL}
 )  # fmt: skip
 
 
@@ -361,6 +367,7 @@ def preflight(
         Check.CELL_IMPLAUSIBLE: not beyond.isdisjoint(_IMPLAUSIBLE),
         Check.EMERGENCY: not beyond.isdisjoint(_EMERGENCY),
         Check.LIMIT: Fault.LIMIT in beyond,
+        Check.RIVAL: Fault.RIVAL in beyond,
         Check.E_STOP_UNSEEN: sight.e_stop_unseen,
     }
     result = Check(sight.host_checks)

@@ -69,6 +69,7 @@ FAULT_TEXT: dict[Fault, str] = {
     Fault.STRETCH_UNEXPLAINED: "tension and stroke contradict each other by {value:.1f} mm of stretch "
     "(limit {limit:.1f} mm): rope, cell or payload",
     Fault.E_STOP: "emergency stop pressed",
+    Fault.RIVAL: "another controller commands this bus: find it and stop it",
     Fault.CELL_NOISY: "tension cell jumps by {value:.1f} N from sample to sample (limit {limit:.1f} N)",
     Fault.CELL_NEGATIVE: "tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
     Fault.SENSOR_EMERGENCY: "a sensor's emergency message stands (see the events)",
@@ -95,6 +96,7 @@ CHECK_TEXT: dict[Check, str] = {
     "start the daemon anew",
     Check.CELL_IMPLAUSIBLE: "tension cell is stuck, noisy or reads a push: check cable and amplifier",
     Check.EMERGENCY: "a device's emergency message stands (see the events)",
+    Check.RIVAL: "another controller commands this bus: find it and stop it",
     Check.LIMIT: "a limit of the rig file is passed (rigctl watch shows the signals)",
     Check.E_STOP: "emergency stop is pressed: release it, then rigctl reset",
     Check.E_STOP_UNSEEN: "emergency stop's input is not seen: check the drive's second TPDO (cylinder.e_stop_input)",

@@ -46,6 +46,7 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.SENSOR_EMERGENCY, ""): {"sensor_emergency": True},
     (Fault.DRIVE_EMERGENCY, ""): {"drive_emergency": True},
     (Fault.CELL_STUCK, "samples"): {"cell_repeats": 20},
+    (Fault.RIVAL, ""): {"rival_age_ns": 10 * MS},
     (Fault.E_STOP, ""): {"e_stop": True},
     (Fault.INNOVATION, "slopes"): {"slope_rejects": 50},
     (Fault.CELL_INVALID, ""): {"cell_quality": 4},
@@ -135,6 +136,12 @@ def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -
         ({"tension_n": float("nan")}, Check.TENSION_HIGH),
         ({"stroke_mm": 123.0}, Check.STROKE_RANGE),
         ({"stroke_mm": float("nan")}, Check.STROKE_RANGE),
+        ({"stroke_mm": 118.1}, Check.STROKE_NEAR_END),
+        ({"stroke_mm": -18.1}, Check.STROKE_NEAR_END),
+        ({"stroke_mm": 121.9}, Check.STROKE_NEAR_END),
+        ({"stroke_mm": -22.1}, Check.STROKE_RANGE),
+        ({"e_stop_unseen": True}, Check.E_STOP_UNSEEN),
+        ({"host_checks": int(Check.DISK | Check.TARE)}, Check.DISK | Check.TARE),
     ],
 )
 def test_preflight_names_what_failed(bad: dict[str, object], check: Check) -> None:
@@ -142,6 +149,12 @@ def test_preflight_names_what_failed(bad: dict[str, object], check: Check) -> No
     sight = replace(GOOD, **bad)  # type: ignore[arg-type]
     assert preflight(sight, SETTINGS, set(), supervision_verified=True) == check
     assert preflight(sight, SETTINGS, set(), supervision_verified=False) == check | Check.DRIVE_SUPERVISION
+
+
+@pytest.mark.parametrize(("stroke_mm", "check"), [(121.9, Check(0)), (-21.9, Check(0)), (122.1, Check.STROKE_RANGE)])
+def test_an_operator_may_arm_near_an_end_but_not_beyond_it(stroke_mm: float, check: Check) -> None:
+    sight = replace(GOOD, stroke_mm=stroke_mm)
+    assert preflight(sight, SETTINGS, set(), supervision_verified=True, near_end=True) == check
 
 
 def test_nothing_has_been_seen_at_first() -> None:
@@ -165,6 +178,7 @@ def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> Non
         ({"cell_unrest_n": 1.0}, Check.CELL_IMPLAUSIBLE),
         ({"tension_n": -15.1}, Check.CELL_IMPLAUSIBLE),
         ({"sensor_emergency": True}, Check.EMERGENCY),
+        ({"rival_age_ns": MS}, Check.RIVAL),
         ({"drive_emergency": True}, Check.EMERGENCY),
         ({"tangential_rad": 0.2}, Check.LIMIT),
         ({"tangential_rad": -0.2}, Check.LIMIT),

@@ -1,0 +1,258 @@
+"""Machine, safety table and limits together, under whatever sequence of commands, signals, trips and time."""
+
+from __future__ import annotations
+
+import pathlib
+from dataclasses import replace
+
+from hypothesis import settings, strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from rigctl import config
+from rigctl.config_limits import LimitSettings
+from rigctl.control import limits
+from rigctl.control.machine import ARM_LIMIT_NS, Machine
+from rigctl.control.modes import Event, Mode, Refusal, Situation, Verb
+from rigctl.control.safety import Action, Fault, Row, Sight, Trip, Watch
+from rigctl.devices.drive import Power
+
+MS = 1_000_000
+ARMED = ["HOLD", "TENSIONING", "COMPENSATING", "RELEASING"]
+LIMITS = [
+    LimitSettings(signal="drive_temperature_c", high=85.0, persistence_ms=20, action="ramp_down", modes=ARMED),
+    LimitSettings(signal="drive_current_a", high=9.0, persistence_ms=5, action="quick_stop", modes=ARMED),
+    LimitSettings(signal="lateness_us", high=500.0, persistence_ms=2, action="log", modes=ARMED),
+]
+SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml").model_copy(update={"limits": LIMITS})
+GOOD = Sight(
+    tension_n=300.0, cell_age_ns=MS, inclination_age_ns=9 * MS, stroke_mm=50.0, drive_age_ns=MS, bus_age_ns=MS,
+    drive_temperature_c=40.0, drive_current_a=1.0,
+)  # fmt: skip
+BAD: dict[str, object] = {
+    "cell_age_ns": 16 * MS, "inclination_age_ns": 101 * MS, "drive_age_ns": 16 * MS, "bus_age_ns": 16 * MS,
+    "cell_quality": 1, "tension_n": 401.0, "e_stop": True, "cell_repeats": 20, "stroke_error_mm": 1.0,
+    "drive_temperature_c": 90.0, "drive_current_a": 10.0, "lateness_ns": 600_000, "stroke_limited": True,
+    "unexplained_mm": 11.0, "rejects": 20, "skipped_in_window": 50, "device_restarted": True, "drive_emergency": True,
+}  # fmt: skip
+MOVING = (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
+
+
+class Rig(RuleBasedStateMachine):
+    """As the loop has them work together, tick by tick, with a drive that obeys unless it is told to drop out."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.machine = Machine()
+        self.rows = limits.rows(SETTINGS)
+        self.watch = Watch(SETTINGS, self.rows)
+        self.sight = replace(GOOD)
+        self.t_ns = 0
+        self.since: dict[str, int] = {}  # when each signal that is bad now became bad
+        self.enabled = self.faulted = False
+        self.slack = True
+        self.asked = 0
+        self.on_allowed = False  # an ARM has been accepted since the drive was last taken off power
+        self.before = (Mode.DISARMED, Fault.NONE, Action.HOLD)
+        self.reset_given = False
+
+    @initialize()
+    def begin(self) -> None:
+        assert self.power() is Power.OFF
+
+    # -- what happens -------------------------------------------------------------------------------------------
+    @rule(verb=st.sampled_from(Verb), value=st.floats(0.0, 400.0))
+    def command(self, verb: Verb, value: float) -> None:
+        self.give(verb, value)
+
+    @rule()
+    def arm(self) -> None:
+        self.give(Verb.ARM, 0.0)
+        self.follow(True)
+
+    @rule(to=st.sampled_from([Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING]))
+    @precondition(lambda self: self.machine.mode is Mode.HOLD and self.enabled)
+    def go_on(self, to: Mode) -> None:
+        self.slack = False
+        self.give(Verb.TENSION, 300.0)
+        if to is not Mode.TENSIONING:
+            self.machine.on(Event.TENSIONED)
+        if to is Mode.RELEASING:
+            self.give(Verb.RELEASE, 0.0)
+
+    @rule(enabled=st.booleans())
+    def follow(self, enabled: bool) -> None:
+        """The drive does as told, or drops out."""
+        self.enabled = enabled and self.power() is Power.ON
+        self.machine.follow_drive(self.enabled, self.t_ns)
+
+    @rule(faulted=st.booleans())
+    def drive_faults(self, faulted: bool) -> None:
+        self.faulted = faulted
+        self.enabled = self.enabled and not faulted
+
+    @rule(slack=st.booleans())
+    def rope(self, slack: bool) -> None:
+        self.slack = slack
+
+    @rule(event=st.sampled_from([Event.TENSIONED, Event.SLACK]))
+    @precondition(lambda self: self.machine.mode in MOVING)
+    def arrive(self, event: Event) -> None:
+        self.machine.on(event)
+
+    @rule(name=st.sampled_from(sorted(BAD)))
+    def goes_bad(self, name: str) -> None:
+        setattr(self.sight, name, BAD[name])
+
+    @rule(name=st.sampled_from(sorted(BAD)))
+    def is_good_again(self, name: str) -> None:
+        setattr(self.sight, name, getattr(GOOD, name))
+
+    @rule()
+    @precondition(lambda self: self.machine.fault is not Fault.NONE)
+    def all_is_well_and_reset(self) -> None:
+        self.sight = replace(GOOD)
+        self.faulted = False
+        self.give(Verb.RESET, 0.0)
+        assert self.machine.fault is Fault.NONE or self.machine.stopping or self.machine.mode is not Mode.FAULT
+
+    @rule(action=st.sampled_from(list(Action)[1:]))
+    def trips(self, action: Action) -> None:
+        self.trip(Trip(Fault.LIMIT, 1.0, 0.0, action))
+
+    @rule(ticks=st.integers(1, 250))
+    def time_passes(self, ticks: int) -> None:
+        """As many ticks of the loop, of a signal that stays as it is: a row acts at its persistence, to the tick."""
+        for _ in range(ticks):
+            self.tick()
+
+    @rule()
+    @precondition(lambda self: self.asked > 15)
+    def stop(self) -> None:
+        self.machine.stop()
+        assert not self.machine.arming
+        assert self.machine.trial is None
+
+    # -- how --------------------------------------------------------------------------------------------------
+    def power(self) -> Power:
+        return self.machine.power(self.t_ns, drive_enabled=self.enabled, drive_faulted=self.faulted)
+
+    def give(self, verb: Verb, value: float) -> None:
+        self.asked += 1
+        machine, before, answers = self.machine, self.machine.mode, len(self.machine.answers)
+        present = self.watch.present(self.sight)
+        failing = bool(self.watch.beyond(self.sight, Mode.HOLD)) or self.faulted
+        situation = Situation(
+            failed_checks=int(failing), cause_present=present is not Fault.NONE,
+            fault_latched=machine.fault is not Fault.NONE, drive_enabled=self.enabled and machine.drive_wanted,
+            drive_faulted=self.faulted, slack=self.slack, unloaded=self.slack, value=value, target_min_n=50.0,
+            target_max_n=350.0,
+        )  # fmt: skip
+        machine.command(self.asked, verb, situation, self.t_ns)
+        ours = [answer for answer in machine.answers[answers:] if answer.id == self.asked]
+        if verb is Verb.ARM and not ours:
+            assert before is Mode.DISARMED
+            assert not failing
+            self.on_allowed = True
+        accepted = bool(ours) and ours[0].refusal is Refusal.NONE
+        if verb is Verb.RESET and accepted:
+            assert present is Fault.NONE
+            self.reset_given = True
+        if verb is Verb.TARGET and accepted:
+            assert 50.0 <= value <= 350.0
+
+    def trip(self, trip: Trip) -> None:
+        """The strongest stands: what a weaker one asks for afterwards changes nothing."""
+        machine = self.machine
+        mode, fault, action = machine.mode, machine.fault, machine.action
+        changed = machine.trip(trip, self.t_ns, slack=self.slack)
+        assert machine.fault is not Fault.NONE
+        assert fault in (Fault.NONE, machine.fault)
+        if fault is not Fault.NONE:
+            assert machine.action >= action
+        ramps = trip.action is Action.RAMP_DOWN and not self.slack and mode in (Mode.HOLD, *MOVING)
+        if changed:
+            assert machine.mode is (Mode.RELEASING if ramps else Mode.FAULT)
+            assert not machine.arming
+            assert machine.trial is None
+        if trip.action >= Action.QUICK_STOP:
+            self.on_allowed = False
+            assert self.power() is not Power.ON
+
+    def tick(self) -> None:
+        self.t_ns += MS
+        self.sight.t_ns = self.t_ns
+        self.sight.drive_enabled, self.sight.drive_faulted = self.enabled, self.faulted
+        self.sight.drive_wanted = self.machine.drive_wanted
+        self.sight.drive_off = not self.enabled
+        mode = self.machine.mode
+        found = self.watch.trips(self.sight, mode, self.t_ns)
+        self.assert_persistence(mode, found)
+        if found is not None:
+            assert found.action is not Action.LOG
+            self.trip(found)
+        self.machine.follow_drive(self.enabled, self.t_ns)
+
+    def assert_persistence(self, mode: Mode, found: Trip | None) -> None:
+        """Our own clock of the rig file's rows: none acts before its time, and none of the strongest after it."""
+        for row in self.rows:
+            bad = mode in row.modes and row.value(self.sight) > row.limit
+            since = self.since.setdefault(row.text, self.t_ns) if bad else self.since.pop(row.text, None)
+            due = bad and since is not None and self.t_ns - since >= row.persistence_ns
+            if found is not None and found.text == row.text:
+                assert due
+            if due and row.action is not Action.LOG:
+                assert found is not None
+                assert found.action >= row.action
+
+    # -- what holds whatever happens ----------------------------------------------------------------------------
+    @invariant()
+    def a_fault_stays_latched_until_a_reset(self) -> None:
+        mode, fault, action = self.before
+        machine = self.machine
+        if fault is not Fault.NONE and not self.reset_given:
+            assert machine.fault is fault, "the first names it"
+            assert machine.action >= action
+            assert mode is not Mode.FAULT or machine.mode is Mode.FAULT
+        self.before, self.reset_given = (machine.mode, machine.fault, machine.action), False
+
+    @invariant()
+    def what_is_latched_holds_or_ramps_down(self) -> None:
+        machine = self.machine
+        latched = machine.fault is not Fault.NONE
+        assert latched == (machine.mode is Mode.FAULT or (machine.mode is Mode.RELEASING and latched))
+        if latched and machine.mode is Mode.RELEASING:
+            assert machine.action is Action.RAMP_DOWN
+
+    @invariant()
+    def only_arming_powers_the_drive(self) -> None:
+        machine, power = self.machine, self.power()
+        if machine.mode is Mode.DISARMED:
+            assert not machine.drive_wanted
+            assert power is not Power.ON or machine.arming
+        if power is Power.ON:
+            assert self.on_allowed
+            assert machine.arming or self.enabled, "a drive that dropped out stays out"
+        if machine.mode is Mode.FAULT and machine.action >= Action.QUICK_STOP:
+            assert power in (Power.QUICK_STOP, Power.CUT, Power.RESET)
+        if power is Power.CUT:
+            assert machine.action is Action.POWER_OFF
+        if power is Power.RESET:
+            assert self.faulted
+
+    @invariant()
+    def every_change_of_mode_is_told(self) -> None:
+        mode = Mode.DISARMED
+        for change in self.machine.changes:
+            assert change.before is mode is not change.after
+            mode = change.after
+        assert mode is self.machine.mode
+
+    def teardown(self) -> None:
+        """Every command has been answered, and once."""
+        self.machine.end_trial(Refusal.ABORTED)
+        self.machine.follow_drive(False, self.t_ns + 2 * ARM_LIMIT_NS)
+        assert sorted(answer.id for answer in self.machine.answers) == list(range(1, self.asked + 1))
+
+
+TestRig = Rig.TestCase
+TestRig.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
