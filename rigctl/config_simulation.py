@@ -86,6 +86,14 @@ class DriveSettings(Settings):
     stop_margin_mm: float = Field(default=5.0, ge=0, le=100, description="mechanical stops beyond the commanded stroke")
     encoder_mm: float = Field(default=0.0, ge=0, le=1, description="resolution of the encoder as stroke, 0 = perfect")
     clock_ppm: float = Field(default=0.0, ge=-1000, le=1000, description="its clock against the controller's")
+    force_n_a: float = Field(default=500.0, gt=0, le=1e6, description="rope force per ampere of motor current")
+    friction_n: float = Field(default=60.0, ge=0, le=1e5, description="of screw and seals against the motor, as force")
+    creep_n_s_mm: float = Field(
+        default=600.0, gt=0, le=1e6, description="rope force under which the motor without power gives way by 1 mm/s"
+    )
+    ambient_c: float = Field(default=25.0, ge=-40, le=80, description="temperature of the drive without current")
+    heating_c_a2: float = Field(default=8.0, ge=0, le=1000, description="what 1 A adds to it in the end, by I squared")
+    thermal_s: float = Field(default=600.0, gt=0, le=1e5, description="time constant of that")
 
 
 class CellSettings(Settings):
@@ -93,6 +101,8 @@ class CellSettings(Settings):
 
     quantum_n: float = Field(gt=0, le=10, description="resolution")
     filter_hz: float | None = Field(default=None, gt=0, le=10_000, description="low-pass, first order, null = none")
+    bias_n: float = Field(default=0.0, ge=-1000, le=1000, description="what the last tare left of the zero error")
+    gain_pct: float = Field(default=0.0, ge=-10, le=10, description="what the last calibration left of the gain error")
     drift_n_h: float = Field(default=0.0, ge=-100, le=100, description="drift of zero per hour")
     creep_pct: float = Field(default=0.0, ge=-1, le=1, description="of the load, reached after several creep_s")
     creep_s: float = Field(default=600.0, gt=0, le=1e5, description="time constant of the creep")

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.compare import margins
+from hil.compare import cell, margins
 from hil.compare.margins import Robustness
 from hil.compare.rivals import CONTROLLERS, OURS, PASSIVE, Controller
 from hil.compare.scenarios import Quantity, Scenario, scenarios
@@ -68,11 +68,14 @@ class Verdict(NamedTuple):
 class Study(NamedTuple):
     """What was run and what came of it, by scenario and controller, in the table's order."""
 
+    rig: RigSettings
     scenarios: tuple[Scenario, ...]
     controllers: tuple[Controller, ...]
     results: dict[tuple[str, str], Result]
     robustness: dict[str, Robustness | None]
     """By controller, with the plant of the rig file; None for the locked cylinder."""
+    with_cell: dict[str, Result]
+    """Ours, by scenario, with the cell's systematic errors, see `hil.compare.cell`; empty where ours is not run."""
 
     def verdicts(self) -> Iterator[Verdict]:
         """Every limit of ours that can be judged: a ratio needs the passive run beside it."""
@@ -108,6 +111,8 @@ def run(
         places: dict[Future[Result], tuple[Scenario, Controller]] = {
             pool.submit(_one, rig, scenario.name, law.name): (scenario, law) for scenario, law in order
         }
+        ours = any(law.name == OURS for law in laws)
+        measured = {s.name: pool.submit(_one, cell.with_errors(rig), s.name, OURS) for s in chosen if ours}
         robust = {law.name: pool.submit(_robustness, rig, law.name) for law in laws}
         try:
             for future in as_completed(places):
@@ -118,7 +123,8 @@ def run(
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     results = {(s.name, c.name): found[s.name, c.name] for s, c in product(chosen, laws)}
-    return Study(chosen, laws, results, {name: future.result() for name, future in robust.items()})
+    robustness = {name: future.result() for name, future in robust.items()}
+    return Study(rig, chosen, laws, results, robustness, {name: future.result() for name, future in measured.items()})
 
 
 def _robustness(rig: RigSettings, law_name: str) -> Robustness | None:

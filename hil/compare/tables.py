@@ -10,10 +10,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from hil.compare import cell
 from hil.compare.margins import Robustness
 from hil.compare.rivals import CONTROLLERS, OURS, PASSIVE
 from hil.compare.scenarios import Scenario
 from hil.compare.study import COMPENSATING, LOCKED, SETTLED_PCT, Result, Study, Verdict
+from rigctl.config import RigSettings
 
 _Value = Callable[[Result], float | None]
 _QUANTITIES: dict[str, tuple[str, _Value]] = {
@@ -56,6 +58,10 @@ def show(study: Study, console: Console) -> None:
         console.print()
         console.print(_limits(verdicts), highlight=False)
         console.print(f"{sum(v.ok for v in verdicts)} of {len(verdicts)} limits kept by ours", highlight=False)
+    if study.with_cell:
+        console.print()
+        console.print(_cell_errors(study), highlight=False)
+        console.print(_budget(study.rig), highlight=False)
     if any(controller.name == OURS for controller in study.controllers):
         console.print("\nWhere ours does not win", highlight=False)
         for line in losses(study) or ["nowhere"]:
@@ -77,6 +83,11 @@ def document(study: Study) -> dict[str, Any]:
             for controller in study.controllers
         },
         "limits": [verdict._asdict() for verdict in study.verdicts()],
+        "cell": {
+            "budget_n": {error.name: error.newtons for error in cell.budget(study.rig)},
+            "combined_n": cell.combined_n(cell.budget(study.rig)),
+            "ours_with_errors": {name: _figures(result) for name, result in study.with_cell.items()},
+        },
     }
 
 
@@ -162,6 +173,33 @@ def _number(value: float) -> str:
     if value < 0.1:
         return f"{value:.4f}"
     return f"{value:.3f}" if value < 1.0 else f"{value:.2f}"
+
+
+def _cell_errors(study: Study) -> Table:
+    """Ours as the law is, and as the cell lets it be."""
+    title = "Ours without and with the cell's systematic errors, largest and rms error of the vertical force, %"
+    table = Table("scenario", title=title, title_justify="left", box=None, pad_edge=False)
+    for column in ("max", "max with", "rms", "rms with"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for scenario in study.scenarios:
+        without, having = study.results[scenario.name, OURS], study.with_cell[scenario.name]
+        pairs = (without.eta_max_pct, having.eta_max_pct), (without.eta_rms_pct, having.eta_rms_pct)
+        table.add_row(scenario.title, *("-" if x is None else _number(_said(x)) for pair in pairs for x in pair))
+    return table
+
+
+def _budget(rig: RigSettings) -> Table:
+    """The sensor budget."""
+    errors, target_n = cell.budget(rig), rig.tension.target_n
+    table = Table("sensor budget", box=None, pad_edge=False)
+    for column in ("N", "% of the target"):
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("")
+    rows = [*errors, cell.Error("root of squares", cell.combined_n(errors), "")]
+    rows.append(cell.Error("sum", math.fsum(error.newtons for error in errors), "what the runs above have"))
+    for error in rows:
+        table.add_row(error.name, f"{error.newtons:.3f}", f"{100 * error.newtons / target_n:.3f}", error.source)
+    return table
 
 
 def _limits(verdicts: list[Verdict]) -> Table:

@@ -17,9 +17,9 @@ _NS_PER_H = 3_600_000_000_000
 class TensionMeasurement:
     """The rope's tension at its upper end, sampled when asked.
 
-    The cell creeps and drifts, the amplifier filters, then come noise (as stated: of what is sent), range and
-    resolution. Creep and filter are analogue: they follow the tension between samples too, as a straight line from one
-    ``advance`` or ``sample`` to the next. Cell and amplifier start unloaded, with a zero that was just tared.
+    The cell creeps, drifts and has errors of zero and gain, the amplifier filters, then come noise (as stated: of what
+    is sent), range and resolution. Creep and filter are analogue: they follow the tension between samples too, as a
+    straight line from one ``advance`` or ``sample`` to the next. Cell and amplifier start unloaded.
     """
 
     def __init__(self, settings: RigSettings, simulation: SimulationSettings, plant: Plant) -> None:
@@ -30,6 +30,7 @@ class TensionMeasurement:
         self._range_n = settings.tension_cell.range_n
         self._quantum_n = cell.quantum_n
         self._creep_share = cell.creep_pct / 100.0
+        self._bias_n, self._gain = cell.bias_n, 1.0 + cell.gain_pct / 100.0
         self._crept = LowPass(cell.creep_s)
         self._filter = None if cell.filter_hz is None else LowPass(time_constant_s(cell.filter_hz))
         self._drift_n_ns = cell.drift_n_h / _NS_PER_H
@@ -43,7 +44,7 @@ class TensionMeasurement:
         elapsed_s = (t_ns - self._t_ns) * 1e-9
         self._t_ns = t_ns
         tension += self._creep_share * self._crept.update(tension, elapsed_s)
-        tension += self._drift_n_ns * (t_ns - self._start_ns)
+        tension = self._gain * tension + self._bias_n + self._drift_n_ns * (t_ns - self._start_ns)
         self._filtered_n = tension if self._filter is None else self._filter.update(tension, elapsed_s)
 
     def sample(self) -> tuple[AiStatus, float]:

@@ -77,6 +77,16 @@ def test_ours_is_held_against_its_limits(said: dict[str, Any]) -> None:
     assert all(row["ok"] is (row["measured"] <= row["limit"]) for row in said["limits"])
 
 
+def test_what_the_cell_is_wrong_by_the_load_is_wrong_by(said: dict[str, Any]) -> None:
+    cell = said["cell"]
+    sum_pct = sum(cell["budget_n"].values()) / 300.0 * 100.0
+    assert 0.05 < cell["combined_n"] / 300.0 * 100.0 < sum_pct
+    for name, having in cell["ours_with_errors"].items():
+        without = said["scenarios"][name]["ours"]
+        assert having["eta_true_max_pct"] == pytest.approx(sum_pct, abs=1.2 * without["eta_true_max_pct"])
+        assert having["eta_true_rms_pct"] == pytest.approx(sum_pct, abs=2.0 * without["eta_true_rms_pct"])
+
+
 def test_the_json_says_by_which_rule_and_at_what_price(said: dict[str, Any]) -> None:
     laws = said["controllers"]
     assert set(laws) == {controller.name for controller in CONTROLLERS}

@@ -94,3 +94,8 @@ def test_noise_is_that_of_what_is_sent_whatever_the_filter() -> None:
     load = Load(noise_n=0.03, filter_hz=1.0)
     seen = [load.after(0.001, 0.0) for _ in range(4000)]
     assert statistics.pstdev(seen) == pytest.approx(0.03, rel=5 / math.sqrt(8000))  # 5 sigma of an estimate from 4000
+
+
+def test_errors_of_zero_and_gain_are_of_what_is_read() -> None:
+    assert Load(bias_n=0.15, gain_pct=0.02).after(0.001, 300.0) == pytest.approx(300.0 * 1.0002 + 0.15)
+    assert Load(bias_n=-0.15).after(0.001, 0.0) == pytest.approx(-0.15)
