@@ -1,10 +1,11 @@
 # make demo   the daemon's main job on the simulated rig, judged       make lint   ruff and mypy strict
 # make test   every test, guest kernel included                        make bench  timing against cyclictest
+# make coverage   branches of modes and safety table    make mutation   mutants of modes, safety, law    make fuzz
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint bench setup system
+.PHONY: demo test lint bench coverage mutation fuzz setup system
 .DELETE_ON_ERROR:
 
 demo: $(STAMP)
@@ -23,6 +24,20 @@ lint: $(STAMP)
 bench: $(STAMP) system
 	mkdir -p results
 	$(PYTHON) -m tests.bench --json results/bench.json
+
+coverage: $(STAMP)
+	mkdir -p results
+	$(VENV)/bin/coverage run --branch --data-file results/.coverage --include rigctl/control/modes.py,rigctl/control/safety.py \
+	    -m pytest tests/unit/control
+	$(VENV)/bin/coverage report --data-file results/.coverage --show-missing --fail-under 100
+
+mutation: $(STAMP)
+	$(PYTHON) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,mutation]'
+	$(PYTHON) -m tests.mutation
+
+fuzz: $(STAMP)
+	mkdir -p results
+	$(PYTHON) -m tests.fuzz --json results/fuzz.json
 
 setup: $(STAMP)
 

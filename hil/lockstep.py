@@ -56,7 +56,7 @@ class Lockstep:
     ) -> None:
         """``log``: keep every frame, with its time, in ``frames``. ``law`` and ``correction``: see `Loop`."""
         runtime.make_rings(settings)
-        self.settings = settings
+        self.settings, self.runtime = settings, runtime
         self.rig_ns = START_NS
         self.hub = Hub(lambda: self.rig_ns)
         port = self.hub.attach(self._to_rig)
@@ -71,8 +71,16 @@ class Lockstep:
         self._replies = runtime.reply_reader()
         self._commands = runtime.command_writer()
         self.events = runtime.event_reader()
-        rings = Rings(runtime.record_writer(), runtime.event_writer(), runtime.reply_writer(), runtime.command_reader())
-        self.loop = Loop(settings, gains, bus, self.clock, rings, supervised=True, law=law, correction=correction)
+        self.loop = Loop(
+            settings,
+            gains,
+            bus,
+            self.clock,
+            Rings.of(runtime),
+            supervised=self.report.supervised,
+            law=law,
+            correction=correction,
+        )
         self._id = 0
         self.on_advance: Callable[[], None] | None = None
         """Called whenever the rig has gone on by a period, whether the loop ticks then or misses it."""

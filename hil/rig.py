@@ -64,7 +64,7 @@ class SimulatedRig:
         self.drive = CylinderDrive(network, settings, simulation, self.plant)
         self._devices = (self.cell, self.drive, self.inclinometer)
         eds = settings.file(settings.cylinder.eds).with_name("simulator.eds")
-        self.simulator = Simulator(network, eds, self.plant, self.start_motion)
+        self.simulator = Simulator(network, eds, self.plant, self.start_motion, self.drive)
         self.rail_encoder = RailEncoder(network, settings, self.plant) if settings.rail_encoder else None
         encoders = (self.rail_encoder,) if self.rail_encoder else ()
         self.nodes = (*(device for device in self._devices if isinstance(device, Node)), *encoders, self.simulator)

@@ -9,8 +9,9 @@ import typer
 
 from rigctl import daemon, standard_output
 from rigctl.commission import command as commission
+from rigctl.commission import doctor
 from rigctl.design import command as design
-from rigctl.operator import lease, status, verbs, watch
+from rigctl.operator import audit, lease, status, verbs, watch
 
 app = typer.Typer(
     name="rigctl",
@@ -27,6 +28,8 @@ app.command()(design.tune)
 app.command()(status.status)
 app.command()(watch.watch)
 app.command()(lease.lease)
+app.command()(doctor.doctor)
+app.command()(audit.audit)
 for verb in (verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset):
     app.command()(verb)
 for trial in (commission.tare, commission.calibrate, commission.identify, commission.gains):

@@ -39,6 +39,9 @@ class LoopSettings(Settings):
     priority: int = Field(default=80, ge=0, le=98, description="SCHED_FIFO priority, 0 = normal scheduling")
     cpu: int | None = Field(default=None, ge=0, le=1023, description="processor the loop is pinned to, null = any")
     lock_memory: bool = Field(default=True, description="mlockall, so that no tick waits for a page")
+    realtime_waiver: str | None = Field(
+        default=None, min_length=10, description="why it may arm where these are refused by the system, in words"
+    )
 
     @model_validator(mode="after")
     def _whole_period(self) -> LoopSettings:
@@ -151,11 +154,27 @@ class CylinderSettings(Settings):
     stop_deceleration_mm_s2: float = Field(gt=0, le=10_000, description="quick stop deceleration (0x6085)")
     stroke_min_mm: float = Field(ge=-2000, le=2000, description="lowest stroke commanded (positive = shorter rope)")
     stroke_max_mm: float = Field(ge=-2000, le=2000, description="highest stroke commanded")
+    status_rate_hz: int | None = Field(
+        default=None, ge=5, le=100, description="current, temperature, inputs, at least so often; null = not asked for"
+    )
+    rated_current_a: float | None = Field(
+        default=None, gt=0, le=1000, description="motor's, as its drive has it (0x6075); needed with status_rate_hz"
+    )
+    e_stop_input: int | None = Field(
+        default=None, ge=0, le=31, description="bit of the digital inputs (0x60FD), 0 = pressed; null = none fitted"
+    )
 
     @model_validator(mode="after")
     def _stroke_has_length(self) -> CylinderSettings:
         low, high = self.stroke_min_mm, self.stroke_max_mm
         require(low < high, "stroke_min_mm", low, f"below stroke_max_mm ({high:g})")
+        return self
+
+    @model_validator(mode="after")
+    def _status_is_complete(self) -> CylinderSettings:
+        rate, current, stop = self.status_rate_hz, self.rated_current_a, self.e_stop_input
+        require(rate is None or current is not None, "rated_current_a", current, "a current, with status_rate_hz")
+        require(rate is not None or stop is None, "e_stop_input", stop, "none without status_rate_hz")
         return self
 
 
@@ -261,8 +280,16 @@ class CalibrationSettings(Settings):
     reference_n: float = Field(gt=0, le=100_000, description="known weight, as force")
     shunt_n: float | None = Field(default=None, gt=0, le=100_000, description="what the shunt makes the cell read")
     tolerance_pct: float = Field(default=0.5, gt=0, le=5, description="largest deviation from the reference")
+    tare_days: int = Field(default=30, ge=1, le=3650, description="a tare holds for this long")
     tare_limit_n: float = Field(default=10.0, gt=0, le=1000, description="largest zero a tare may set")
     waiver: str | None = Field(default=None, min_length=10, description="why it may arm uncalibrated, in words")
+
+
+class PreflightSettings(Settings):
+    """What arming asks for beside signals and devices that are in order."""
+
+    stroke_margin_mm: float = Field(default=2.0, ge=0, le=500, description="stroke at least this far from its ends")
+    disk_free_mib: int = Field(default=512, ge=1, le=2**30, description="free where the rig writes things down")
 
 
 class TelemetrySettings(Settings):
@@ -270,8 +297,16 @@ class TelemetrySettings(Settings):
 
     listen: str = Field(default="tcp/127.0.0.1:7447", pattern=r"^(tcp|unixsock-stream)/\S+$", description="endpoint")
     rate_hz: int = Field(default=50, ge=1, le=100, description="state messages and fast blocks per second")
-    history_s: int = Field(default=16, ge=10, le=120, description="records the ring holds")
+    history_s: int = Field(default=16, ge=16, le=120, description="records the ring holds")
     lease_s: int = Field(default=300, ge=15, le=28_800, description="after a command others are kept out so long")
+
+
+class AuditSettings(Settings):
+    """What the recorder keeps: the audit log, and a file about each trip. Relative to the rig file."""
+
+    file: str | None = Field(default=None, min_length=1, description="audit log; null = audit/RIG.jsonl")
+    trips: str = Field(default="trips", min_length=1, description="folder of the trip dumps")
+    trips_kept: int = Field(default=100, ge=1, le=10_000, description="trip dumps of this rig kept, the newest")
 
 
 class DemoSettings(Settings):
@@ -312,7 +347,9 @@ class RigSettings(Settings):
     safety: SafetySettings
     limits: list[LimitSettings] = Field(default_factory=list)
     calibration: CalibrationSettings | None = None
+    preflight: PreflightSettings = Field(default_factory=PreflightSettings)
     telemetry: TelemetrySettings = Field(default_factory=TelemetrySettings)
+    audit: AuditSettings = Field(default_factory=AuditSettings)
     demo: DemoSettings | None = None
     simulation: SimulationSettings | None = None
     directory: str = ""
@@ -330,6 +367,12 @@ class RigSettings(Settings):
         if (rail := self.rail_encoder) is not None:
             fits = rate % rail.rate_hz == 0 and rate // rail.rate_hz <= 240
             require(fits, "rail_encoder.rate_hz", rail.rate_hz, f"loop.rate_hz ({rate}) divided by 1 to 240")
+        if (status := self.cylinder.status_rate_hz) is not None:
+            fits = 1 <= rate // status <= 240
+            require(fits, "cylinder.status_rate_hz", status, f"loop.rate_hz ({rate}) divided by 1 to 240")
+        room = self.cylinder.stroke_max_mm - self.cylinder.stroke_min_mm
+        margin = self.preflight.stroke_margin_mm
+        require(2 * margin < room, "preflight.stroke_margin_mm", margin, f"less than half the stroke ({room / 2:g} mm)")
         known = self.run_out is None or self.rail_encoder is not None
         require(known, "run_out", "a section", "none without a rail_encoder section")
         limit = 2 * self.can.heartbeat_ms
@@ -355,6 +398,12 @@ class RigSettings(Settings):
     def inclinometer_divisor(self) -> int:
         """The inclinometer answers every this many SYNCs (transmission type of its TPDO)."""
         return self.loop.rate_hz // self.inclinometer.rate_hz
+
+    @property
+    def status_divisor(self) -> int:
+        """The drive's second TPDO comes with every this many SYNCs; 0 = never."""
+        rate = self.cylinder.status_rate_hz
+        return self.loop.rate_hz // rate if rate is not None else 0
 
     @property
     def canopen_nodes(self) -> dict[str, int]:
@@ -386,6 +435,11 @@ class RigSettings(Settings):
         if self.calibration is None:
             return None
         return self.file(self.calibration.file or f"calibration/{self.rig}.json")
+
+    @property
+    def audit_log(self) -> pathlib.Path:
+        """Where the recorder keeps the audit log."""
+        return self.file(self.audit.file or f"audit/{self.rig}.jsonl")
 
     def file(self, name: str) -> pathlib.Path:
         """A file the rig file names, relative to where the rig file stands."""

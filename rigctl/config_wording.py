@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from rigctl import strict_yaml
+from rigctl.one_line import on_one_line
 
 Path = strict_yaml.Path
 
@@ -144,8 +145,7 @@ class Slot(NamedTuple):
 
 def key_of(path: Path) -> str:
     """A path as a finding names it: ``loop.rate_hz``; on one line whatever the file calls its keys."""
-    key = strict_yaml.dotted(path) or "file"
-    return key if key.isprintable() else ascii(key)
+    return on_one_line(strict_yaml.dotted(path) or "file")
 
 
 class Wording:
@@ -173,7 +173,7 @@ class Wording:
 
     def say(self, path: Path, found: object, words: str) -> str:
         """One finding: at ``path`` there is ``found``, but allowed is what ``words`` say."""
-        return f"{self.place(path)}: found {found}, allowed {words}"
+        return f"{self.place(path)}: found {on_one_line(str(found))}, allowed {words}"
 
     def _resolve(self, loc: Path) -> tuple[Path, Slot | None]:
         """Pydantic's place in the model as a path in the file, and what may stand there.

@@ -49,6 +49,16 @@ def _check_ledger(settings: RigSettings) -> None:
         end(USAGE, str(error))
 
 
+def _check_audit_log(settings: RigSettings) -> None:
+    """The same of an audit log that cannot be continued."""
+    from rigctl.recorder import audit_log
+
+    try:
+        audit_log.check(settings.audit_log, settings.rig)
+    except audit_log.AuditError as error:
+        end(USAGE, str(error))
+
+
 def check(file: File, json: Json = False) -> None:
     """Validate a rig file; show the resolved rig and the worst-case load of its bus."""
     settings = _load(file)
@@ -76,6 +86,7 @@ def run(file: File) -> None:
     if settings.design.gains_file is not None:
         _check_gain_file(settings)
     _check_ledger(settings)
+    _check_audit_log(settings)
     try:
         code = Supervisor(settings, lambda text: say(f"{time.strftime('%H:%M:%S')} {text}")).run()
     except CannotRunError as error:

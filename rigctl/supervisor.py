@@ -1,4 +1,4 @@
-"""``rigctl run``: validates, designs, spawns control and gateway, watches them, tells the service manager.
+"""``rigctl run``: validates, designs, spawns recorder, control and gateway, watches them, tells the service manager.
 
 The control process comes up while the gains are designed; a gateway that dies is replaced, a control process that
 dies is replaced and comes up DISARMED: drive off, brake closed, the load carried.
@@ -19,6 +19,7 @@ from types import FrameType
 from typing import IO, Any
 
 import msgspec
+import numpy as np
 
 from rigctl import __version__
 from rigctl.commission import ledger
@@ -30,6 +31,7 @@ from rigctl.devices.objects import DriveState, drive_state
 from rigctl.telemetry.events import worded
 from rigctl.telemetry.ring import RingReader
 from rigctl.telemetry.runtime import ACTIVE, AlreadyRunningError, Runtime
+from rigctl.telemetry.supervision import Doing, Supervision
 
 POLL_S = 0.05
 START_LIMIT_S = 20.0
@@ -42,6 +44,14 @@ WATCHDOG_STALE_NS = 1_000_000_000
 
 class CannotRunError(RuntimeError):
     """The daemon cannot run; ``str()`` is one line."""
+
+
+PROCESSES = {
+    "recorder": "rigctl.recorder",
+    "control": "rigctl.control",
+    "gateway": "rigctl.telemetry.gateway",
+}
+"""Module of each process that is kept alive, in the order in which they are started."""
 
 
 @dataclass
@@ -84,6 +94,7 @@ class Supervisor:
             self._runtime.make_rings(self.settings)
             events = self._runtime.event_reader()
             records = self._runtime.record_reader()
+            self._supervision = Supervision(self._runtime.supervision_writer())
             self._start(records)
             while not self._stopping:
                 self._watch()
@@ -91,6 +102,9 @@ class Supervisor:
                 self._feed_watchdog(records)
                 time.sleep(POLL_S)
             return self._stop(events)
+        except CannotRunError as error:
+            self._note(Doing.DAEMON_REFUSED, reason=str(error))
+            raise
         finally:
             self._kill_all()
             self._runtime.remove()
@@ -107,15 +121,16 @@ class Supervisor:
             "bus_load": busload.bus_load(settings),
         }
         self._runtime.write_json(ACTIVE, self._active)
+        self._note(Doing.DAEMON_STARTED, reason=f"rigctl {__version__}")
         self._say_calibration()
-        self._spawn("control", "rigctl.control")
-        self._spawn("gateway", "rigctl.telemetry.gateway")
+        for name in PROCESSES:
+            self._spawn(name)
         self._design()
         self._send_gains()
         until = time.monotonic() + START_LIMIT_S
         while records.head == 0 and not self._stopping:
             for child in self._children.values():
-                if child.process.poll() is not None:
+                if child.process.poll() is not None and child.name != "recorder":
                     raise CannotRunError(f"{settings.rig}: {child.name} could not start (see above)")
             if time.monotonic() > until:
                 raise CannotRunError(f"{settings.rig}: the loop did not start within {START_LIMIT_S:.0f} s")
@@ -145,6 +160,11 @@ class Supervisor:
         for warning in design.warnings():
             self._say(f"WARNING: design: {warning}")
         self._runtime.write_json(ACTIVE, self._active)
+        self._note(Doing.DAEMON_DESIGNED, reason=design.verdict())
+
+    def _note(self, kind: Doing, process: str = "", reason: str = "") -> None:
+        """Something for the audit log."""
+        self._supervision.note(time.monotonic_ns(), kind, process=process, reason=reason)
 
     def _say_calibration(self) -> None:
         """What the ledger says of the cell, for the operator; from `_put_calibration`."""
@@ -171,12 +191,13 @@ class Supervisor:
         self._runtime.write_json(IN_FORCE, standing)
         return standing
 
-    def _spawn(self, name: str, module: str) -> None:
-        command = [sys.executable, "-m", module, str(self._runtime.directory)]
+    def _spawn(self, name: str) -> None:
+        command = [sys.executable, "-m", PROCESSES[name], str(self._runtime.directory)]
         stdin = subprocess.PIPE if name == "control" else subprocess.DEVNULL
         process = subprocess.Popen(command, stdin=stdin, start_new_session=True)
         failures = self._children[name].failures if name in self._children else 0
         self._children[name] = Child(name, process, time.monotonic(), failures)
+        self._note(Doing.PROCESS_STARTED, name, str(process.pid))
 
     def _send_gains(self) -> None:
         """Those in force, which may have been changed since the start."""
@@ -201,12 +222,12 @@ class Supervisor:
                 child.retry_at = now + wait
                 how = f"killed by signal {-code}" if code < 0 else f"ended with code {code}"
                 comes = "comes back DISARMED" if child.name == "control" else "comes back, the loop is unaffected"
+                self._note(Doing.PROCESS_ENDED, child.name, f"{how}; {comes} in {wait:g} s")
                 self._say(f"WARNING: {child.name} process {how}; {comes} in {wait:g} s")
             elif now >= child.retry_at:
                 if child.name == "control":
                     self._put_calibration()
-                module = "rigctl.control" if child.name == "control" else "rigctl.telemetry.gateway"
-                self._spawn(child.name, module)
+                self._spawn(child.name)
                 if child.name == "control":
                     self._send_gains()
 
@@ -231,7 +252,7 @@ class Supervisor:
         self._stopping = True
 
     def _stop(self, events: RingReader) -> int:
-        """Control first: it holds the stroke and closes the brake; the gateway tells of it, then ends too."""
+        """Control first: it holds the stroke and closes the brake; gateway and recorder tell of it, then end too."""
         _notify("STOPPING=1")
         records = self._runtime.record_reader()
         clean = self._end("control")
@@ -239,16 +260,11 @@ class Supervisor:
         last = records.latest()
         time.sleep(2.0 / self.settings.telemetry.rate_hz)
         self._end("gateway")
-        if last is None or not clean:
-            self._say("WARNING: the loop did not stop by itself; the drive holds by its own supervision")
-            return 1
-        mode = Mode(int(last["mode"])).name
-        where = f"stroke {last['stroke_mm']:.2f} mm, tension {last['tension_n']:z.1f} N"
-        if last["drive_quality"] or drive_state(int(last["statusword"])) is DriveState.OPERATION_ENABLED:
-            self._say(f"WARNING: stopped in {mode}: last seen {where}; the brake was not seen to close")
-            return 1
-        self._say(f"stopped in {mode}: {where}, brake closed")
-        return 0
+        code, how = _ending(last, clean)
+        self._note(Doing.DAEMON_STOPPED, reason=how)
+        self._end("recorder")
+        self._say(how if code == 0 else f"WARNING: {how}")
+        return code
 
     def _end(self, name: str) -> bool:
         process = self._children[name].process
@@ -269,6 +285,17 @@ class Supervisor:
             except subprocess.TimeoutExpired:
                 child.process.kill()
                 child.process.wait()
+
+
+def _ending(last: np.void | None, clean: bool) -> tuple[int, str]:
+    """Exit code and one line on how the rig was left; ``last``: its newest record."""
+    if last is None or not clean:
+        return 1, "the loop did not stop by itself; the drive holds by its own supervision"
+    mode = Mode(int(last["mode"])).name
+    where = f"stroke {last['stroke_mm']:.2f} mm, tension {last['tension_n']:z.1f} N"
+    if last["drive_quality"] or drive_state(int(last["statusword"])) is DriveState.OPERATION_ENABLED:
+        return 1, f"stopped in {mode}: last seen {where}; the brake was not seen to close"
+    return 0, f"stopped in {mode}: {where}, brake closed"
 
 
 def _notify(state: str) -> None:

@@ -112,16 +112,21 @@ def daemon(file: pathlib.Path, log: pathlib.Path) -> Iterator[subprocess.Popen[b
         yield child
 
 
+def environment(file: pathlib.Path | None) -> dict[str, str]:
+    """Of an operator at one terminal: all commands share a lease."""
+    own = {"RIGCTL_OPERATOR": "kim"} | ({"XDG_RUNTIME_DIR": str(file.parent.resolve())} if file is not None else {})
+    return {**os.environ, **own}
+
+
 def rigctl(*arguments: str, file: pathlib.Path | None = None) -> subprocess.CompletedProcess[str]:
     """One ``rigctl`` command, told where the daemon of ``file`` is; all are one operator's, at one terminal."""
     where = ("--connect", endpoint(file), "--rig", name_of(file)) if file is not None else ()
-    own = {"RIGCTL_OPERATOR": "kim"} | ({"XDG_RUNTIME_DIR": str(file.parent.resolve())} if file is not None else {})
     return subprocess.run(
         [sys.executable, "-m", "rigctl", *arguments, *where],
         capture_output=True,
         text=True,
         cwd=ROOT,
-        env={**os.environ, **own},
+        env=environment(file),
         timeout=120,
         check=False,
         stdin=subprocess.DEVNULL,

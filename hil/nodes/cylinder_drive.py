@@ -8,6 +8,7 @@ from hil.nodes.deadline import Deadline
 from hil.nodes.device_control import QUICK_STOP_OPTIONS, DeviceControl
 from hil.nodes.dictionary import Abort, number, refuse
 from hil.nodes.encoder import Encoder
+from hil.nodes.motor import Motor
 from hil.nodes.network import RigNetwork
 from hil.nodes.node import COMMUNICATION_ERROR, GENERIC_ERROR, Node
 from hil.nodes.pdo import ReceivePdo
@@ -25,13 +26,17 @@ _STATUS_ALWAYS = 0x0210  # voltage enabled, remote
 _STATUS_FOLLOWS = 0x1000  # bit 12 in CSV: drive follows the command value
 _INT16_MAX = 0x7FFF
 _FAULT_REACTION = 1  # as of 0x6007: react as 0x605E says
+LOWER_LIMIT, UPPER_LIMIT, HOME, E_STOP_CLOSED = 1 << 0, 1 << 1, 1 << 2, 1 << 16
+"""Bits of the digital inputs (0x60FD); the emergency stop's circuit is closed while it is not pressed."""
+HOME_MM = 1.0
 
 
 class CylinderDrive(Node):
     """The drive on the bus. ``advance`` is called on the rig's fixed grid, ``on_sync`` at each SYNC.
 
     Heartbeat loss (0x1016), a missed RPDO deadline (0x1400:05) and leaving NMT OPERATIONAL while enabled are answered
-    by the abort connection option (0x6007).
+    by the abort connection option (0x6007). An emergency stop is a fault of its own: emergency, fault
+    reaction (0x605E), brake; nothing enables the drive or clears the fault while it is pressed.
     """
 
     def __init__(
@@ -42,6 +47,9 @@ class CylinderDrive(Node):
         super().__init__(network, cylinder.node, settings.file(cylinder.eds), plant, SERIAL, drive.clock_ppm)
         self._encoder = Encoder(plant, drive.encoder_mm)
         stage = PowerStage(drive.brake_ms * 1_000_000)
+        self._motor = Motor(drive, number(self.device, objects.MOTOR_RATED_CURRENT))
+        self._creep_n_s_mm = drive.creep_n_s_mm
+        self.e_stop_pressed = False
         self.control = DeviceControl(stage, lambda index: number(self.device, index), self._clear_faults)
         self._heartbeat = Deadline()
         self._heartbeat_cob = 0
@@ -63,6 +71,9 @@ class CylinderDrive(Node):
                 (objects.ERROR_CODE, 0): lambda: self._error_code,
                 (objects.CONTROLWORD, 0): lambda: self.control.controlword,
                 (objects.TARGET_VELOCITY, 0): lambda: self._target,
+                (objects.CURRENT_ACTUAL, 0): lambda: self._motor.current_units,
+                (objects.DRIVE_TEMPERATURE, 0): lambda: self._motor.temperature_units,
+                (objects.DIGITAL_INPUTS, 0): self._inputs,
             }
         )
         self.writers.update(
@@ -90,17 +101,27 @@ class CylinderDrive(Node):
         super().on_sync()
 
     def advance(self, t_ns: int) -> None:
-        """Measure the speed; let ramps and the brake go on to ``t_ns``."""
+        """Measure speed and current; let ramps and the brake go on to ``t_ns``."""
         self._encoder.advance()
         self.control.advance(t_ns, self._encoder.speed_mm_s)
         self._drive()
+        stage, truth = self.control.stage, self.plant.truth
+        self._motor.advance(t_ns, truth.tension_n if stage.powered else 0.0, stage.velocity_mm_s)
+
+    def press_e_stop(self, pressed: bool) -> None:
+        """Open the emergency stop's circuit, or close it again."""
+        self.e_stop_pressed = pressed
+        if pressed:
+            self.trip(EmcyCode.EXTERNAL)
 
     def _drive(self) -> None:
         stage = self.control.stage
+        falling = stage.phase is Phase.FALLING
+        speed_mm_s = -self.plant.truth.tension_n / self._creep_n_s_mm if falling else stage.velocity_mm_s
         if self.defect is None:
-            self.plant.set_drive(stage.velocity_mm_s, stage.braked)
+            self.plant.set_drive(speed_mm_s, stage.braked)
         else:
-            self.plant.set_drive(*self.defect(stage.velocity_mm_s, stage.braked))
+            self.plant.set_drive(*self.defect(speed_mm_s, stage.braked))
 
     def _on_rpdo(self, _: int, data: bytes, __: float) -> None:
         rpdo = self._rpdo
@@ -149,6 +170,8 @@ class CylinderDrive(Node):
         self._target = 0
         self._error_code = 0
         self.control.restart(self.now_ns)
+        if self.e_stop_pressed:
+            self.trip(EmcyCode.EXTERNAL)
 
     def on_communication_reset(self) -> None:
         """Heartbeat consumer and RPDO deadline at their defaults: off."""
@@ -197,7 +220,7 @@ class CylinderDrive(Node):
 
     def _clear_faults(self) -> bool:
         """Drop the errors if no cause is left; whether it is so."""
-        if self._heartbeat.overdue or self._commands_due.overdue:
+        if self._heartbeat.overdue or self._commands_due.overdue or self.e_stop_pressed:
             return False
         for code in self.errors:
             self.clear_error(code)
@@ -213,6 +236,14 @@ class CylinderDrive(Node):
         if self.plant.at_stroke_end:
             status |= objects.STATUS_INTERNAL_LIMIT
         return status
+
+    def _inputs(self) -> int:
+        """Limit switches stand at the mechanical ends."""
+        p, x = self.plant.parameters[0], self.plant.state[0]
+        bits = LOWER_LIMIT if x["motor"] <= p["stroke_low"] else 0
+        bits |= UPPER_LIMIT if x["motor"] >= p["stroke_high"] else 0
+        bits |= HOME if abs(x["motor"]) <= HOME_MM else 0
+        return bits | (0 if self.e_stop_pressed else E_STOP_CLOSED)
 
     def _position(self) -> int:
         return round(self._encoder.position_mm / objects.MM_PER_POSITION_UNIT)

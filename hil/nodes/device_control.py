@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 from hil.nodes.drive_states import WHEN_STOPPED, command_of, next_state
@@ -13,21 +12,26 @@ from rigctl.devices.objects import Controlword, DriveState
 PROFILE_DECELERATION = 0x6084
 QUICK_STOP_OPTIONS = frozenset({0, 1, 2, 5, 6})
 _STAYS = 5  # quick stop options from here on stay in QUICK STOP ACTIVE; 5 and 6 ramp like 1 and 2
-_QUICK_STOP_RAMP = 2
+_CUT, _QUICK_STOP_RAMP = 0, 2
+_OPTION_OBJECTS = {
+    Controlword.QUICK_STOP: objects.QUICK_STOP_OPTION,
+    Controlword.SHUTDOWN: objects.SHUTDOWN_OPTION,
+    Controlword.SWITCH_ON: objects.DISABLE_OPERATION_OPTION,
+}
 _RAMP_OBJECTS = {1: PROFILE_DECELERATION, 2: objects.QUICK_STOP_DECELERATION, 5: PROFILE_DECELERATION,
                  6: objects.QUICK_STOP_DECELERATION}  # fmt: skip
 _FAULTS = frozenset({DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT})
 
 
 class DeviceControl:
-    """State of the drive. Every way out of OPERATION ENABLED stops the motor, then closes the brake.
+    """State of the drive. Every way out of OPERATION ENABLED ends with power off and the brake closed.
 
-    Shutdown, disable operation and disable voltage (0x605B, 0x605C not implemented) ramp like a quick stop: a motor
-    that lets go at once would drop its load on the brake.
+    Quick stop, shutdown, disable operation and a fault stop the motor first, on the ramp their option code names; its
+    value 0, and disable voltage always, take power off at once and leave the load to the closing brake.
 
     Args:
         stage: motor and brake.
-        parameter: current value of an object of the drive (0x605A, 0x605E, 0x6084, 0x6085).
+        parameter: current value of an object of the drive (0x605A to 0x605E, 0x6084, 0x6085).
         clear_faults: asked at a fault reset; whether no cause is left.
     """
 
@@ -60,8 +64,7 @@ class DeviceControl:
             if may_enable:
                 self._enable(t_ns)
         elif command is not Controlword.FAULT_RESET or self._clear_faults():
-            quick = target is DriveState.QUICK_STOP_ACTIVE
-            self._stop(target, self._parameter(objects.QUICK_STOP_OPTION) if quick else _QUICK_STOP_RAMP, t_ns)
+            self._stop(target, self._option(command), t_ns)
 
     def advance(self, t_ns: int, speed_mm_s: float) -> None:
         """Go on to ``t_ns``: ramp, brake, and the states that wait for them."""
@@ -82,7 +85,7 @@ class DeviceControl:
         if option == 0 or self.faulty:
             return
         if option == 2:
-            self._stop(DriveState.SWITCH_ON_DISABLED, 0, t_ns)
+            self._stop(DriveState.SWITCH_ON_DISABLED, _CUT, t_ns)
             return
         quick = option == objects.ABORT_CONNECTION_QUICK_STOP
         ramp = _QUICK_STOP_RAMP if quick else self._parameter(objects.FAULT_REACTION_OPTION)
@@ -95,12 +98,20 @@ class DeviceControl:
         self.stage.start(t_ns)
 
     def _stop(self, target: DriveState, ramp_option: int, t_ns: int) -> None:
-        """Go to ``target``; motor at rest on the ramp of an option code (0: at once), then brake closed."""
+        """Go to ``target``; motor at rest on the ramp of an option code, then brake closed (0: power off at once)."""
         self._enabling = False
         self.state = target
-        ramp = _RAMP_OBJECTS.get(ramp_option)
-        deceleration = self._parameter(ramp) * objects.MM_S_PER_VELOCITY_UNIT if ramp else math.inf
-        self.stage.stop(t_ns, deceleration)
+        if ramp_option == _CUT:
+            self.stage.cut(t_ns)
+        else:
+            self.stage.stop(t_ns, self._parameter(_RAMP_OBJECTS[ramp_option]) * objects.MM_S_PER_VELOCITY_UNIT)
+
+    def _option(self, command: Controlword | None) -> int:
+        """How a command stops the motor; option codes count where it leads out of OPERATION ENABLED."""
+        if command is Controlword.DISABLE_VOLTAGE:
+            return _CUT
+        driving = self.state is DriveState.OPERATION_ENABLED and command in _OPTION_OBJECTS
+        return self._parameter(_OPTION_OBJECTS[command]) if driving and command else _QUICK_STOP_RAMP
 
     def _stays(self) -> bool:
         """Whether QUICK STOP ACTIVE is not left by itself (0x605A)."""

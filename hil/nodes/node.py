@@ -28,8 +28,8 @@ _SEGMENT_REQUESTS = frozenset({0x00, 0x60})  # client command specifiers that co
 _BLOCK_DOWNLOAD = 0xC0
 _MULTIPLEXER = struct.Struct("<HB")
 _COMMUNICATION_AREA = range(0x1000, 0x2000)
-_MAPPINGS = frozenset({objects.RPDO1_MAPPING, objects.TPDO1_MAPPING})
-_COMMUNICATIONS = frozenset({objects.RPDO1_COMMUNICATION, objects.TPDO1_COMMUNICATION})
+_MAPPINGS = frozenset({objects.RPDO1_MAPPING, objects.TPDO1_MAPPING, objects.TPDO2_MAPPING})
+_COMMUNICATIONS = frozenset({objects.RPDO1_COMMUNICATION, objects.TPDO1_COMMUNICATION, objects.TPDO2_COMMUNICATION})
 
 
 class _Device(canopen.LocalNode):  # type: ignore[misc]
@@ -89,8 +89,9 @@ class Node:
         self._history: deque[int] = deque(maxlen=ERROR_FIELD_LENGTH)
         self._heartbeat_ns = 0
         self._heartbeat_due_ns = 0
-        self._tpdo: TransmitPdo | None = None
-        self._has_tpdo = objects.TPDO1_MAPPING in self.device.object_dictionary
+        self._tpdos: list[TransmitPdo] = []  # none: to be compiled anew
+        mappings = (objects.TPDO1_MAPPING, objects.TPDO2_MAPPING)
+        self._tpdo_places = [i for i, index in enumerate(mappings) if index in self.device.object_dictionary]
         self._commands: dict[int, Callable[[], None]] = {
             0x01: lambda: self._enter(NmtState.OPERATIONAL),
             0x02: lambda: self._enter(NmtState.STOPPED),
@@ -128,7 +129,7 @@ class Node:
 
     def on_pdo_change(self) -> None:
         """PDO parameters or mappings have changed."""
-        self._tpdo = None
+        self._tpdos.clear()
 
     # -- NMT ---------------------------------------------------------------------------------------------------
 
@@ -166,7 +167,7 @@ class Node:
     def _enter(self, state: NmtState) -> None:
         before, self.nmt_state = self.nmt_state, state
         if before is not state:
-            self._tpdo = None  # SYNCs are counted from the start
+            self._tpdos.clear()  # SYNCs are counted from the start
             self.on_state(before, state)
 
     def _set_heartbeat(self, period_ms: int) -> None:
@@ -176,15 +177,16 @@ class Node:
     # -- SYNC and PDO ------------------------------------------------------------------------------------------
 
     def on_sync(self) -> None:
-        """Send the TPDO if this SYNC is its turn."""
-        if self.nmt_state is not NmtState.OPERATIONAL or not self._has_tpdo:
+        """Send the TPDOs whose turn is at this SYNC."""
+        if self.nmt_state is not NmtState.OPERATIONAL or not self._tpdo_places:
             return
-        if self._tpdo is None:
-            self._tpdo = TransmitPdo(self.device, self.readers)
+        if not self._tpdos:
+            self._tpdos = [TransmitPdo(self.device, self.readers, place) for place in self._tpdo_places]
         self.on_sample()
-        frame = self._tpdo.frame()
-        if frame is not None:
-            self.network.send_frame(frame)
+        for tpdo in self._tpdos:
+            frame = tpdo.frame()
+            if frame is not None:
+                self.network.send_frame(frame)
 
     # -- SDO ---------------------------------------------------------------------------------------------------
 
@@ -241,7 +243,7 @@ class Node:
         """A defect of the device: from now on an object reads as ``how`` makes it of its value."""
         reader = self.readers[index, subindex]
         self.readers[index, subindex] = lambda: how(reader())
-        self._tpdo = None
+        self._tpdos.clear()
 
     @property
     def errors(self) -> tuple[int, ...]:

@@ -22,17 +22,19 @@ class TransmitPdo:
     """A SYNC-driven TPDO; ``frame()`` at each SYNC gives the frame that is due, or None.
 
     Args:
-        device: ``canopen.LocalNode`` whose 0x1800 and 0x1A00 are compiled.
+        device: ``canopen.LocalNode`` whose 0x1800 + n and 0x1A00 + n are compiled.
         live: functions that give the mapped values; other objects are read from the dictionary once.
+        place: n, 0 for the first TPDO.
     """
 
     __slots__ = ("_cob_id", "_count", "_every", "_pack", "_size", "_sources")
 
-    def __init__(self, device: Any, live: Mapping[Address, Callable[[], int]]) -> None:
-        cob_id = number(device, objects.TPDO1_COMMUNICATION, 1)
-        addresses, layout = _layout(device, objects.TPDO1_MAPPING)
+    def __init__(self, device: Any, live: Mapping[Address, Callable[[], int]], place: int = 0) -> None:
+        communication = objects.TPDO1_COMMUNICATION + place
+        cob_id = number(device, communication, 1)
+        addresses, layout = _layout(device, objects.TPDO1_MAPPING + place)
         self._cob_id = cob_id & STANDARD_MASK
-        self._every = 0 if cob_id & INVALID_PDO else number(device, objects.TPDO1_COMMUNICATION, 2)
+        self._every = 0 if cob_id & INVALID_PDO else number(device, communication, 2)
         self._count = 0
         self._pack = layout.pack
         self._size = layout.size

@@ -1,4 +1,4 @@
-"""Motor and brake of the cylinder: the load is always carried by one of them, or by both."""
+"""Motor and brake of the cylinder: one of them carries the load, or both; a cut leaves the brake alone to catch it."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ class Phase(Enum):
     DRIVING = auto()  # motor follows the command
     STOPPING = auto()  # motor ramps down to standstill
     CLOSING = auto()  # motor holds, brake closes
+    FALLING = auto()  # motor off, its windings shorted; brake closes
 
 
 class PowerStage:
@@ -41,9 +42,14 @@ class PowerStage:
         """Whether the brake alone holds the load, or still does."""
         return self.phase in (Phase.BRAKED, Phase.OPENING)
 
+    @property
+    def powered(self) -> bool:
+        """Whether the motor has current."""
+        return self.phase not in (Phase.BRAKED, Phase.FALLING)
+
     def start(self, t_ns: int) -> None:
         """Have the motor take over; it drives once the brake is open."""
-        if self.phase in (Phase.BRAKED, Phase.CLOSING):
+        if self.phase in (Phase.BRAKED, Phase.CLOSING, Phase.FALLING):
             self._change(Phase.OPENING, t_ns)
         elif self.phase is Phase.STOPPING:
             self._change(Phase.DRIVING, t_ns)
@@ -62,6 +68,14 @@ class PowerStage:
         elif self.phase is Phase.OPENING:
             self._change(Phase.CLOSING, t_ns)
 
+    def cut(self, t_ns: int) -> None:
+        """Take power off at once, whether it stands or not; the brake closes meanwhile."""
+        if self.phase in (Phase.DRIVING, Phase.STOPPING, Phase.OPENING):
+            self.velocity_mm_s = 0.0
+            self._change(Phase.FALLING, t_ns)
+        elif self.phase is Phase.CLOSING:
+            self.phase = Phase.FALLING  # the brake goes on closing
+
     def advance(self, t_ns: int, speed_mm_s: float) -> None:
         """Go on to ``t_ns``; ``speed_mm_s`` is the cylinder's actual speed."""
         passed_ns = t_ns - self._since_ns
@@ -74,7 +88,7 @@ class PowerStage:
                 self._change(Phase.CLOSING, t_ns)
         elif self.phase is Phase.OPENING and passed_ns >= self._brake_ns:
             self._change(Phase.DRIVING, t_ns)
-        elif self.phase is Phase.CLOSING and passed_ns >= self._brake_ns:
+        elif self.phase in (Phase.CLOSING, Phase.FALLING) and passed_ns >= self._brake_ns:
             self._change(Phase.BRAKED, t_ns)
 
     def _change(self, phase: Phase, t_ns: int) -> None:

@@ -20,11 +20,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from rigctl.commission.motion import Array, behind_play, delayed, response
 from rigctl.devices.objects import MM_PER_POSITION_UNIT
-
-Array = npt.NDArray[np.float64]
 
 LATCH_TICKS = 1.0
 PITCH_ERROR_MM, PITCH_LEAD_MM = 0.003, 5.0  # of a screw of class C7, as a sine over a turn; no encoder sees it
@@ -33,7 +31,7 @@ ROUNDING_MM = 2.0 * MM_PER_POSITION_UNIT / math.sqrt(12.0)  # at 95 %, as if it 
 SHORTEST = 0.5  # of the longest step: shorter ones feel their way
 MOVING_MM_S = 1e-6
 FEWEST_PAIRS = 3
-_DELAYS = np.arange(0.0, 41.0, 2.0)  # ticks, where the search begins
+_DELAYS = range(0, 41, 2)  # ticks, where the search begins
 _LAGS_S = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1)
 _ITERATIONS = 12
 _LOOKS, _PLAY_STEPS = 12, 16
@@ -149,14 +147,6 @@ def _moved(signals: Signals, lag_s: float, delay: float) -> Array:
     return held * signals.period_s - lag_s * swift
 
 
-def delayed(command: Array, delay: float) -> Array:
-    """Integral in ticks of a command held over each tick, ``delay`` ticks late."""
-    whole = math.ceil(delay)
-    total = np.concatenate([[0.0], np.cumsum(command)])[: len(command)]
-    found = total + command * (whole - delay)
-    return np.concatenate([np.zeros(whole), found])[: len(command)]
-
-
 def _speed_delay(signals: Signals, known: tuple[float, float, float]) -> float:
     """Delay in ticks of the reported speed, all else being known."""
     lag_s, delay, gain = known
@@ -172,18 +162,13 @@ def _fit_drive(signals: Signals, start: tuple[float, float, float] | None) -> tu
     """Lag in s, whole delay in ticks, gain: least squares, Gauss-Newton in the first two."""
 
     def solve(lag_s: float, delay: float) -> tuple[Array, float]:
-        shape = _moved(signals, lag_s, delay)
-        columns = np.column_stack([shape, np.ones_like(shape)])
-        weights, *_ = np.linalg.lstsq(columns, signals.stroke, rcond=None)
-        return signals.stroke - columns @ weights, float(weights[0])
+        return _scaled(_moved(signals, lag_s, delay), signals.stroke)
 
     def cost(lag_s: float, delay: float) -> float:
         residual, _ = solve(lag_s, delay)
         return float(residual @ residual)
 
-    lag_s, delay = (
-        start[:2] if start else min(((a, d) for a in _LAGS_S for d in _DELAYS.tolist()), key=lambda p: cost(*p))
-    )
+    lag_s, delay = start[:2] if start else _first_look(signals)
     best = cost(lag_s, delay)
     for _ in range(_ITERATIONS):
         residual, _ = solve(lag_s, delay)
@@ -205,22 +190,23 @@ def _fit_drive(signals: Signals, start: tuple[float, float, float] | None) -> tu
     return lag_s, delay, solve(lag_s, delay)[1]
 
 
-def response(command: Array, share: float, delay: float) -> Array:
-    """First-order response with unit gain to a command held over each tick, ``delay`` ticks late.
+def _scaled(shape: Array, stroke: Array) -> tuple[Array, float]:
+    """What a stroke of this shape, scaled and offset to fit, leaves of the one measured; and the scale."""
+    columns = np.column_stack([shape, np.ones_like(shape)])
+    weights, *_ = np.linalg.lstsq(columns, stroke, rcond=None)
+    return stroke - columns @ weights, float(weights[0])
 
-    ``share``: tick over lag. Exact between the ticks too: the delay may be any number of them.
-    """
-    decay = math.exp(-share)
-    state, states = 0.0, []
-    values: list[float] = command.tolist()
-    for value in values:
-        states.append(state)
-        state = value + (state - value) * decay
-    whole = math.ceil(delay)
-    late_by = whole - delay
-    held, reached = np.array(values), np.array(states)
-    found = held + (reached - held) * math.exp(-share * late_by)
-    return np.concatenate([np.zeros(whole), found])[: len(command)]
+
+def _first_look(signals: Signals) -> tuple[float, float]:
+    """Lag in s and delay in ticks that leave least, of a coarse grid: whole ticks, so that one response serves all."""
+    left: dict[tuple[float, float], float] = {}
+    for lag_s in _LAGS_S:
+        prompt = _moved(signals, lag_s, 0.0)
+        for delay in _DELAYS:
+            shape = np.concatenate([np.zeros(delay), prompt])[: len(prompt)]
+            residual, _ = _scaled(shape, signals.stroke)
+            left[lag_s, float(delay)] = float(residual @ residual)
+    return min(left, key=left.__getitem__)
 
 
 def rope(signals: Signals, drive: Drive, noise_n: float) -> Rope:
@@ -268,25 +254,22 @@ def _fit_rope(signals: Signals, part: slice, reach_mm: float) -> tuple[float, fl
     return stiffness, play, math.sqrt(left / len(where)), explained_n
 
 
-def behind_play(stroke: Array, play_mm: float) -> Array:
-    """Where a nut with ``play_mm`` of play is, pushed by the screw from either side."""
-    nut, found = float(stroke[0]), []
-    half = 0.5 * play_mm
-    values: list[float] = stroke.tolist()
-    for value in values:
-        nut = min(max(nut, value - half), value + half)
-        found.append(nut)
-    return np.array(found)
-
-
 def _least(cost: Callable[[float], float], low: float, high: float) -> float:
     """Where ``cost`` is least: a coarse look, then golden section."""
     looks = np.linspace(low, high, _LOOKS)
     best = int(np.argmin([cost(float(at)) for at in looks]))
     low, high = float(looks[max(best - 1, 0)]), float(looks[min(best + 1, len(looks) - 1)])
+    a, b = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+    cost_a, cost_b = cost(a), cost(b)
     for _ in range(_PLAY_STEPS):
-        a, b = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-        low, high = (low, b) if cost(a) < cost(b) else (a, high)
+        if cost_a < cost_b:
+            high, b, cost_b = b, a, cost_a
+            a = high - _GOLDEN * (high - low)
+            cost_a = cost(a)
+        else:
+            low, a, cost_a = a, b, cost_b
+            b = low + _GOLDEN * (high - low)
+            cost_b = cost(b)
     return 0.5 * (low + high)
 
 

@@ -56,13 +56,14 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Standing:
-    """What the ledger says now. ``due`` is ISO 8601 UTC, None without a check that passed."""
+    """What the ledger says now. ``due`` and ``tared`` are ISO 8601 UTC, None without a check that passed, or a tare."""
 
     zero_n: float = 0.0
     scale: float = 1.0
     due: str | None = None
     overdue: bool = False
     waiver: str | None = None
+    tared: str | None = None
 
     @property
     def correction(self) -> Correction:
@@ -106,6 +107,11 @@ def digest(settings: RigSettings) -> str:
     return hashlib.sha256(msgspec.json.encode(plain, order="sorted")).hexdigest()
 
 
+def entry_digest(item: Entry) -> str:
+    """SHA-256 of an entry as JSON with sorted keys."""
+    return hashlib.sha256(msgspec.json.encode(item, order="sorted")).hexdigest()
+
+
 def read(settings: RigSettings) -> list[Entry]:
     """Every entry, oldest first; none without a calibration section or before the first.
 
@@ -133,7 +139,7 @@ def read(settings: RigSettings) -> list[Entry]:
 def _check(path: pathlib.Path, number: int, item: Entry, settings: RigSettings) -> None:
     """Refuse an entry that would give the loop a zero or scale out of bounds, or a date that is none."""
     try:
-        _moment(item.when)
+        moment(item.when)
     except ValueError:
         raise LedgerError(f"{path}: entry {number}: found the date {item.when!r}, allowed ISO 8601") from None
     pair = item.after.get("zero_n"), item.after.get("scale")
@@ -167,7 +173,7 @@ def append(settings: RigSettings, new: Entry) -> list[Entry]:
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
     except OSError as error:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
@@ -175,7 +181,7 @@ def append(settings: RigSettings, new: Entry) -> list[Entry]:
     return entries
 
 
-def _sync_folder(folder: pathlib.Path) -> None:
+def sync_folder(folder: pathlib.Path) -> None:
     """Without this the new name may be lost with the power."""
     fd = os.open(folder, os.O_RDONLY)
     try:
@@ -194,14 +200,25 @@ def standing(settings: RigSettings, entries: Sequence[Entry], wall_ns: int) -> S
         if (zero := item.after.get("zero_n")) is not None and (factor := item.after.get("scale")) is not None:
             zero_n, scale = zero, factor
         if item.passed is not None:
-            done = _moment(item.when)
+            done = moment(item.when)
             credible = item.passed and done <= now + CLOCKS_DIFFER  # a check of tomorrow would hold for too long
             due = done + timedelta(days=settings.calibration.due_days) if credible else None
     shown = f"{due:%Y-%m-%dT%H:%M:%SZ}" if due is not None else None
-    return Standing(zero_n, scale, shown, due is None or due <= now, settings.calibration.waiver)
+    return Standing(zero_n, scale, shown, due is None or due <= now, settings.calibration.waiver, _tared(entries))
 
 
-def _moment(when: str) -> datetime:
+def _tared(entries: Sequence[Entry]) -> str | None:
+    """When the tare that holds was made; one that was withdrawn does not."""
+    withdrawn = {item.figures.get("withdraws") for item in entries if item.what == "tare withdrawn"}
+    return next((item.when for item in reversed(entries) if item.what == "tare" and item.when not in withdrawn), None)
+
+
+def moment(when: str) -> datetime:
+    """A date of the ledger, with its time zone.
+
+    Raises:
+        ValueError: it is none.
+    """
     found = datetime.fromisoformat(when)
     if found.tzinfo is None:
         raise ValueError("no time zone")

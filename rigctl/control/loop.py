@@ -150,7 +150,7 @@ class Loop:
         elif machine.mode is Mode.RELEASING and law.slack(estimate):
             machine.on(Event.SLACK)
         for change in machine.changes:
-            if change.before is Mode.FAULT:
+            if change.before is Mode.FAULT or change.after in (Mode.HOLD, Mode.FAULT):
                 self._plausibility.forget_stretch(sight)
             if change.after is Mode.COMPENSATING:
                 self._travel_from_mm = estimate.stroke_mm

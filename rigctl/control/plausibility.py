@@ -68,7 +68,7 @@ class Plausibility:
         self._look_at_stretch(inbox, sight, moved_mm, slack)
 
     def forget_stretch(self, sight: Sight) -> None:
-        """What was unexplained before is acknowledged."""
+        """What was unexplained before is acknowledged, or was of another mode."""
         sight.unexplained_mm = 0.0
 
     def _model(self, command_mm_s: float, ticks: int) -> float:

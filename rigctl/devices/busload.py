@@ -31,7 +31,7 @@ def traffic(settings: RigSettings) -> list[Traffic]:
     rate = float(settings.loop.rate_hz)
     plain = settings.plain_messages
     cell, slope = plain.get("tension_cell"), plain.get("inclinometer")
-    rail = settings.rail_encoder
+    rail, status = settings.rail_encoder, settings.cylinder.status_rate_hz
     return [
         Traffic("SYNC", 0, rate),
         Traffic("command", od.DRIVE_RPDO.size, rate),
@@ -40,6 +40,7 @@ def traffic(settings: RigSettings) -> list[Traffic]:
         _plain("inclination", slope, settings)
         if slope
         else Traffic("inclination", od.SLOPE_TPDO.size, float(settings.inclinometer.rate_hz)),
+        *([Traffic("drive inputs", od.DRIVE_TPDO2.size, float(status))] if status else []),
         *([Traffic("rail angle", od.ENCODER_TPDO.size, float(rail.rate_hz))] if rail else []),
         Traffic("heartbeat, controller", 1, 1000.0 / settings.can.heartbeat_ms),
         Traffic("heartbeats, devices", 1, len(settings.canopen_nodes) * 1000.0 / DEVICE_HEARTBEAT_MS),

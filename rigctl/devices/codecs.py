@@ -20,6 +20,7 @@ _CELL = od.CELL_TPDO.codec
 _SLOPE = od.SLOPE_TPDO.codec
 _ENCODER = od.ENCODER_TPDO.codec
 _DRIVE = od.DRIVE_TPDO.codec
+_DRIVE_2 = od.DRIVE_TPDO2.codec
 _COMMAND = od.DRIVE_RPDO.codec
 _RAD_PER_SLOPE_UNIT = math.radians(od.SLOPE_RESOLUTION_MDEG * 1e-3)
 _COMMAND_LIMIT_UM_S = 2**31 - 1
@@ -61,6 +62,14 @@ def decode_drive(data: bytes | bytearray) -> tuple[int, float, float]:
         raise ValueError("length")
     statusword, position, velocity = _DRIVE.unpack(data)
     return statusword, position * od.MM_PER_POSITION_UNIT, velocity * od.MM_S_PER_VELOCITY_16_UNIT
+
+
+def decode_drive_status(data: bytes | bytearray) -> tuple[float, float, int]:
+    """Motor current by the rated one, drive temperature in deg C, digital inputs (0x6078, 0x2045, 0x60FD)."""
+    if len(data) != 8:
+        raise ValueError("length")
+    current, temperature, inputs = _DRIVE_2.unpack(data)
+    return current * od.PER_CURRENT_UNIT, temperature * od.C_PER_TEMPERATURE_UNIT, inputs
 
 
 def encode_command(controlword: int, speed_mm_s: float) -> bytes:

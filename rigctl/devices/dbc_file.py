@@ -15,6 +15,7 @@ import cantools
 from rigctl.config import DbcSettings, PlainMessages, RigSettings
 from rigctl.devices import objects as od
 from rigctl.devices.plain import FLOAT_CODES, PlainMessage, PlainSignal
+from rigctl.one_line import on_one_line
 
 _TENSION = {"N": 1.0}
 _ANGLE = {"deg": math.radians(1.0), "rad": 1.0}
@@ -74,6 +75,7 @@ def _canopen_ids(settings: RigSettings) -> dict[int, str]:
     }  # fmt: skip
     for name, node in {**settings.canopen_nodes, "simulator": od.SIMULATOR_NODE}.items():
         ids |= {base + node: f"{name}'s {kind}" for base, kind in kinds.items()}
+    ids[od.TPDO2_BASE + settings.cylinder.node] = "cylinder's second TPDO"
     return ids
 
 
@@ -120,7 +122,7 @@ def _read(device: str, dbc: DbcSettings, file: pathlib.Path) -> list[Any]:
         return list(cantools.database.load_file(str(file), database_format="dbc").messages)
     except (OSError, ValueError, cantools.database.Error) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else " ".join(str(error).split())
-        raise DbcError(key, f"{dbc.file}, which cannot be read ({reason})", "a DBC file") from None
+        raise DbcError(key, f"{dbc.file}, which cannot be read ({on_one_line(reason)})", "a DBC file") from None
 
 
 def signal_layout(key: tuple[str, ...], message: Any, name: str, units: dict[str, float] | None) -> PlainSignal:

@@ -29,6 +29,7 @@ _TO_OFF: dict[DriveState, Controlword] = {
     DriveState.OPERATION_ENABLED: Controlword.SHUTDOWN,
     DriveState.READY_TO_SWITCH_ON: Controlword.SHUTDOWN,
     DriveState.SWITCH_ON_DISABLED: Controlword.SHUTDOWN,
+    DriveState.QUICK_STOP_ACTIVE: Controlword.QUICK_STOP,  # it goes off by itself (0x605A), once it stands
 }
 
 
@@ -47,4 +48,4 @@ def next_controlword(state: DriveState, power: Power, last: int) -> Controlword:
     if power is Power.QUICK_STOP and state in _STOPPABLE:
         return Controlword.QUICK_STOP
     steps = _TO_ON if power is Power.ON else _TO_OFF
-    return steps.get(state, Controlword.DISABLE_VOLTAGE)
+    return steps.get(state, Controlword.SHUTDOWN)  # a state that is not understood may hide a motor that turns

@@ -15,6 +15,7 @@ NMT_COB = 0x000
 SYNC_COB = 0x080
 EMCY_BASE = 0x080
 TPDO1_BASE = 0x180
+TPDO2_BASE = 0x280
 RPDO1_BASE = 0x200
 SDO_TX_BASE = 0x580
 SDO_RX_BASE = 0x600
@@ -30,6 +31,8 @@ RPDO1_COMMUNICATION = 0x1400  # :05 event timer = deadline in ms
 RPDO1_MAPPING = 0x1600
 TPDO1_COMMUNICATION = 0x1800  # :02 transmission type = every n-th SYNC
 TPDO1_MAPPING = 0x1A00
+TPDO2_COMMUNICATION = 0x1801
+TPDO2_MAPPING = 0x1A01
 
 
 class NmtState(IntEnum):
@@ -79,12 +82,18 @@ ABORT_CONNECTION_OPTION = 0x6007
 CONTROLWORD = 0x6040
 STATUSWORD = 0x6041
 QUICK_STOP_OPTION = 0x605A
+SHUTDOWN_OPTION = 0x605B
+DISABLE_OPERATION_OPTION = 0x605C
 FAULT_REACTION_OPTION = 0x605E
 MODE_OF_OPERATION = 0x6060
 MODE_DISPLAY = 0x6061
 POSITION_ACTUAL = 0x6064  # INTEGER32, um
 VELOCITY_ACTUAL = 0x606C  # INTEGER32, um/s
 VELOCITY_ACTUAL_16 = 0x2044  # manufacturer: INTEGER16, 10 um/s, so that status, position and speed share a frame
+DRIVE_TEMPERATURE = 0x2045  # manufacturer: INTEGER16, 0.1 deg C
+MOTOR_RATED_CURRENT = 0x6075  # UNSIGNED32, mA
+CURRENT_ACTUAL = 0x6078  # INTEGER16, per mille of the rated current
+DIGITAL_INPUTS = 0x60FD  # UNSIGNED32: bit 0 lower limit switch, 1 upper, 2 home, from 16 on the manufacturer's
 QUICK_STOP_DECELERATION = 0x6085  # um/s2
 SI_UNIT_POSITION = 0x60A8
 SI_UNIT_VELOCITY = 0x60A9
@@ -95,11 +104,16 @@ SI_MICROMETRE = 0xFA010000  # prefix 10^-6, metre
 SI_MICROMETRE_PER_SECOND = 0xFA010300
 CYCLIC_SYNCHRONOUS_VELOCITY = 9
 ABORT_CONNECTION_QUICK_STOP = 3  # 0x6007
+QUICK_STOP_RAMP_THEN_OFF = 2  # 0x605A: on the quick stop ramp 0x6085, then SWITCH ON DISABLED
+SLOW_DOWN_THEN_OFF = 1  # 0x605B, 0x605C: on the slow down ramp 0x6084, then power off with the brake closed
 FAULT_REACTION_QUICK_STOP = 2  # 0x605E: slow down on the quick stop ramp, then power off with the brake closed
 
 MM_PER_POSITION_UNIT = 1e-3
 MM_S_PER_VELOCITY_UNIT = 1e-3
 MM_S_PER_VELOCITY_16_UNIT = 1e-2
+C_PER_TEMPERATURE_UNIT = 0.1
+A_PER_RATED_CURRENT_UNIT = 1e-3
+PER_CURRENT_UNIT = 1e-3  # of the rated current
 N_PER_CELL_UNIT = 10.0**-CELL_DECIMAL_DIGITS
 
 
@@ -153,12 +167,14 @@ class EmcyCode(IntEnum):
     HEARTBEAT_LOST = 0x8130
     RPDO_TIMEOUT = 0x8250
     SENSOR_INVALID = 0x5010
+    EXTERNAL = 0x9000  # the drive's: its emergency stop input has been opened
 
 
 # -- simulator node: not a device of the rig --------------------------------------------------------------------
 SIMULATOR_NODE = 112
 SIM_MOTION_START = 0x2000  # UNSIGNED8: 1 starts the move of the rig file's demo section
 SIM_MOTION_STATE = 0x2001  # UNSIGNED8: 1 while the mechanism moves
+SIM_E_STOP = 0x2002  # UNSIGNED8: 1 = the emergency stop is pressed
 SIM_TRUE_VERTICAL_MN = 0x2100  # INTEGER32, mN: the plant's true vertical tension
 SIM_TRUE_STROKE_UM = 0x2101  # INTEGER32, um
 
@@ -190,6 +206,7 @@ CELL_TPDO = PdoLayout(TPDO1_BASE, ((AI_PROCESS_VALUE, 1, "i"), (AI_STATUS, 1, "B
 SLOPE_TPDO = PdoLayout(TPDO1_BASE, ((SLOPE_LONG, 0, "h"), (SLOPE_LATERAL, 0, "h")))
 ENCODER_TPDO = PdoLayout(TPDO1_BASE, ((ENCODER_POSITION, 0, "I"),))
 DRIVE_TPDO = PdoLayout(TPDO1_BASE, ((STATUSWORD, 0, "H"), (POSITION_ACTUAL, 0, "i"), (VELOCITY_ACTUAL_16, 0, "h")))
+DRIVE_TPDO2 = PdoLayout(TPDO2_BASE, ((CURRENT_ACTUAL, 0, "h"), (DRIVE_TEMPERATURE, 0, "h"), (DIGITAL_INPUTS, 0, "I")))
 DRIVE_RPDO = PdoLayout(RPDO1_BASE, ((CONTROLWORD, 0, "H"), (TARGET_VELOCITY, 0, "i")))
 
 

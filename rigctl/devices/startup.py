@@ -15,9 +15,11 @@ import canopen
 
 from rigctl.config import RigSettings
 from rigctl.devices import objects as od
+from rigctl.devices.remote_node import Device, RemoteNode, StartupError, StopSetting
+
+__all__ = ["Device", "StartupError", "bring_up", "refuse_rival", "release"]
 
 DEVICE_HEARTBEAT_MS = 100
-_NOT_VALID = 1 << 31
 _LISTENED_HEARTBEATS = 2.5
 _DEVICES = {
     "tension_cell": ("tension cell", od.DEVICE_TYPE_404),
@@ -25,23 +27,6 @@ _DEVICES = {
     "rail_encoder": ("rail encoder", od.DEVICE_TYPE_406),
     "cylinder": ("cylinder drive", od.DEVICE_TYPE_402),
 }
-
-
-class StartupError(RuntimeError):
-    """The rig is not what the rig file says, or does not answer; ``str()`` is one line."""
-
-
-@dataclass(frozen=True)
-class Device:
-    """Identity of a device, CiA 301 0x1000 and 0x1018."""
-
-    name: str
-    node: int
-    device_type: int
-    vendor: int
-    product: int
-    revision: int
-    serial: int
 
 
 @dataclass(frozen=True)
@@ -59,76 +44,17 @@ class Report:
     """What start-up found; ``supervision`` holds the drive's own stop settings as read back."""
 
     devices: tuple[Device | PlainDevice, ...]
-    supervision: dict[str, int]
+    supervision: tuple[StopSetting, ...]
+
+    @property
+    def supervised(self) -> bool:
+        """The drive stops by itself when we go silent."""
+        return all(setting.ok for setting in self.supervision)
 
     def as_json(self) -> dict[str, Any]:
         """For control.json."""
-        return {"devices": [asdict(device) for device in self.devices], "supervision": self.supervision}
-
-
-class _Node:
-    """One device under configuration, with errors that name it."""
-
-    def __init__(self, network: canopen.Network, settings: RigSettings, name: str, node: int, eds: str) -> None:
-        self.name, self.id = name, node
-        self._channel = f"{settings.can.interface}:{settings.can.channel}"
-        self.remote = network.add_node(canopen.RemoteNode(node, str(settings.file(eds))))
-
-    def where(self, index: int, sub: int) -> str:
-        return f"{self.name} (node {self.id}), object 0x{index:04X}:{sub:02X}"
-
-    def _variable(self, index: int, sub: int) -> Any:
-        entry = self.remote.sdo[index]
-        return entry[sub] if hasattr(entry, "__getitem__") and not hasattr(entry, "raw") else entry
-
-    def read(self, index: int, sub: int = 0) -> int:
-        try:
-            return int(self._variable(index, sub).raw)
-        except canopen.SdoAbortedError as error:
-            raise StartupError(f"{self.where(index, sub)}: cannot be read: {error}") from None
-        except canopen.SdoCommunicationError:
-            raise StartupError(
-                f"{self.name} (node {self.id}) does not answer on {self._channel}: is the rig on and connected?"
-            ) from None
-        except KeyError:
-            raise StartupError(f"{self.where(index, sub)}: not in its EDS file") from None
-
-    def write(self, value: int, index: int, sub: int = 0, *, verify: bool = True) -> int:
-        try:
-            self._variable(index, sub).raw = value
-        except canopen.SdoAbortedError as error:
-            raise StartupError(f"{self.where(index, sub)}: {value:#x} refused: {error}") from None
-        except canopen.SdoCommunicationError:
-            raise StartupError(f"{self.name} (node {self.id}) stopped answering on {self._channel}") from None
-        except KeyError:
-            raise StartupError(f"{self.where(index, sub)}: not in its EDS file") from None
-        return self.expect(value, index, sub) if verify else value
-
-    def expect(self, value: int, index: int, sub: int = 0) -> int:
-        found = self.read(index, sub)
-        if found != value:
-            raise StartupError(f"{self.where(index, sub)}: found {found:#x}, allowed {value:#x}")
-        return found
-
-    def identity(self, profile: int) -> Device:
-        device_type = self.read(od.DEVICE_TYPE)
-        if device_type & 0xFFFF != profile & 0xFFFF:
-            raise StartupError(
-                f"{self.name} (node {self.id}): found CiA profile {device_type & 0xFFFF}, allowed {profile & 0xFFFF}"
-            )
-        numbers = (self.read(od.IDENTITY, sub) for sub in (1, 2, 3, 4))
-        return Device(self.name, self.id, device_type, *numbers)
-
-    def map_pdo(self, layout: od.PdoLayout, communication: int, mapping: int, transmission: int) -> None:
-        """Map ``layout`` onto a PDO, CiA 301 order: disable, clear, write, count, enable."""
-        cob_id = layout.cob_base + self.id
-        self.write(cob_id | _NOT_VALID, communication, 1, verify=False)
-        self.write(transmission, communication, 2)
-        self.write(0, mapping, 0)
-        for sub, entry in enumerate(layout.mapping, 1):
-            self.write(entry, mapping, sub)
-        self.write(len(layout.mapping), mapping, 0)
-        self.write(cob_id, communication, 1)
+        stop = [{**asdict(setting), "ok": setting.ok} for setting in self.supervision]
+        return {"devices": [asdict(device) for device in self.devices], "supervision": stop}
 
 
 def refuse_rival(bus: can.BusABC, settings: RigSettings) -> None:
@@ -178,7 +104,7 @@ def _configure(network: canopen.Network, settings: RigSettings) -> Report:
     nodes = {}
     for device in settings.canopen_nodes:
         section, (name, _) = getattr(settings, device), _DEVICES[device]
-        nodes[device] = _Node(network, settings, name, section.node, section.eds)
+        nodes[device] = RemoteNode(network, settings, name, section.node, section.eds)
     for node in nodes.values():
         node.remote.nmt.state = "PRE-OPERATIONAL"
     devices = [node.identity(_DEVICES[device][1]) for device, node in nodes.items()]
@@ -195,6 +121,8 @@ def _configure(network: canopen.Network, settings: RigSettings) -> Report:
     drive.expect(od.SI_MICROMETRE, od.SI_UNIT_POSITION)
     drive.expect(od.SI_MICROMETRE_PER_SECOND, od.SI_UNIT_VELOCITY)
     drive.map_pdo(od.DRIVE_TPDO, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, 1)
+    if settings.status_divisor:
+        _ask_for_status(drive, settings)
     drive.map_pdo(od.DRIVE_RPDO, od.RPDO1_COMMUNICATION, od.RPDO1_MAPPING, 1)
     drive.write(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_OF_OPERATION)
     supervision = _supervise(drive, settings)
@@ -205,7 +133,7 @@ def _configure(network: canopen.Network, settings: RigSettings) -> Report:
     return Report((*devices, *_plain_devices(settings)), supervision)
 
 
-def _check_encoder(encoder: _Node, settings: RigSettings) -> None:
+def _check_encoder(encoder: RemoteNode, settings: RigSettings) -> None:
     """One turn is what the rig file says, and the position begins again at the end of a turn, not within one."""
     rail = settings.rail_encoder
     assert rail is not None  # there is no node without it
@@ -226,18 +154,33 @@ def _plain_devices(settings: RigSettings) -> list[PlainDevice]:
     ]
 
 
-def _supervise(drive: _Node, settings: RigSettings) -> dict[str, int]:
-    """Make the drive stop by itself when we go silent, and read every such setting back."""
+def _ask_for_status(drive: RemoteNode, settings: RigSettings) -> None:
+    """Motor current, temperature and inputs by the drive's second TPDO; its unit of current is the rated one."""
+    rated_a = settings.cylinder.rated_current_a
+    assert rated_a is not None  # the settings need it where they ask for the status
+    drive.expect(round(rated_a / od.A_PER_RATED_CURRENT_UNIT), od.MOTOR_RATED_CURRENT)
+    drive.map_pdo(od.DRIVE_TPDO2, od.TPDO2_COMMUNICATION, od.TPDO2_MAPPING, settings.status_divisor)
+
+
+def _supervise(drive: RemoteNode, settings: RigSettings) -> tuple[StopSetting, ...]:
+    """Make the drive stop by itself when we go silent, and read every such setting back.
+
+    One that the drive does not take ends no start: the rig can be looked at, and arming says what is wrong.
+    """
     cylinder = settings.cylinder
     deceleration = round(cylinder.stop_deceleration_mm_s2 / od.MM_S_PER_VELOCITY_UNIT)
     consumer = settings.can.controller_node << 16 | cylinder.heartbeat_timeout_ms
-    return {
-        "consumer_heartbeat_0x1016": drive.write(consumer, od.CONSUMER_HEARTBEAT, 1),
-        "abort_connection_0x6007": drive.write(od.ABORT_CONNECTION_QUICK_STOP, od.ABORT_CONNECTION_OPTION),
-        "fault_reaction_0x605E": drive.write(od.FAULT_REACTION_QUICK_STOP, od.FAULT_REACTION_OPTION),
-        "quick_stop_deceleration_0x6085": drive.write(deceleration, od.QUICK_STOP_DECELERATION),
-        "command_deadline_ms_0x1400": drive.write(cylinder.command_deadline_ms, od.RPDO1_COMMUNICATION, 5),
-    }
+    wanted = (
+        ("consumer heartbeat", consumer, od.CONSUMER_HEARTBEAT, 1),
+        ("command deadline", cylinder.command_deadline_ms, od.RPDO1_COMMUNICATION, 5),
+        ("abort connection option", od.ABORT_CONNECTION_QUICK_STOP, od.ABORT_CONNECTION_OPTION, 0),
+        ("quick stop option", od.QUICK_STOP_RAMP_THEN_OFF, od.QUICK_STOP_OPTION, 0),
+        ("shutdown option", od.SLOW_DOWN_THEN_OFF, od.SHUTDOWN_OPTION, 0),
+        ("disable operation option", od.SLOW_DOWN_THEN_OFF, od.DISABLE_OPERATION_OPTION, 0),
+        ("fault reaction option", od.FAULT_REACTION_QUICK_STOP, od.FAULT_REACTION_OPTION, 0),
+        ("quick stop deceleration", deceleration, od.QUICK_STOP_DECELERATION, 0),
+    )
+    return tuple(drive.enforce(*setting) for setting in wanted)
 
 
 def release(bus: can.BusABC, settings: RigSettings) -> None:
@@ -250,7 +193,7 @@ def release(bus: can.BusABC, settings: RigSettings) -> None:
     network.NOTIFIER_CYCLE = 0.01
     network.connect()
     try:
-        drive = _Node(network, settings, "cylinder drive", settings.cylinder.node, settings.cylinder.eds)
+        drive = RemoteNode(network, settings, "cylinder drive", settings.cylinder.node, settings.cylinder.eds)
         drive.write(0, od.RPDO1_COMMUNICATION, 5, verify=False)
         drive.write(0, od.CONSUMER_HEARTBEAT, 1, verify=False)
     except (StartupError, can.CanError):

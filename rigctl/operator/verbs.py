@@ -31,13 +31,23 @@ def newtons_of(text: str) -> float:
 
 Newtons = Annotated[float, typer.Argument(metavar="NEWTONS", parser=newtons_of, help="Vertical tension to hold.")]
 
+NearEnd = Annotated[
+    bool, typer.Option("--near-end", help="Arm at an end of the stroke, to drive away from it (tension, release).")
+]
+
 # Mode a command ends in, and the one it passes through on the way.
 _ENDS = {"tension": ("COMPENSATING", "TENSIONING"), "release": ("HOLD", "RELEASING")}
 
 
-def arm(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
-    """Drive on, brake open, stroke held: DISARMED to HOLD."""
-    _give("arm", json, connect, rig, operator)
+def arm(
+    near_end: NearEnd = False,
+    json: Json = False,
+    connect: Connect = None,
+    rig: Rig = None,
+    operator: Operator = None,
+) -> None:
+    """Drive on, brake open, stroke held: DISARMED to HOLD. Refused with everything that stands against it."""
+    _give("arm", json, connect, rig, operator, near_end=near_end)
 
 
 def tension(
@@ -85,10 +95,11 @@ def _give(
     value: float | None = None,
     *,
     wait: bool = False,
+    near_end: bool = False,
 ) -> None:
     with daemon(connect, rig) as client:
         states = client.follow(client.keys.state) if wait else None
-        answer = give(client, verb, operator_name(operator), value)
+        answer = give(client, verb, operator_name(operator), value, near_end=near_end)
         accepted = bool(answer.get("accepted"))
         if accepted and states is not None:
             if not json:

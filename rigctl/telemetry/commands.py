@@ -13,13 +13,16 @@ from typing import Any
 import msgspec
 import zenoh
 
+from rigctl.commission import ledger
 from rigctl.commission.clerk import Clerk, Filed
+from rigctl.commission.preflight import Preflight
 from rigctl.control.modes import FILED, Setting, Verb
 from rigctl.control.safety import Fault
 from rigctl.telemetry.keys import Keys
 from rigctl.telemetry.lease import ACTS
 from rigctl.telemetry.lease_keeper import Keeper
 from rigctl.telemetry.lease_request import LeaseRequest, parse_lease
+from rigctl.telemetry.notes import DeskBook
 from rigctl.telemetry.record import COMMAND_LIFETIME_NS
 from rigctl.telemetry.request import Request, RequestError, Sight, answer, parse, refused, silent, verb_of
 from rigctl.telemetry.ring import RingReader, RingWriter
@@ -78,11 +81,21 @@ class Recorded:
 
 
 @dataclass(frozen=True)
+class Refused:
+    """A query that was no command, and has been answered."""
+
+    message: dict[str, Any]
+
+
+@dataclass(frozen=True)
 class Told:
     """Something the loop is to be told by the daemon itself."""
 
     setting: Setting
     value: float
+
+
+_Any = Asked | LeaseAsked | LeaseLapsed | Recorded | Refused | Told | None
 
 
 def send_answer(query: zenoh.Query, key: str, message: dict[str, Any]) -> None:
@@ -108,12 +121,15 @@ class Desk:
         limits_n: tuple[float, float],
         clerk: Clerk,
         keeper: Keeper,
+        book: DeskBook,
+        preflight: Preflight,
     ) -> None:
-        """``sight``: what the newest record says; ``limits_n``: lowest and highest target."""
+        """``sight``: what the newest record says; ``limits_n``: lowest and highest target. ``book``: for the record."""
+        self._book, self._preflight = book, preflight
         self._clerk, self._keeper = clerk, keeper
         self._keys, self._commands, self._replies = keys, commands, replies
         self._sight, self._limits_n = sight, limits_n
-        self._asked: queue.SimpleQueue[Asked | LeaseAsked | LeaseLapsed | Recorded | Told | None] = queue.SimpleQueue()
+        self._asked: queue.SimpleQueue[_Any] = queue.SimpleQueue()
         self._pending: dict[int, Pending] = {}
         self._last_id = 0
         self._thread = threading.Thread(target=self._serve, name="desk", daemon=True)
@@ -150,7 +166,9 @@ class Desk:
             else:
                 self._asked.put(Asked(query, parse(verb_of(name), payload)))
         except RequestError as error:
-            send_answer(query, key, refused(name, "", "bad_request", str(error)))
+            message = refused(name, "", "bad_request", str(error))
+            send_answer(query, key, message)
+            self._asked.put(Refused(message))
 
     def _serve(self) -> None:
         while True:
@@ -161,13 +179,16 @@ class Desk:
                 self._do(asked)
             self._collect(time.monotonic_ns())
 
-    def _do(self, asked: Asked | LeaseAsked | LeaseLapsed | Recorded | Told) -> None:
+    def _do(self, asked: Asked | LeaseAsked | LeaseLapsed | Recorded | Refused | Told) -> None:
         match asked:
             case Asked(query, request):
                 self._give(query, request)
             case LeaseAsked(query, wanted):
                 message = self._keeper.decide(wanted, time.monotonic_ns())
                 send_answer(query, self._keys.command(wanted.act.value), message)
+                self._book.answered(time.monotonic_ns(), 0, self._holder(), message)
+            case Refused(message):
+                self._book.answered(time.monotonic_ns(), 0, self._holder(), message)
             case LeaseLapsed():
                 self._keeper.expire(time.monotonic_ns())
             case Recorded():
@@ -197,7 +218,12 @@ class Desk:
                 return
             request = admitted
         until_ns = now + WAIT_NS.get(request.verb, ANSWER_NS)
-        self._pending[self._write(request.verb, request.number)] = Pending(query, request, until_ns)
+        if request.verb is Verb.ARM:  # never on what the loop was told a while ago
+            self._write(Setting.HOST_CHECKS, float(self._preflight.verdict(now).host_checks))
+        number = self._write(request.verb, request.number)
+        self._pending[number] = Pending(query, request, until_ns)
+        name = request.verb.name.lower()
+        self._book.given(now, number, name, request.operator, self._holder(), request.number)
         if request.verb is Verb.HOLD:
             self._keeper.note_hold(request, now)
 
@@ -218,25 +244,26 @@ class Desk:
             until_ns = time.monotonic_ns() + ANSWER_NS
             self._pending[number] = Pending(recorded.query, request, until_ns, recorded)
         else:
-            self._answer(recorded.query, request, message)
+            self._answer(recorded.query, request, message, recorded=recorded)
 
     def _collect(self, now_ns: int) -> None:
         for reply in self._replies.read():
             given = self._pending.pop(int(reply["id"]), None)
             if given is not None:
-                self._answered(given, reply)
+                self._answered(given, reply, int(reply["id"]))
         for number in [number for number, given in self._pending.items() if now_ns > given.until_ns]:
             given = self._pending.pop(number)
             if given.recorded is not None:
                 self._clerk.unanswered(given.recorded.filed)
             name, operator = given.request.verb.name.lower(), given.request.operator
-            self._answer(given.query, given.request, silent(name, operator))
+            self._answer(given.query, given.request, silent(name, operator), number)
 
-    def _answered(self, given: Pending, reply: Any) -> None:
+    def _answered(self, given: Pending, reply: Any, number: int) -> None:
         """The loop's reply goes to the operator; that of a trial goes to the clerk first."""
         query, request = given.query, given.request
         try:
-            message = answer(request, reply, self._sight(), self._limits_n)
+            verdict = self._preflight.verdict(time.monotonic_ns())
+            message = answer(request, reply, self._sight(), self._limits_n, verdict.failing, verdict.waived)
         except (ValueError, KeyError) as error:
             text = f"the control loop's answer makes no sense: {error}"
             message = refused(request.verb.name.lower(), request.operator, "unknown", text)
@@ -250,11 +277,23 @@ class Desk:
         elif request.verb in FILED and message["accepted"]:
             self._clerk.file(request, reply, lambda filed: self._asked.put(Recorded(query, request, message, filed)))
             return
-        self._answer(query, request, message)
+        self._answer(query, request, message, number, given.recorded)
 
-    def _answer(self, query: zenoh.Query, request: Request, message: dict[str, Any]) -> None:
-        message = self._keeper.with_lease(request.operator, request.lease, message, time.monotonic_ns())
+    def _answer(
+        self, query: zenoh.Query, request: Request, message: dict[str, Any], number: int = 0,
+        recorded: Recorded | None = None,
+    ) -> None:  # fmt: skip
+        now = time.monotonic_ns()
+        message = self._keeper.with_lease(request.operator, request.lease, message, now)
         send_answer(query, self._keys.command(request.verb.name.lower()), message)
+        finding = recorded.filed.finding if recorded is not None else None
+        entry = ledger.entry_digest(finding.entry) if finding is not None else ""
+        self._book.answered(now, number, self._holder(), message, entry)
+
+    def _holder(self) -> str:
+        """Who holds the lease."""
+        lease = self._keeper.shown(time.monotonic_ns())
+        return str(lease["holder"]) if lease is not None else ""
 
 
 def sight_of(records: RingReader) -> Sight:

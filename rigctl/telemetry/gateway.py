@@ -20,17 +20,21 @@ from pydantic import ValidationError
 
 from rigctl.commission.clerk import Clerk
 from rigctl.commission.ledger import Standing
+from rigctl.commission.preflight import Preflight, Verdict
 from rigctl.config import RigSettings
+from rigctl.control.modes import Setting
 from rigctl.control.realtime import die_with_parent
+from rigctl.control.safety import HOST_CHECKS
 from rigctl.telemetry.commands import Desk, sight_of
 from rigctl.telemetry.cursor import Cursor
 from rigctl.telemetry.keys import Keys
 from rigctl.telemetry.lease_keeper import Keeper
+from rigctl.telemetry.notes import DeskBook
 from rigctl.telemetry.ring import RingError
-from rigctl.telemetry.runtime import Runtime
+from rigctl.telemetry.runtime import RECORDED, Runtime
 from rigctl.telemetry.schema import schema
 from rigctl.telemetry.session import SessionError, close, finish, open_client, open_router
-from rigctl.telemetry.state import Recent, Trip, design_of, state_of, warnings_of
+from rigctl.telemetry.state import Recent, Trip, design_of, kept_of, preflight_of, state_of, warnings_of
 from rigctl.telemetry.streams import EventStream, FastStream, event_publishers, past_block, past_messages
 
 _JSON = zenoh.Encoding.APPLICATION_JSON
@@ -48,25 +52,33 @@ class StateView:
         self._recent, self._trip = Recent(), Trip()
         self._warnings: list[str] = []
         self._design: str | None = None
+        self._kept: dict[str, Any] = {}
         self._look_ns = 0
         self._started_wall_ns = time.time_ns()
         self.newest = b"{}"
 
-    def make(self, now_ns: int, samples_lost: int, standing: Standing, lease: dict[str, Any] | None) -> bytes:
+    def make(
+        self, now_ns: int, samples_lost: int, standing: Standing, lease: dict[str, Any] | None, verdict: Verdict
+    ) -> bytes:
         """Read what is new and encode it."""
         self._recent.add(self._records.read())
         self._trip.note(self._events.read())
         if now_ns >= self._look_ns:
             self._look_ns = now_ns + _LOOK_NS
             self._design, of_design = design_of(written(self._runtime, "active.json"))
-            self._warnings = [*of_design, *warnings_of(written(self._runtime, "control.json"))]
-        state = state_of(self._records.latest(), self._trip, self._recent, now_ns, time.time_ns())
+            kept = written(self._runtime, RECORDED)
+            self._kept, of_recorder = kept_of(kept, now_ns)
+            self._warnings = [*of_design, *warnings_of(written(self._runtime, "control.json")), *of_recorder]
+        record = self._records.latest()
+        state = state_of(record, self._trip, self._recent, now_ns, time.time_ns())
         own = {
             "rig": self._rig,
             "samples_lost": samples_lost,
             "design": self._design,
             "calibration": standing,
             "lease": lease,
+            "preflight": preflight_of(record, verdict.failing, verdict.waived),
+            **self._kept,
             "warnings": self._warnings,
             "gateway_wall_ns": self._started_wall_ns,
         }
@@ -158,8 +170,10 @@ class Gateway:
         self._events = EventStream(publishers, events, notes, self._cursor, now)
 
         limits_n = (settings.tension.target_min_n, settings.tension.target_max_n)
-        newest = runtime.record_reader()
-        self._clerk = Clerk(runtime, settings)
+        self._newest = newest = runtime.record_reader()
+        self._clerk = clerk = Clerk(runtime, settings)
+        self._preflight = Preflight(runtime, settings, lambda: clerk.standing)
+        self._tell_ns = now  # not before is the loop told again what the host's checks say
         self._keeper = Keeper(runtime, settings.telemetry.lease_s, now)
         self._desk = Desk(
             keys,
@@ -169,8 +183,11 @@ class Gateway:
             limits_n,
             self._clerk,
             self._keeper,
+            DeskBook(runtime.desk_writer()),
+            self._preflight,
         )
-        self._view.make(now, 0, self._clerk.standing, self._keeper.shown(now))
+        verdict = self._preflight.verdict(now)
+        self._view.make(now, 0, self._clerk.standing, self._keeper.shown(now), verdict)
         _declare_queryables(self._session, keys, runtime, settings, self._view, self._cursor.stream)
         self._desk.open(self._command_session)
         self._token = self._session.liveliness().declare_token(keys.daemon)
@@ -182,8 +199,18 @@ class Gateway:
         self._events.publish(time.time_ns() - now, now)
         for setting, value in self._clerk.news(now, time.time_ns()):
             self._desk.tell(setting, value)
+        verdict = self._preflight.verdict(now)
+        self._tell_checks(verdict, now)
         self._desk.look_at_lease(now)
-        self._state.put(self._view.make(now, self._fast.lost, self._clerk.standing, self._keeper.shown(now)))
+        self._state.put(self._view.make(now, self._fast.lost, self._clerk.standing, self._keeper.shown(now), verdict))
+
+    def _tell_checks(self, verdict: Verdict, now_ns: int) -> None:
+        """The loop's records say what it goes by; a loop that has just started goes by nothing."""
+        record = self._newest.latest()
+        if record is None or int(record["checks"]) & int(HOST_CHECKS) == verdict.host_checks or now_ns < self._tell_ns:
+            return
+        self._tell_ns = now_ns + _LOOK_NS
+        self._desk.tell(Setting.HOST_CHECKS, float(verdict.host_checks))
 
     def run(self, stop: threading.Event) -> None:
         """Publish on an absolute grid until ``stop``; periods that were missed are left out."""
@@ -197,6 +224,7 @@ class Gateway:
     def close(self) -> None:
         """Publish what is left and end the sessions."""
         self._clerk.close()
+        self._preflight.close()
         self._desk.close()
         self.publish()
         close(self._command_session)

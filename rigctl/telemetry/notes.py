@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
+
+from rigctl.telemetry.ring import RingWriter
 
 
 class Note(IntEnum):
@@ -53,3 +56,31 @@ def note_message(note: np.void, wall_offset_ns: int) -> tuple[str, dict[str, Any
         "seq": int(note["seq"]), "t_ns": t_ns, "wall_ns": t_ns + wall_offset_ns, "severity": severity,
         "source": "gateway", "kind": name, "text": text, "operator": operator, "other": other, "reason": reason,
     }  # fmt: skip
+
+
+class DeskBook:
+    """What is asked at the desk and what was answered, for the audit log. One thread writes it."""
+
+    def __init__(self, writer: RingWriter) -> None:
+        self._writer = writer
+
+    def given(self, t_ns: int, id_: int, verb: str, operator: str, holder: str, value: float) -> None:
+        """A command that the loop has been given."""
+        self._write(t_ns, False, id_, verb, value, operator, holder, {})
+
+    def answered(self, t_ns: int, id_: int, holder: str, message: dict[str, Any], entry: str = "") -> None:
+        """An answer as it went out; ``id_``: 0 where the loop was not asked. ``entry``: hash of the ledger's entry."""
+        value = message.get("value")
+        number = math.nan if value is None else float(value)
+        verb, operator = str(message["verb"]), str(message["operator"])
+        self._write(t_ns, True, id_, verb, number, operator, holder, message, entry)
+
+    def _write(
+        self, t_ns: int, answered: bool, id_: int, verb: str, value: float, operator: str, holder: str,
+        message: dict[str, Any], entry: str = "",
+    ) -> None:  # fmt: skip
+        accepted, reason, text = (message.get(name, "") for name in ("accepted", "reason", "text"))
+        self._writer.write(
+            t_ns, answered, id_, verb.encode()[:32], value, operator.encode()[:256], holder.encode()[:256],
+            bool(accepted), str(reason).encode()[:32], str(text).encode()[:480], entry.encode(),
+        )  # fmt: skip

@@ -127,6 +127,9 @@ RECORD = Slot(
         Field("rail_rad", "d", "rad", "angle of the rail's shaft, -pi up to pi"),
         Field("rail_quality", "B", "", "bits, see quality; 0 good; NEVER where no encoder is fitted"),
         Field("run_out_mm_s", "d", "mm/s", "disturbance speed known from the run-out table"),
+        Field("drive_current_a", "d", "A", "motor current; NaN while it is not known"),
+        Field("drive_temperature_c", "d", "deg C", "of the drive; NaN while it is not known"),
+        Field("checks", "Q", "", "preflight checks that fail, bits, see checks; not looked at while armed"),
     ),
 )
 
@@ -149,7 +152,12 @@ COMMAND = Slot(
         Field("t_ns", "q", "ns", "when it was given; an old one is not carried out"),
         Field("id", "Q", "", "comes back in the reply"),
         Field("verb", "B", "", "see rigctl.control.modes.Verb and Setting"),
-        Field("value", "d", "", "TARGET: newtons; IDENTIFY: 1 if the rope must be tight; see Setting for the others"),
+        Field(
+            "value",
+            "d",
+            "",
+            "TARGET: newtons; IDENTIFY: 1 if the rope must be tight; ARM: 1 to drive away from an end; see Setting",
+        ),
     ),
 )
 
@@ -183,5 +191,42 @@ NOTE = Slot(
         Field("reason", "480s", "", "why, in the operator's words"),
     ),
 )
+
+DESK = Slot(
+    "desk",
+    (
+        Field("t_ns", "q", "ns", "when, CLOCK_MONOTONIC"),
+        Field("answered", "B", "", "0 given to the loop, 1 answered"),
+        Field("id", "Q", "", "of the command in the loop's ring; 0 where it did not get there"),
+        Field("verb", "32s", "", "what was asked"),
+        Field("value", "d", "", "of the command, NaN for none"),
+        Field("operator", "256s", "", "who"),
+        Field("holder", "256s", "", "who holds the lease"),
+        Field("accepted", "B", "", "1 carried out, 0 refused"),
+        Field("reason", "32s", "", "why refused, the answer's reason"),
+        Field("text", "480s", "", "the answer's line"),
+        Field("entry", "64s", "", "SHA-256 of what the calibration ledger got, hexadecimal; empty for nothing"),
+    ),
+)
+
+FRAME = Slot(
+    "frame",
+    (
+        Field("t_ns", "q", "ns", "when the loop took or sent it, CLOCK_MONOTONIC"),
+        Field("can_id", "I", "", "identifier, with the flags of Linux: see FrameFlag"),
+        Field("sent", "B", "", "1 sent, 0 received"),
+        Field("dlc", "B", "", "bytes of data"),
+        Field("data", "8s", "", "the bytes, the rest is 0"),
+    ),
+)
+
+
+class FrameFlag(IntFlag):
+    """What kind of frame it is, in the upper bits of ``can_id`` as in Linux's ``struct can_frame``."""
+
+    ERROR = 1 << 29
+    REMOTE = 1 << 30
+    EXTENDED = 1 << 31
+
 
 COMMAND_LIFETIME_NS = 1_000_000_000

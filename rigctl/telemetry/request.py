@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import msgspec
 
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Fault
+from rigctl.control.safety import Check, Fault
+from rigctl.one_line import on_one_line
 from rigctl.telemetry.events import failed_checks, refusal_text
 from rigctl.telemetry.lease import ACTS, ID_BYTES, is_id
 
@@ -18,12 +21,14 @@ _OPERATOR_LENGTH = 64
 _PAYLOAD_BYTES = 16_384  # a gain file and more
 _ALLOWED = '{"operator": "NAME"}'
 _ALLOWED_MORE = {
+    Verb.ARM: '{"operator": "NAME"} and "near_end": true',
     Verb.TARGET: '{"operator": "NAME", "value": NEWTONS}',
     Verb.CALIBRATE: '{"operator": "NAME"} and "value": NEWTONS or "shunt": true, "adopt": true',
     Verb.IDENTIFY: '{"operator": "NAME"} and "tight": true',
     Verb.GAINS: '{"operator": "NAME", "gain_file": TEXT, "name": "FILE"}',
 }
 _OPTIONS: dict[Verb, frozenset[str]] = {
+    Verb.ARM: frozenset({"near_end"}),
     Verb.TARGET: frozenset({"value"}),
     Verb.CALIBRATE: frozenset({"value", "shunt", "adopt"}),
     Verb.IDENTIFY: frozenset({"tight"}),
@@ -42,6 +47,7 @@ class _Payload(msgspec.Struct, forbid_unknown_fields=True):
     shunt: bool = False
     adopt: bool = False
     tight: bool = False
+    near_end: bool = False
     gain_file: str = ""
     name: str = ""
 
@@ -52,6 +58,7 @@ class Request:
 
     ``value``: newtons, the target of TARGET or the known weight of CALIBRATE, else NaN. ``shunt``: CALIBRATE compares
     with the shunt. ``adopt``: it sets a new scale. ``tight``: IDENTIFY wants a tight rope.
+    ``near_end``: ARM at an end of the stroke, to drive away from it.
     ``gain_file``, ``name``: text and name of a gain file, for GAINS.
     ``lease``: id of the lease it is given under, None where none is shown.
     """
@@ -65,11 +72,13 @@ class Request:
     lease: str | None = None
     gain_file: str = ""
     name: str = ""
+    near_end: bool = False
 
     @property
     def number(self) -> float:
         """What the loop is told."""
-        return float(self.tight) if self.verb is Verb.IDENTIFY else self.value
+        said = {Verb.IDENTIFY: float(self.tight), Verb.ARM: float(self.near_end)}
+        return said.get(self.verb, self.value)
 
 
 def verb_of(name: str) -> Verb:
@@ -100,7 +109,7 @@ def decoded(payload: bytes | None, kind: type[_Some], allowed: str) -> _Some:
     try:
         return msgspec.json.decode(payload, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise RequestError(f"{error}, allowed {allowed}".replace("\n", " ")) from None
+        raise RequestError(f"{on_one_line(str(error))}, allowed {allowed}") from None
 
 
 def operator_of(text: str) -> str:
@@ -137,7 +146,7 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
     found = decoded(payload, _Payload, allowed)
     operator = operator_of(found.operator)
     options = _OPTIONS.get(verb, frozenset())
-    for name in ("value", "shunt", "adopt", "tight", "gain_file", "name"):
+    for name in ("value", "shunt", "adopt", "tight", "near_end", "gain_file", "name"):
         if name not in options and getattr(found, name) not in (None, False, ""):
             raise RequestError(f"found {name}, allowed {allowed}")
     if verb is Verb.GAINS and not (found.gain_file and found.name and found.name.isprintable()):
@@ -153,7 +162,18 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
         if verb is not Verb.HOLD:  # which needs none: no flaw of a lease keeps anyone from it
             raise
         lease = None
-    return Request(verb, operator, value, found.shunt, found.adopt, found.tight, lease, found.gain_file, found.name)
+    return Request(
+        verb,
+        operator,
+        value,
+        found.shunt,
+        found.adopt,
+        found.tight,
+        lease,
+        found.gain_file,
+        found.name,
+        near_end=found.near_end,
+    )
 
 
 @dataclass(frozen=True)
@@ -206,17 +226,42 @@ def silent(name: str, operator: str) -> dict[str, Any]:
     return {**refused(name, operator, "no_answer", text), "text": f"{name.upper()}: {text}"}
 
 
-def answer(request: Request, reply: Any, sight: Sight, limits_n: tuple[float, float]) -> dict[str, Any]:
-    """A ``REPLY`` slot as the answer to ``request``; ``limits_n`` are the lowest and highest target."""
+def _by_words(waived: Mapping[Check, str]) -> str:
+    """``calibration, tare (the waiver's words), realtime (...)``."""
+    checks: dict[str, list[str]] = {}
+    for check, words in waived.items():
+        checks.setdefault(words, []).append(_plain(check))
+    return ", ".join(f"{', '.join(names)} ({words})" for words, names in checks.items())
+
+
+def _plain(check: Check) -> str:
+    return (check.name or "").lower().replace("_", " ")
+
+
+def answer(
+    request: Request,
+    reply: Any,
+    sight: Sight,
+    limits_n: tuple[float, float],
+    failing: Mapping[Check, str] = MappingProxyType({}),
+    waived: Mapping[Check, str] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """A ``REPLY`` slot as the answer to ``request``.
+
+    ``limits_n``: lowest and highest target. ``failing``: what is known of checks that fail. ``waived``: why others may.
+    """
     verb, mode, value = request.verb, Mode(int(reply["mode"])), float(reply["value"])
     name = verb.name.lower()
     about = {"mode": mode.name, "t_ns": int(reply["t_ns"]), "value": value if math.isfinite(value) else None}
     if reply["accepted"]:
         text = f"{verb.name}: {_done(verb, mode, value, sight)}"
+        if verb is Verb.ARM and waived:
+            text += f"; waived: {_by_words(waived)}"
+            about["waived"] = {_plain(check): words for check, words in waived.items()}
         return {"accepted": True, "verb": name, "operator": request.operator, "text": text, **about}
     refusal, checks = Refusal(int(reply["reason"])), int(reply["checks"])
     named = refusal is Refusal.CAUSE_PRESENT and value in Fault._value2member_map_
     cause = Fault(int(value)) if named else sight.fault
-    text = refusal_text(refusal, verb, mode, checks, cause, limits_n, value)
-    more = {"checks": failed_checks(checks)} if refusal is Refusal.PREFLIGHT else {}
+    text = refusal_text(refusal, verb, mode, checks, cause, limits_n, value, failing)
+    more = {"checks": failed_checks(checks, failing)} if refusal is Refusal.PREFLIGHT else {}
     return refused(name, request.operator, refusal.name.lower(), text, **about, **more)

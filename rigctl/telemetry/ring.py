@@ -119,6 +119,18 @@ class RingReader:
         self.cursor = last
         return slots
 
+    def seek(self, t_ns: int) -> None:
+        """Move the cursor before the first slot still held that is not older; the ring's times must not fall."""
+        low, high = self._oldest(self.head), self.head + 1
+        while low < high:
+            middle = (low + high) // 2
+            slot = self._slots[middle % self._capacity]
+            if slot["seq"] != middle or slot["t_ns"] < t_ns:  # one that is overwritten meanwhile was older
+                low = middle + 1
+            else:
+                high = middle
+        self.cursor = low - 1
+
     def latest(self) -> np.void | None:
         """The newest whole slot, without moving the cursor; None while there is none."""
         for _ in range(3):

@@ -1,6 +1,7 @@
 """The running daemon's folder in memory: rings, the resolved configuration, and the lock that makes it the only one.
 
-``/dev/shm/rigctl-<rig>/``: ``records events commands replies notes`` (rings), ``active.json`` (what runs),
+``/dev/shm/rigctl-<rig>/``: ``records events frames commands replies notes desk supervision`` (rings), ``active.json``
+(what runs), ``recorder.json`` (what the recorder has kept),
 ``control.json`` (what the control process read back), ``calibration.json`` (the cell's zero, scale and due date in
 force), ``lease.json`` (who may command), ``gateway.*`` (the gateway's own), ``lock`` (held by the supervisor, with its
 pid in it).
@@ -21,17 +22,39 @@ from rigctl.telemetry import record
 from rigctl.telemetry.ring import RingReader, RingWriter, create
 
 ACTIVE = "active.json"
+RECORDED = "recorder.json"
 _BASE = pathlib.Path("/dev/shm")
 _SMALL_RING = 4096
 _NOTES = 1024
+_SHORTEST_FRAME_BITS = 47  # 11-bit identifier, no data, no stuffing, the gap to the next frame
+_FASTEST_BIT_S = 1_000_000
 _FILES = (
-    "records", "events", "commands", "replies", "notes", "active.json", "control.json", "calibration.json",
-    "lease.json", "gateway.cursor", "gateway.sock", "gateway.sock.lock",
+    "records", "events", "frames", "commands", "replies", "notes", "desk", "supervision", "active.json",
+    "control.json", "recorder.json", "calibration.json", "lease.json", "gateway.cursor", "gateway.sock",
+    "gateway.sock.lock",
 )  # fmt: skip
 
 
 class AlreadyRunningError(RuntimeError):
     """Another daemon holds this rig."""
+
+
+def frames_held(settings: RigSettings) -> int:
+    """Frames a bus that is full all the time carries while the records' ring fills."""
+    rate_hz = (settings.can.bitrate_bit_s or _FASTEST_BIT_S) // _SHORTEST_FRAME_BITS
+    return rate_hz * settings.telemetry.history_s
+
+
+def recorded() -> list[dict[str, Any]]:
+    """What the recorders of this machine's daemons say; that of one which has ended is left out."""
+    found = []
+    for folder in sorted(_BASE.glob("rigctl-*")):
+        with contextlib.suppress(OSError, msgspec.MsgspecError):  # another user's, or going away
+            runtime = Runtime(folder)
+            runs = pathlib.Path(f"/proc/{runtime.read_json(ACTIVE).get('pid', 0)}").exists()
+            if runs and (told := runtime.read_json(RECORDED)):
+                found.append(told)
+    return found
 
 
 class Runtime:
@@ -70,6 +93,9 @@ class Runtime:
         create(self.commands, record.COMMAND.dtype, _SMALL_RING)
         create(self.replies, record.REPLY.dtype, _SMALL_RING)
         create(self.notes, record.NOTE.dtype, _NOTES)
+        create(self.desk, record.DESK.dtype, _NOTES)
+        create(self.supervision, record.NOTE.dtype, _NOTES)
+        create(self.frames, record.FRAME.dtype, frames_held(settings))
 
     def remove(self) -> None:
         """Take the folder away; readers that still map a ring keep it until they let go."""
@@ -107,6 +133,21 @@ class Runtime:
         return self.directory / "notes"
 
     @property
+    def desk(self) -> pathlib.Path:
+        """Ring of ``record.DESK``, written by the gateway."""
+        return self.directory / "desk"
+
+    @property
+    def supervision(self) -> pathlib.Path:
+        """Ring of ``record.NOTE``, written by the supervisor."""
+        return self.directory / "supervision"
+
+    @property
+    def frames(self) -> pathlib.Path:
+        """Ring of ``record.FRAME``, written by the control process."""
+        return self.directory / "frames"
+
+    @property
     def gateway_cursor(self) -> pathlib.Path:
         """How far the gateway has published, for the one that follows it."""
         return self.directory / "gateway.cursor"
@@ -128,13 +169,25 @@ class Runtime:
         """A reader of the notes."""
         return RingReader(self.notes, record.NOTE.dtype, from_start=from_start)
 
-    def command_reader(self) -> RingReader:
-        """A reader of the commands given from now on."""
-        return RingReader(self.commands, record.COMMAND.dtype)
+    def command_reader(self, *, from_start: bool = False) -> RingReader:
+        """A reader of the commands given from now on, or still held."""
+        return RingReader(self.commands, record.COMMAND.dtype, from_start=from_start)
 
-    def reply_reader(self) -> RingReader:
-        """A reader of the replies given from now on."""
-        return RingReader(self.replies, record.REPLY.dtype)
+    def reply_reader(self, *, from_start: bool = False) -> RingReader:
+        """A reader of the replies given from now on, or still held."""
+        return RingReader(self.replies, record.REPLY.dtype, from_start=from_start)
+
+    def desk_reader(self) -> RingReader:
+        """A reader of what was asked at the gateway's desk, from the oldest still held."""
+        return RingReader(self.desk, record.DESK.dtype, from_start=True)
+
+    def supervision_reader(self) -> RingReader:
+        """A reader of what the supervisor did, from the oldest still held."""
+        return RingReader(self.supervision, record.NOTE.dtype, from_start=True)
+
+    def frame_reader(self) -> RingReader:
+        """A reader of the frames, from the oldest still held."""
+        return RingReader(self.frames, record.FRAME.dtype, from_start=True)
 
     def record_writer(self) -> RingWriter:
         """The writer of the records (control process)."""
@@ -155,6 +208,18 @@ class Runtime:
     def note_writer(self) -> RingWriter:
         """The writer of the notes (gateway)."""
         return RingWriter(self.notes, record.NOTE.layout)
+
+    def desk_writer(self) -> RingWriter:
+        """The writer of what is asked at the desk (gateway)."""
+        return RingWriter(self.desk, record.DESK.layout)
+
+    def supervision_writer(self) -> RingWriter:
+        """The writer of what is done about the processes (supervisor)."""
+        return RingWriter(self.supervision, record.NOTE.layout)
+
+    def frame_writer(self) -> RingWriter:
+        """The writer of the frames (control process)."""
+        return RingWriter(self.frames, record.FRAME.layout)
 
     def write_json(self, name: str, value: Any) -> None:
         """Replace ``name`` at once, so that a reader sees the old file or the new one."""

@@ -85,6 +85,7 @@ def schema(rig: str) -> dict[str, Any]:
                 "shunt": "true: calibrate against the shunt",
                 "adopt": "true: calibrate sets the scale",
                 "tight": "true: identify only a tight rope",
+                "near_end": "true: arm at an end of the stroke, to drive away from it",
             },
         },
         "lease": {

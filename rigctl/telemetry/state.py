@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Fault
-from rigctl.telemetry.events import Kind, fault_text
+from rigctl.control.safety import Check, Fault
+from rigctl.telemetry.events import Kind, failed_checks, fault_text
 from rigctl.telemetry.record import RECORD, Flag, Quality
 
 ALIVE_NS = 250_000_000  # a loop whose newest record is older than this does not run
 WINDOW_NS = 1_000_000_000
+RECORDER_SILENT_NS = 5_000_000_000
 _PERCENTILES = (("p50", 0.5), ("p99", 0.99), ("p999", 0.999), ("max", 1.0))
 
 
@@ -131,6 +132,33 @@ def design_of(active: dict[str, Any]) -> tuple[str | None, list[str]]:
     return (verdict if isinstance(verdict, str) else None), warnings_of(design)
 
 
+def kept_of(told: dict[str, Any], now_ns: int) -> tuple[dict[str, Any], list[str]]:
+    """What the recorder says it has kept, and its warnings: one more where it has said nothing for a while."""
+    if not told:  # it has not said anything yet
+        return {"audit": None, "trip_dump": None}, []
+    audit = {name: told.get(name) for name in ("entries", "head", "failures")}
+    t_ns, warnings = told.get("t_ns"), warnings_of(told)
+    if not isinstance(t_ns, int) or now_ns - t_ns > RECORDER_SILENT_NS:
+        warnings.append("recorder: it does not run; nothing is put on record at the moment")
+    return {"audit": audit, "trip_dump": told.get("trip_dump")}, warnings
+
+
+def preflight_of(
+    record: np.void | None, failing: Mapping[Check, str], waived: Mapping[Check, str]
+) -> dict[str, dict[str, str]] | None:
+    """What stood against arming when it was last looked at, and what would but for a waiver; None without a record.
+
+    ``failing``: what more is known of some checks.
+    """
+    if record is None:
+        return None
+    bits = int(record["checks"])
+    return {
+        "failing": {check.name: failed_checks(check, failing)[0] for check in Check if bits & check and check.name},
+        "waived": {check.name: words for check, words in waived.items() if check.name},
+    }
+
+
 DERIVED: tuple[tuple[str, str, str], ...] = (
     ("rig", "", "name of the rig"),
     ("wall_ns", "ns", "t_ns on the wall clock, since 1970 UTC"),
@@ -153,6 +181,9 @@ DERIVED: tuple[tuple[str, str, str], ...] = (
     ("design", "", "how robust the law in use is, and where its gains come from; null before there is one"),
     ("calibration", "", "of the tension cell: zero_n, scale, due (null without a valid check), overdue, waiver"),
     ("lease", "", "holder, since_ns, until_ns (as t_ns), held_s, left_s; null while nobody holds it"),
+    ("preflight", "", "failing: checks that arming would fail now, in words; waived: those that may, and why; or null"),
+    ("audit", "", "audit log: entries, head (hash of the last), failures to write; null before the recorder runs"),
+    ("trip_dump", "", "file about the newest trip since the daemon's start, null for none"),
     ("warnings", "", "what the operator should know: real-time settings refused, a design waived and why"),
     ("gateway_wall_ns", "ns", "when this gateway started; changes when it was restarted"),
 )

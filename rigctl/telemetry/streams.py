@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from typing import Any
 
 import msgspec
@@ -12,8 +11,8 @@ import zenoh
 
 from rigctl.telemetry import block
 from rigctl.telemetry.cursor import Cursor
-from rigctl.telemetry.events import Kind, Worded, worded
 from rigctl.telemetry.keys import SEVERITIES, Keys
+from rigctl.telemetry.messages import event_message
 from rigctl.telemetry.notes import note_message
 from rigctl.telemetry.record import RECORD
 from rigctl.telemetry.ring import RingReader
@@ -103,23 +102,6 @@ class FastStream:
             publisher.put(payload)
         cursor.fast_seq, cursor.fast_lost = self._reader.cursor, self.lost
         cursor.save()
-
-
-def event_message(event: np.void, wall_offset_ns: int) -> tuple[str, dict[str, Any]]:
-    """Severity, and an event as the JSON object subscribers get; a slot nobody can word is still passed on."""
-    kind, a, b = int(event["kind"]), int(event["a"]), int(event["b"])
-    value, limit = float(event["value"]), float(event["limit"])
-    text = bytes(event["text"]).decode(errors="replace")
-    name = str(kind)
-    words = Worded("warning", f"event {kind} (a {a}, b {b}, value {value:g}, limit {limit:g}) {text}".rstrip())
-    with contextlib.suppress(ValueError, KeyError, OverflowError):
-        name = Kind(kind).name
-        words = worded(kind, a, b, value, limit, text)
-    t_ns = int(event["t_ns"])
-    return words.severity, {
-        "seq": int(event["seq"]), "t_ns": t_ns, "wall_ns": t_ns + wall_offset_ns, "severity": words.severity,
-        "source": "loop", "kind": name, "text": words.text, "a": a, "b": b, "value": value, "limit": limit,
-    }  # fmt: skip
 
 
 def past_messages(

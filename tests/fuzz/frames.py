@@ -8,7 +8,7 @@ import random
 import struct
 import tempfile
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import can
@@ -54,6 +54,10 @@ class Echo:
         self._stroke_mm += self._speed_mm_s * self._dt
         self._tick += 1
 
+    def node_of(self, device: str) -> int:
+        """Its node id."""
+        return self._nodes[device]
+
     def frames(self) -> Iterator[can.Message]:
         """What its devices answer."""
         tension = max(0.0, self._plant.stiffness_n_mm * (self._stroke_mm - 2.0)) + self._chance.gauss(0.0, 0.03)
@@ -68,8 +72,29 @@ class Echo:
             yield _frame(od.TPDO1_BASE + self._nodes["inclinometer"], od.SLOPE_TPDO.codec.pack(3, -1))
 
 
+def _negated(data: bytes) -> bytes:
+    (value,) = struct.unpack_from("<i", data)
+    return struct.pack("<i", max(-value, -(2**31) + 1)) + data[4:] if value != -(2**31) else data
+
+
+_SPOILS: dict[str, Callable[[bytes, random.Random], bytes | None]] = {
+    "lost": lambda _data, _chance: None,
+    "lost now and then": lambda data, chance: data if chance.random() < 0.5 else None,
+    "a bit flipped": lambda data, chance: bytes(
+        byte ^ (1 << chance.randrange(8) if i == chance.randrange(8) else 0) for i, byte in enumerate(data)
+    ),
+    "a value flipped": lambda data, chance: data[:-4] + bytes([data[-4] ^ 1 << chance.randrange(8)]) + data[-3:],
+    "negated": lambda data, _chance: _negated(data) if len(data) >= 4 else data,
+    "cut off": lambda data, chance: data[: chance.randrange(len(data) + 1)],
+    "anew": lambda data, chance: chance.randbytes(len(data)),
+}
+
+
 class RandomBus(can.BusABC):
-    """Calm stretches in which a rig answers and little else comes, and wild ones in which anything does."""
+    """Calm stretches in which a rig answers and little else comes, and wild ones.
+
+    In a wild one anything comes, or one device alone is spoilt: what it says is lost, frozen, flipped, negated, cut.
+    """
 
     def __init__(self, settings: RigSettings, seed: int) -> None:
         self.sent: list[can.Message] = []
@@ -79,6 +104,7 @@ class RandomBus(can.BusABC):
         self._queue: deque[can.Message] = deque()
         self._anything = anything(settings, chance)
         self._until, self._wild = 0, True
+        self._spoil, self._spoilt, self._frozen = "", 0, b""
         super().__init__(channel="random")
 
     def refill(self, tick: int) -> None:
@@ -87,10 +113,27 @@ class RandomBus(can.BusABC):
         if tick >= self._until:
             self._wild = not self._wild
             self._until = tick + (chance.randrange(2, 200) if self._wild else chance.randrange(300, 9000))
-        if not self._wild:
-            self._queue.extend(self.echo.frames())
-        odd = chance.randrange(FRAMES_PER_TICK) if self._wild else chance.random() < 0.0005
+            self._spoil = chance.choice((*_SPOILS, "frozen", "", "")) if self._wild else ""
+            self._spoilt, self._frozen = chance.randrange(4), b""
+        if not self._wild or self._spoil:
+            self._queue.extend(self._spoilt_frames())
+        anything_goes = self._wild and not self._spoil
+        odd = chance.randrange(FRAMES_PER_TICK) if anything_goes else chance.random() < 0.0005
         self._queue.extend(next(self._anything) for _ in range(odd))
+
+    def _spoilt_frames(self) -> Iterator[can.Message]:
+        devices = ("tension_cell", "inclinometer", "cylinder")
+        for message in self.echo.frames():
+            device = self._spoilt - 1  # 0: all of them
+            node = self.echo.node_of(devices[device]) if device >= 0 else message.arbitration_id & 0x7F
+            if not self._spoil or message.arbitration_id & 0x7F != node:
+                yield message
+            elif self._spoil == "frozen":
+                if message.arbitration_id < od.TPDO2_BASE:
+                    self._frozen = self._frozen if device >= 0 and self._frozen else bytes(message.data)
+                    yield _frame(message.arbitration_id, self._frozen)
+            elif (data := _SPOILS[self._spoil](bytes(message.data), self._chance)) is not None:
+                yield _frame(message.arbitration_id, data)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
         """Keep it."""
@@ -195,7 +238,7 @@ def _episode(settings: RigSettings, gains: Gains, found: Found, chance: random.R
         bus.shutdown()
 
 
-_ONWARD = {
+ONWARD = {
     Mode.DISARMED: (Verb.ARM,),
     Mode.HOLD: (Verb.TENSION, Verb.TENSION, Verb.RELEASE, Verb.IDENTIFY),
     Mode.TENSIONING: (Verb.TARGET,),
@@ -210,7 +253,7 @@ def _command(settings: RigSettings, chance: random.Random, mode: Mode) -> tuple[
     kind = chance.random()
     low, high = settings.tension.target_min_n - 20, settings.tension.target_max_n + 20
     if kind < 0.7:
-        return chance.choice(_ONWARD[mode]), chance.uniform(low, high)
+        return chance.choice(ONWARD[mode]), chance.uniform(low, high)
     if kind < 0.8:
         return chance.randrange(256), chance.choice((math.nan, math.inf, -math.inf, 1e300, -1.0, 0.0))
     if kind < 0.9:

@@ -17,7 +17,8 @@ HOME = pathlib.Path(os.environ.get("GUEST_HOME", CACHE / "rigctl/guest"))
 @pytest.mark.guest
 @pytest.mark.timeout(400)
 def test_the_daemon_and_the_simulated_rig_on_a_real_kernels_socketcan() -> None:
-    inside = [sys.executable, "-m", "pytest", "-v", "--timeout=150", str(HERE / "inside/socketcan.py")]
+    files = [str(HERE / f"inside/{name}.py") for name in ("socketcan", "bus_faults")]
+    inside = [sys.executable, "-m", "pytest", "-v", "--durations=0", "--timeout=150", *files]
     result = subprocess.run(
         [str(HERE / "guest-run"), "-t", "380", *inside],
         env={**os.environ, "GUEST_HOME": str(HOME), "OPENBLAS_NUM_THREADS": "1"},

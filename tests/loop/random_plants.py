@@ -7,6 +7,7 @@ load does not seat the nut, or slack. Lag 5 to 60 ms, delay 0.5 to 10 ms, backla
 
 from __future__ import annotations
 
+import functools
 import multiprocessing
 import random
 import sys
@@ -21,6 +22,7 @@ from rigctl import config
 from rigctl.commission import proposal
 from rigctl.config import RigSettings
 from rigctl.control.modes import Refusal, Verb
+from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
 from tests.daemons import PAPER
 
@@ -111,9 +113,14 @@ class Result:
         return abs(self.off(name)) <= float(self.rows[name]["error"])
 
 
-def identified(plant: RandomPlant) -> Result:
+@functools.cache
+def _as_filed() -> tuple[RigSettings, Gains]:
     settings = config.load(PAPER)
-    gains = design_and_check(settings).gains
+    return settings, design_and_check(settings).gains
+
+
+def identified(plant: RandomPlant) -> Result:
+    settings, gains = _as_filed()
     with lockstep(built(settings, plant), gains) as rig:
         if not plant.slack:
             rig.rig.plant.preload(plant.tension_n)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.config import RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Fault
-from rigctl.control.tension import Gains
+from rigctl.control.signs import SLOPE_N
+from rigctl.control.tension import RAMP_EASE_S, Gains
+from rigctl.design.margins import design_and_check
 from rigctl.telemetry.events import Kind
 from tests.loop.test_trials import cell_reads
 
@@ -78,38 +81,96 @@ def test_a_swapped_cell_is_caught_before_the_rope_pulls_more_than_slack(rig: Loc
     assert np.count_nonzero(records["mode"] == Mode.TENSIONING) < 1000
 
 
-def tight(settings: RigSettings, gains: Gains, spoil: Callable[[Lockstep], None]) -> tuple[Fault, float]:
-    """Fault and largest deviation of tension of a daemon that starts with 250 N on the rope, spoilt."""
-    with lockstep(settings, gains) as rig:
-        rig.rig.plant.preload(250.0)
-        rig.run(0.2)
+@dataclass(frozen=True)
+class Tensioned:
+    """How the tensioning of a rope that was tight before went: largest deviations of the truth in N and mm."""
+
+    fault: Fault
+    off_n: float
+    off_mm: float
+    mode: Mode
+    compensated: bool
+    told: list[Kind]
+
+
+def tight(
+    settings: RigSettings, gains: Gains, tension_n: float, spoil: Callable[[Lockstep], None] = lambda _rig: None
+) -> Tensioned:
+    """A daemon that starts with this tension on the rope, on a rig that is spoilt; no limits but the built-in ones."""
+    with lockstep(settings.model_copy(update={"limits": []}), gains) as rig:
+        rig.rig.plant.preload(tension_n)
+        rig.run(1.0)  # the filter has to take in the load, lest it does the finding
         assert rig.command(Verb.ARM) is Refusal.NONE
-        spoil(rig)
         rig.run(0.1)
-        before = rig.rig.truth.tension_n
-        assert before > 200.0
+        assert rig.loop.observer.sight.rejects == 0
+        spoil(rig)
+        before, off_n, off_mm, compensated = rig.rig.truth, 0.0, 0.0, False
+        assert before.tension_n == pytest.approx(tension_n, abs=5.0)
         assert rig.command(Verb.TENSION) is Refusal.NONE
-        deviation = 0.0
-        for _ in range(1500):
+        for _ in range(3000):
             rig.loop.tick()
-            deviation = max(deviation, abs(rig.rig.truth.tension_n - before))
-        return rig.loop.machine.fault, deviation
+            off_n = max(off_n, abs(rig.rig.truth.tension_n - before.tension_n))
+            off_mm = max(off_mm, abs(rig.rig.truth.stroke_mm - before.stroke_mm))
+            compensated |= rig.loop.machine.mode is Mode.COMPENSATING
+        told = [Kind(kind) for kind in rig.events.read()["kind"].tolist()]
+        return Tensioned(rig.loop.machine.fault, off_n, off_mm, rig.loop.machine.mode, compensated, told)
 
 
 @pytest.mark.parametrize(
     ("spoil", "fault"),
     [
-        (swap_drive, {Fault.SIGN_DRIVE, Fault.INNOVATION}),
-        (swap_drive_and_encoder, {Fault.SIGN_CELL, Fault.INNOVATION}),
-        (lambda rig: cell_reads(rig, lambda n: -n), {Fault.SIGN_CELL}),
+        (swap_drive, {Fault.SIGN_DRIVE, Fault.DRIVE_NOT_FOLLOWING}),
+        (swap_drive_and_encoder, {Fault.SIGN_CELL}),
+        (lambda rig: cell_reads(rig, lambda n: 500.0 - n), {Fault.SIGN_CELL}),
+        (lambda rig: cell_reads(rig, lambda n: -n), {Fault.CELL_NEGATIVE}),
     ],
 )
 def test_on_a_tight_rope_too(
     settings: RigSettings, gains: Gains, spoil: Callable[[Lockstep], None], fault: set[Fault]
 ) -> None:
-    found, deviation_n = tight(settings, gains, spoil)
-    assert found in fault
-    assert deviation_n < 15.0
+    found = tight(settings, gains, 250.0, spoil)
+    assert found.fault in fault
+    assert found.off_n < 15.0
+    assert not found.compensated
+
+
+@pytest.mark.parametrize(("spring_n_mm", "target_n"), [(6.0, 300.0), (6.0, 50.0), (None, 300.0)])
+def test_a_rope_that_is_tight_and_on_target_is_felt_before_the_loop_closes_for_good(
+    settings: RigSettings, spring_n_mm: float | None, target_n: float
+) -> None:
+    plant = settings.plant.model_copy(update={"spring_n_mm": spring_n_mm})
+    tension = settings.tension.model_copy(update={"target_n": target_n})
+    settings = settings.model_copy(update={"plant": plant, "tension": tension})
+    found = tight(settings, design_and_check(settings).gains, target_n)
+    assert (found.fault, found.mode) == (Fault.NONE, Mode.COMPENSATING)
+    assert Kind.SIGNS in found.told
+    turn_n = 0.5 * settings.tension.ramp_n_s * RAMP_EASE_S  # the ramp back takes over at this speed, and eases
+    assert SLOPE_N - 1.0 < found.off_n < SLOPE_N + turn_n + 1.0
+
+
+def test_where_the_stroke_ends_it_is_felt_the_other_way(settings: RigSettings, gains: Gains) -> None:
+    cylinder = settings.cylinder.model_copy(update={"stroke_min_mm": -1.0})
+    found = tight(settings.model_copy(update={"cylinder": cylinder}), gains, settings.tension.target_n)
+    assert (found.fault, found.mode) == (Fault.NONE, Mode.COMPENSATING)
+    assert Kind.SIGNS in found.told
+
+
+@pytest.mark.parametrize(
+    ("spoil", "fault"),
+    [
+        (swap_drive, {Fault.SIGN_DRIVE, Fault.DRIVE_NOT_FOLLOWING}),
+        (swap_drive_and_encoder, {Fault.SIGN_CELL}),
+        (lambda rig: cell_reads(rig, lambda n: 600.0 - n), {Fault.SIGN_CELL}),
+    ],
+)
+def test_on_target_too_each_wrong_way_round_is_caught_before_the_loop_is_closed_for_good(
+    settings: RigSettings, gains: Gains, spoil: Callable[[Lockstep], None], fault: set[Fault]
+) -> None:
+    found = tight(settings, gains, settings.tension.target_n, spoil)
+    assert found.fault in fault
+    assert not found.compensated
+    assert found.off_n < 20.0
+    assert Fault.SIGN_CELL in fault or found.off_mm < 0.5
 
 
 def test_a_spring_that_is_not_the_files_is_caught(rig: Lockstep, enter: Enter) -> None:

@@ -25,13 +25,16 @@ DAY_NS = 86_400 * 10**9
 
 
 def check_of(file: pathlib.Path, *, age_ns: int = 0, zero_n: float = 0.0) -> None:
-    """Put a calibration check that passed into the ledger of a rig file."""
+    """Put a tare and a calibration check that passed into the ledger of a rig file."""
     settings = config.load(file)
-    written = ledger.entry(
-        settings, "calibrate", "kim", time.time_ns() - age_ns,
-        before={"zero_n": 0.0, "scale": 1.0}, after={"zero_n": zero_n, "scale": 1.0}, figures={}, passed=True,
-    )  # fmt: skip
-    ledger.append(settings, written)
+    pair: dict[str, Any] = {
+        "before": {"zero_n": 0.0, "scale": 1.0},
+        "after": {"zero_n": zero_n, "scale": 1.0},
+        "figures": {},
+    }
+    for what, passed in (("tare", None), ("calibrate", True)):
+        wall_ns = time.time_ns() - age_ns
+        ledger.append(settings, ledger.entry(settings, what, "kim", wall_ns, **pair, passed=passed))
 
 
 def entries(file: pathlib.Path) -> list[Entry]:
@@ -44,7 +47,7 @@ def rig_file(folder: pathlib.Path, **calibration: Any) -> pathlib.Path:
 
 @pytest.fixture
 def file(tmp_path: pathlib.Path) -> pathlib.Path:
-    """A rig file that waives nothing, and a check that passed."""
+    """A rig file that waives nothing, a tare, and a check that passed."""
     made = rig_file(tmp_path, waiver=None)
     check_of(made)
     return made
@@ -87,7 +90,7 @@ def test_an_operator_commissions_the_rig(running: Running, tmp_path: pathlib.Pat
     assert "scale 1.00000 -> " in running.do("calibrate", "--weight-n", str(float(weight) * 1.005), "--adopt")
     assert daemons.state(file)["calibration"]["scale"] == pytest.approx(1.005, abs=1.5e-3)  # 5 x 0.03 N
     assert "within 0.5 %" in running.do("calibrate", "--weight-n", str(float(weight) * 1.005))
-    assert [entry.what for entry in entries(file)[1:]] == ["tare", "identify", *["calibrate"] * 3]
+    assert [entry.what for entry in entries(file)[2:]] == ["tare", "identify", *["calibrate"] * 3]
     assert "signs checked" in running.log.read_text()
 
 
@@ -95,28 +98,34 @@ def test_hold_cuts_an_identification_short(running: Running) -> None:
     running.do("arm")
     where = ("--connect", daemons.endpoint(running.file))
     command = [sys.executable, "-m", "rigctl", "identify", *where]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=daemons.ROOT)
+    child = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=daemons.ROOT,
+        env=daemons.environment(running.file),
+    )  # fmt: skip
     daemons.wait_for(lambda: daemons.state(running.file)["command_mm_s"] != 0.0)
     running.do("hold")
     said, complained = child.communicate(timeout=20)
     assert (child.returncode, said) == (1, "")
     assert complained.startswith("rigctl: IDENTIFY refused: cut short")
     assert daemons.state(running.file)["command_mm_s"] == 0.0
-    assert [entry.what for entry in entries(running.file)] == ["calibrate"]
+    assert [entry.what for entry in entries(running.file)] == ["tare", "calibrate"]
 
 
 def test_the_operator_who_interrupts_an_identification_ends_it(running: Running) -> None:
     running.do("arm")
     where = ("--connect", daemons.endpoint(running.file))
     command = [sys.executable, "-m", "rigctl", "identify", *where]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=daemons.ROOT)
+    child = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=daemons.ROOT,
+        env=daemons.environment(running.file),
+    )  # fmt: skip
     daemons.wait_for(lambda: daemons.state(running.file)["command_mm_s"] != 0.0)
     child.send_signal(signal.SIGINT)
     said, complained = child.communicate(timeout=20)
     assert (child.returncode, said) == (1, "")
     assert complained == "rigctl: interrupted; identify was ended, the stroke is held\n"
     assert daemons.state(running.file)["command_mm_s"] == 0.0
-    assert [entry.what for entry in entries(running.file)] == ["calibrate"]
+    assert [entry.what for entry in entries(running.file)] == ["tare", "calibrate"]
     assert running.do("tare").startswith("TARE: ")  # nothing is left of it
 
 
@@ -134,14 +143,14 @@ def test_a_tare_on_record_whose_gateway_was_killed_is_put_in_force_by_the_next(r
     assert "left over from before, is in force" in running.log.read_text()
     daemons.wait_for(lambda: daemons.state(running.file)["calibration"]["zero_n"] == 1.5)
     assert daemons.state(running.file)["tension_n"] == pytest.approx(-1.5, abs=0.3)
-    assert [entry.what for entry in entries(running.file)] == ["calibrate", "tare"]
+    assert [entry.what for entry in entries(running.file)] == ["tare", "calibrate", "tare"]
 
 
 def test_a_failed_check_blocks_the_next_arming(running: Running) -> None:
     running.do("arm")
     assert "NOT within 0.5 %" in running.refused("calibrate")  # nothing hangs there
     running.do("disarm")
-    assert "calibration is missing or overdue" in running.refused("arm")
+    assert "no calibration check has passed" in running.refused("arm")
     assert "OVERDUE: no arming" in running.do("status")
 
 

@@ -54,7 +54,7 @@ def test_gains_change_while_it_compensates_and_outlive_the_control_process(runni
     refusals = {
         "plant.spring_n_mm was 8": tuned(file, "other_plant", plant={"spring_n_mm": 8.0}),
         "design refused: Ms": tuned(file, "too_hard", design={"stretch_weight": 2000.0, "ms_max": 9.0}),
-        "found no gain file": str(file),
+        "provenance: found nothing": str(file),
     }
     for why, refused in refusals.items():
         assert why in running.refused("gains", refused)

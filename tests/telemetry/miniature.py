@@ -37,6 +37,9 @@ def until(true: Callable[[], Any], what: str) -> Any:
     return value
 
 
+DESIGN = {"ms": 1, "accepted": True, "waiver": None, "verdict": "Ms 1"}
+
+
 class Daemon:
     """Processes and runtime folder of one rig."""
 
@@ -47,7 +50,7 @@ class Daemon:
         telemetry = settings.telemetry.model_copy(update={"listen": self.endpoint})
         self.settings = settings.model_copy(update={"rig": rig, "telemetry": telemetry})
         self.runtime.make_rings(self.settings)
-        self.runtime.write_json("active.json", {"settings": self.settings.model_dump(mode="json"), "design": {"ms": 1}})
+        self.runtime.write_json("active.json", {"settings": self.settings.model_dump(mode="json"), "design": DESIGN})
         self.processes: list[subprocess.Popen[str]] = []
         self.gateway: subprocess.Popen[str] | None = None
 

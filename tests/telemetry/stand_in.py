@@ -13,7 +13,18 @@ import sys
 import time
 from typing import Any
 
-from rigctl.control.modes import TRANSITIONS, Decision, Event, Mode, Refusal, Situation, Verb, decide, next_mode
+from rigctl.control.modes import (
+    TRANSITIONS,
+    Decision,
+    Event,
+    Mode,
+    Refusal,
+    Setting,
+    Situation,
+    Verb,
+    decide,
+    next_mode,
+)
 from rigctl.control.safety import Action, Check, Fault
 from rigctl.telemetry.events import Kind
 from rigctl.telemetry.record import RECORD
@@ -32,7 +43,11 @@ class StandIn:
         self.replies, self.commands = runtime.reply_writer(), runtime.command_reader()
         self.mode, self.fault, self.target, self.tension, self.stroke = Mode.DISARMED, Fault.NONE, 300.0, 0.0, 0.0
         self.arming: tuple[int, int] | None = None
-        self.failed = 0
+        self.own, self.host = 0, int(Check.HOST)
+
+    @property
+    def failed(self) -> int:
+        return self.own | self.host
 
     def event(self, now: int, kind: Kind, a: int = 0, b: int = 0, value: float = 0.0, limit: float = 0.0) -> None:
         self.events.write(now, int(kind), a, b, value, limit, b"")
@@ -47,7 +62,12 @@ class StandIn:
         self.replies.write(now, number, accepted, int(decision.refusal), checks, int(self.mode), self.target, 0.0)
 
     def take(self, now: int, command: Any) -> None:
-        verb, value, number = Verb(int(command["verb"])), float(command["value"]), int(command["id"])
+        value, number = float(command["value"]), int(command["id"])
+        if int(command["verb"]) == Setting.HOST_CHECKS:
+            self.host = int(value)
+            self.reply(now, number, Decision())
+            return
+        verb = Verb(int(command["verb"]))
         if verb is Verb.TARGET and value == SILENT_N:
             return
         situation = Situation(
@@ -96,7 +116,7 @@ class StandIn:
             "t_ns": now, "tick": tick, "lateness_ns": late, "work_ns": 80_000 + tick % 1000, "mode": int(self.mode),
             "fault": int(self.fault), "tension_n": vertical, "vertical_n": vertical, "target_n": self.target,
             "stroke_mm": self.stroke, "tangential_rad": 0.1 * math.sin(now / 5e9), "normal_rad": math.nan,
-            "inclination_quality": 1, "frames_sent": tick,
+            "inclination_quality": 1, "frames_sent": tick, "checks": self.failed,
         }  # fmt: skip
         self.records.write(*values.values())
 
@@ -107,8 +127,8 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: stop.append(1))
     loop = StandIn(runtime)
     if "--fail-preflight" in sys.argv:
-        loop.failed = int(Check.CELL_STALE | Check.STROKE_RANGE)
-    runtime.write_json("control.json", {"warnings": ["SCHED_FIFO 80 refused: not permitted"], "realtime": {}})
+        loop.own = int(Check.CELL_STALE | Check.STROKE_RANGE)
+    runtime.write_json("control.json", {"warnings": ["SCHED_FIFO 80 refused: not permitted"], "realtime": []})
     start = due = time.monotonic_ns()
     loop.event(start, Kind.STARTED)
     while not stop:

@@ -17,7 +17,7 @@ import zenoh
 from rigctl.telemetry.fast import FastReader
 from rigctl.telemetry.record import RECORD
 from rigctl.telemetry.session import close, open_client
-from tests.telemetry.miniature import ROOT, Daemon, free_port, until
+from tests.telemetry.miniature import DESIGN, ROOT, Daemon, free_port, until
 
 
 def test_fast_stream_is_complete(shared: Daemon) -> None:
@@ -99,7 +99,7 @@ def test_active_configuration_is_answered(shared: Daemon) -> None:
     with shared.client() as client:
         active = client.active()
     assert active["settings"]["rig"] == "paper_rig"
-    assert active["design"] == {"ms": 1}
+    assert active["design"] == DESIGN
     assert active["control"]["warnings"]
 
 

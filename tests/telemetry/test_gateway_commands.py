@@ -9,7 +9,10 @@ from typing import Any
 import msgspec
 import pytest
 
+from rigctl.control.modes import Setting, Verb
+from rigctl.control.safety import Check
 from rigctl.telemetry.client import Client
+from rigctl.telemetry.events import CHECK_TEXT
 from tests.telemetry.miniature import Daemon, running, until
 
 
@@ -26,7 +29,9 @@ def test_a_session_with_the_rig(own: Daemon) -> None:
         assert refused["text"] == "TENSION refused: tension is not possible in DISARMED: arm first"
         armed = client.command("arm", "kim")
         assert armed["accepted"] is True
-        assert armed["text"] == "ARM: armed, HOLD, stroke 0.00 mm, tension 0.0 N"
+        words = "simulated cell: there is no weight to hang on it"
+        assert armed["text"] == f"ARM: armed, HOLD, stroke 0.00 mm, tension 0.0 N; waived: calibration, tare ({words})"
+        assert armed["waived"] == {"calibration": words, "tare": words}
         assert (armed["mode"], armed["operator"]) == ("HOLD", "kim")
         assert client.command("target", "kim", 400.0)["text"] == "TARGET refused: target must be 50 to 350 N"
         assert client.command("target", "kim", 250)["text"] == "TARGET: 250 N, HOLD"
@@ -59,9 +64,10 @@ def test_preflight_refusal_lists_the_checks(refusing: Daemon) -> None:
     with refusing.client() as client:
         refused = client.command("arm", "kim")
     assert refused["reason"] == "preflight"
-    assert refused["checks"] == ["no fresh tension sample", "stroke outside its limits"]
-    hint = "a device that was switched off needs the daemon started anew"
-    assert refused["text"] == f"ARM refused: no fresh tension sample; stroke outside its limits ({hint})"
+    words = [CHECK_TEXT[check] for check in (Check.CELL_STALE, Check.STROKE_RANGE)]
+    assert refused["checks"] == words
+    hint = "a device that was switched off or a CAN interface that was unplugged needs the daemon started anew"
+    assert refused["text"] == f"ARM refused: {'; '.join(words)} ({hint})"
 
 
 def test_two_at_once(own: Daemon) -> None:
@@ -137,3 +143,13 @@ def test_no_command_by_another_key(shared: Daemon, verb: str) -> None:
         replies = list(client.session.get(client.keys.command(verb), payload=b'{"operator": "kim"}', timeout=2))
         assert all(reply.ok is None for reply in replies)
         assert client.state()["mode"] == "DISARMED"
+
+
+def test_every_arm_comes_right_after_what_the_host_says(own: Daemon) -> None:
+    with own.client() as client:
+        assert client.command("arm", "kim")["accepted"]
+        given = own.runtime.command_reader(from_start=True).read()
+        arm = given["verb"].tolist().index(Verb.ARM)
+        assert (given["verb"][arm - 1], given["value"][arm - 1]) == (Setting.HOST_CHECKS, 0.0)
+        assert client.state()["preflight"]["failing"] == {}
+        assert set(client.state()["preflight"]["waived"]) == {"CALIBRATION", "TARE"}

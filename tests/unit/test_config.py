@@ -16,6 +16,10 @@ ROOT = pathlib.Path(__file__).parents[2]
 PAPER = (ROOT / "config/paper_rig.yaml").read_text()
 
 
+SLOW_STATUS = PAPER.replace("  rate_hz: 1000\n", "  rate_hz: 4000\n", 1).replace(
+    "status_rate_hz: 20 ", "status_rate_hz: 5 "
+)
+
 Refuse = Callable[[str, str], list[str]]
 
 
@@ -49,6 +53,29 @@ def test_the_plain_rig_is_the_papers_but_for_its_sensors_and_name() -> None:
         assert plain[section].pop("dbc") and paper[section].pop("dbc") is None
     del plain["rig"], paper["rig"], plain["can"]["channel"], paper["can"]["channel"], plain["plain"], paper["plain"]
     assert plain == paper
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "allowed"),
+    [
+        ("rated_current_a: 3.0", "rated_current_a: null", "cylinder.rated_current_a", "with status_rate_hz"),
+        ("status_rate_hz: 20 ", "status_rate_hz: null ", "cylinder.e_stop_input", "none without status_rate_hz"),
+        pytest.param(PAPER, SLOW_STATUS, "cylinder.status_rate_hz", "divided by 1 to 240", id="status too slow"),
+        ("stroke_margin_mm: 2.0", "stroke_margin_mm: 70.0", "preflight.stroke_margin_mm", "less than half the stroke"),
+        (
+            'realtime_waiver: "simulated rig: a late tick harms nobody"',
+            "realtime_waiver: no",
+            "loop.realtime_waiver",
+            "",
+        ),
+    ],
+)
+def test_a_drives_status_and_a_preflight_that_do_not_fit_are_refused(
+    refuse: Refuse, old: str, new: str, key: str, allowed: str
+) -> None:
+    (line,) = refuse(old, new)
+    assert f" {key}: " in line
+    assert allowed in line
 
 
 ENCODER = "rail_encoder: {counts_per_turn: 1048576, rate_hz: 1000}\n"

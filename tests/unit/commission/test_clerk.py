@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import pathlib
 import queue
+import time
 from collections.abc import Iterator
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 
 from rigctl import config
@@ -15,6 +19,7 @@ from rigctl.commission.ledger import IN_FORCE, Standing, in_force
 from rigctl.config import RigSettings
 from rigctl.control.modes import Setting, Verb
 from rigctl.telemetry.events import Kind
+from rigctl.telemetry.record import RECORD
 from rigctl.telemetry.request import Request
 from rigctl.telemetry.runtime import Runtime
 
@@ -83,13 +88,32 @@ def test_an_identification_whose_records_are_gone_is_refused(
     assert "not there any more" in given.text
 
 
+def test_an_identification_goes_by_the_ticks_of_its_excitation_alone(
+    clerk: Clerk, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[int] = []
+
+    def identify(_settings: object, _request: object, records: npt.NDArray[Any], _wall_ns: int) -> None:
+        seen.extend(records["t_ns"].tolist())
+        raise findings.FindingError("seen")
+
+    monkeypatch.setattr(findings, "identify", identify)
+    writer, blank = Runtime(tmp_path).record_writer(), np.zeros(1, RECORD.dtype)[0].item()
+    for t_s in range(20):
+        writer.write(t_s * S, *blank[2:])
+    done: queue.SimpleQueue[Filed] = queue.SimpleQueue()
+    clerk.file(Request(Verb.IDENTIFY, "kim"), {"value": 6.9, "spread": 0.0, "t_ns": 15 * S}, done.put)
+    assert done.get(timeout=10.0).text == "seen"
+    assert seen == [t_s * S for t_s in range(9, 16)]
+
+
 def test_the_due_date_is_told_once_when_it_has_passed(clerk: Clerk) -> None:
     given = filed(clerk, Request(Verb.CALIBRATE, "kim", 100.0), 100.1)
     assert given.finding is not None
-    wall_ns = 1_800_000_000 * S
+    wall_ns = time.time_ns()
     assert given.standing is not None
     clerk.put_in_force(given)
-    assert clerk.news(1 * S, 0) == []
+    assert clerk.news(1 * S, time.time_ns()) == []
     assert clerk.news(1 * S + 1, 1 << 62) == ()  # looked at a moment ago
     assert clerk.news(2 * S, wall_ns + 3650 * 86_400 * S) == [(Setting.OVERDUE, 1.0)]
     assert clerk.standing.overdue
@@ -114,11 +138,11 @@ def test_with_an_adopted_scale_that_was_withdrawn_the_check_goes_and_the_loop_is
     clerk: Clerk, settings: RigSettings
 ) -> None:
     clerk.put_in_force(filed(clerk, Request(Verb.CALIBRATE, "kim", 100.0), 100.1))
-    assert clerk.news(1 * S, 0) == []
+    assert clerk.news(1 * S, time.time_ns()) == []
     clerk.withdraw(filed(clerk, Request(Verb.CALIBRATE, "kim", 100.0, adopt=True), 100.4))
     clerk.close()
-    assert clerk.news(2 * S, 0) == [(Setting.OVERDUE, 1.0)]  # its OVERDUE 0 may have been taken before
-    assert ledger.standing(settings, ledger.read(settings), 1_800_000_000 * S).due is None
+    assert clerk.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, 1.0)]  # its OVERDUE 0 may have been taken before
+    assert ledger.standing(settings, ledger.read(settings), time.time_ns()).due is None
 
 
 class Interrupted:
@@ -156,22 +180,27 @@ def next_clerk(interrupted: Interrupted) -> Iterator[Clerk]:
 def test_what_is_on_record_and_not_in_force_is_told_again(
     interrupted: Interrupted, next_clerk: Clerk, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert next_clerk.news(1 * S, 0) == [(Setting.ZERO, 1.5)]
+    assert next_clerk.news(1 * S, time.time_ns()) == [(Setting.ZERO, 1.5)]
     interrupted.loop_goes_by(1.5, 1.0)
-    assert next_clerk.news(2 * S, 0) == [(Setting.OVERDUE, 1.0)]
+    assert next_clerk.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, 1.0)]
     assert in_force(interrupted.runtime).zero_n == 1.5
     assert interrupted.entries() == ["tare"]
     assert "the tare by kim of" in (said := capsys.readouterr().err)
     assert "is in force" in said
-    assert next_clerk.news(3 * S, 0) == []
+    assert next_clerk.news(3 * S, time.time_ns()) == []
+
+
+def test_what_is_shown_in_force_and_is_not_is_told_again(interrupted: Interrupted, next_clerk: Clerk) -> None:
+    interrupted.runtime.write_json(IN_FORCE, interrupted.filed.standing)
+    assert next_clerk.news(1 * S, time.time_ns()) == [(Setting.ZERO, 1.5)]
 
 
 def test_what_the_loop_still_does_not_take_is_withdrawn(
     interrupted: Interrupted, next_clerk: Clerk, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert next_clerk.news(1 * S, 0) == [(Setting.ZERO, 1.5)]
-    assert next_clerk.news(2 * S, 0) == []
-    assert next_clerk.news(4 * S, 0) == [(Setting.OVERDUE, 1.0)]
+    assert next_clerk.news(1 * S, time.time_ns()) == [(Setting.ZERO, 1.5)]
+    assert next_clerk.news(2 * S, time.time_ns()) == []
+    assert next_clerk.news(4 * S, time.time_ns()) == [(Setting.OVERDUE, 1.0)]
     next_clerk.close()
     assert interrupted.entries() == ["tare", "tare withdrawn"]
     assert in_force(interrupted.runtime).zero_n == 0.0
@@ -182,8 +211,8 @@ def test_what_the_loop_took_before_its_gateway_died_is_shown_in_force(
     interrupted: Interrupted, next_clerk: Clerk
 ) -> None:
     interrupted.loop_goes_by(1.5, 1.0)
-    assert next_clerk.news(1 * S, 0) == []
-    next_clerk.news(2 * S, 0)
+    assert next_clerk.news(1 * S, time.time_ns()) == []
+    next_clerk.news(2 * S, time.time_ns())
     assert in_force(interrupted.runtime).zero_n == 1.5
     assert interrupted.entries() == ["tare"]
 
@@ -192,17 +221,44 @@ def test_a_ledger_that_somebody_else_changed_is_not_put_in_force(
     interrupted: Interrupted, next_clerk: Clerk, capsys: pytest.CaptureFixture[str]
 ) -> None:
     interrupted.loop_goes_by(-3.0, 1.0)
-    assert next_clerk.news(1 * S, 0) == []
-    assert next_clerk.news(5 * S, 0) == []
+    assert next_clerk.news(1 * S, time.time_ns()) == []
+    assert next_clerk.news(5 * S, time.time_ns()) == []
     assert interrupted.entries() == ["tare"]
+    assert "holds from the daemon's next start" in capsys.readouterr().err
+
+
+def test_a_check_on_record_that_changed_no_figure_of_the_loop_holds_until_its_due_date(
+    clerk: Clerk, settings: RigSettings, tmp_path: pathlib.Path
+) -> None:
+    runtime = Runtime(tmp_path)
+    runtime.write_json(IN_FORCE, Standing(overdue=True))
+    assert filed(clerk, Request(Verb.CALIBRATE, "kim", 100.0), 100.1).standing is not None
+    clerk.close()  # and with it went its gateway
+    after = Clerk(runtime, settings)
+    assert list(after.news(1 * S, time.time_ns())) == []
+    assert after.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, 0.0)]
+    assert in_force(runtime).due is not None
+    after.close()
+
+
+def test_a_tare_that_was_withdrawn_and_yet_taken_is_left_to_the_next_start(
+    interrupted: Interrupted, next_clerk: Clerk, capsys: pytest.CaptureFixture[str]
+) -> None:
+    next_clerk.withdraw(interrupted.filed)
+    next_clerk.close()
+    interrupted.loop_goes_by(1.5, 1.0)
+    after = Clerk(interrupted.runtime, interrupted.settings)
+    assert after.news(1 * S, time.time_ns()) == []
+    after.close()
+    assert interrupted.entries() == ["tare", "tare withdrawn"]
     assert "holds from the daemon's next start" in capsys.readouterr().err
 
 
 def test_an_answer_that_is_missing_is_looked_for(interrupted: Interrupted, next_clerk: Clerk) -> None:
     interrupted.loop_goes_by(1.5, 1.0)
-    next_clerk.news(1 * S, 0)
-    next_clerk.news(2 * S, 0)
+    next_clerk.news(1 * S, time.time_ns())
+    next_clerk.news(2 * S, time.time_ns())
     given = filed(next_clerk, mean_n=2.5)
-    assert next_clerk.news(3 * S, 0) == []  # the desk puts it in force
+    assert next_clerk.news(3 * S, time.time_ns()) == []  # the desk puts it in force
     next_clerk.unanswered(given)
-    assert next_clerk.news(4 * S, 0) == [(Setting.ZERO, 2.5)]
+    assert next_clerk.news(4 * S, time.time_ns()) == [(Setting.ZERO, 2.5)]

@@ -10,13 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rigctl.commission import identification as ident
+from rigctl.commission import motion
 from rigctl.commission.identification import IdentificationError, Signals
 from rigctl.commission.proposal import rounded
 
 STEPS = 50  # per tick: the reference is integrated with 20 us
 
 
-def steps(pairs: int = 6, speed: float = 3.0) -> ident.Array:
+def steps(pairs: int = 6, speed: float = 3.0) -> motion.Array:
     one = [speed] * 250 + [0.0] * 150 + [-speed] * 250 + [0.0] * 150
     return np.array([0.0] * 500 + one * pairs)
 
@@ -34,7 +35,7 @@ def simulated(lag_s: float, delay_s: float, *, noise_mm_s: float = 0.0, play_mm:
         stroke += speed * 1e-3 / STEPS
         speed += (value - speed) * share
     latched = [np.concatenate([[0.0], np.array(x)[::STEPS]])[:-1] for x in (speeds, strokes)]
-    tension = 15.0 + 6.0 * ident.behind_play(latched[1], play_mm) + rng.normal(0.0, 0.03, len(command))
+    tension = 15.0 + 6.0 * motion.behind_play(latched[1], play_mm) + rng.normal(0.0, 0.03, len(command))
     return Signals(
         1e-3, command, np.round(latched[1], 3), latched[0] + rng.normal(0.0, noise_mm_s, len(command)), tension
     )
@@ -45,10 +46,15 @@ def simulated(lag_s: float, delay_s: float, *, noise_mm_s: float = 0.0, play_mm:
 def test_lag_and_delay_are_found_between_the_ticks(lag_s: float, delay_s: float) -> None:
     delay_s = round(delay_s * 5e4) / 5e4  # on the reference's own steps
     found = ident.drive(simulated(lag_s, delay_s))
-    rounding_s = 0.5e-3 / 3.0  # half the unit of the position, at this speed
-    assert found.lag_s.value == pytest.approx(lag_s, abs=rounding_s)
-    assert found.delay_s.value == pytest.approx(delay_s, abs=rounding_s)
+    for estimate, truth in ((found.lag_s, lag_s), (found.delay_s, delay_s)):
+        assert abs(estimate.value - truth) <= estimate.error
+        assert estimate.error < 0.7e-3 / 3.0  # seven tenths of the position's unit, at this speed
     assert found.gain.value == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("freedom", "point"), [(3, 3.1824), (6, 2.4469), (13, 2.1604), (1000, 1.9623)])
+def test_few_pairs_widen_the_uncertainty_as_students_t_says(freedom: int, point: float) -> None:
+    assert ident.student_t(freedom) == pytest.approx(point, rel=0.02)
 
 
 def test_the_standard_errors_cover_the_noise() -> None:
@@ -75,7 +81,7 @@ def test_noise_is_what_is_quicker_than_a_tenth_of_a_second() -> None:
 
 
 @pytest.mark.parametrize("command", [np.zeros(1000), steps(pairs=2)])
-def test_too_little_is_said(command: ident.Array) -> None:
+def test_too_little_is_said(command: motion.Array) -> None:
     with pytest.raises(IdentificationError):
         ident.pairs_of(command)
     with pytest.raises(IdentificationError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pathlib
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -69,11 +70,19 @@ def test_a_check_holds_until_its_due_date_and_a_failed_one_ends_it(settings: Rig
     assert stands(settings).due == ledger.utc(NOW_NS + 365 * DAY_NS)
     assert not stands(settings, NOW_NS + 365 * DAY_NS - 10**9).overdue
     assert stands(settings, NOW_NS + 365 * DAY_NS).overdue
+    assert not findings.calibrate(settings, CALIBRATE, Standing(), measured(294.2 * 0.994)).good
     failed = findings.calibrate(settings, CALIBRATE, Standing(), measured(294.2 * 1.006))
     assert not failed.good
     assert failed.settings == ((Setting.OVERDUE, 1.0),)
     ledger.append(settings, failed.entry)
     assert stands(settings).overdue
+    assert settings.calibration is not None
+    waived = settings.calibration.model_copy(update={"waiver": "the weight is away"})
+    excused = findings.calibrate(
+        settings.model_copy(update={"calibration": waived}), CALIBRATE, Standing(), measured(294.2 * 1.006)
+    )
+    assert not excused.good
+    assert excused.settings == ((Setting.OVERDUE, 0.0),)
 
 
 def test_a_check_from_the_future_holds_for_nothing(settings: RigSettings) -> None:
@@ -95,6 +104,14 @@ def test_what_the_loop_refused_is_withdrawn(settings: RigSettings) -> None:
 def test_no_scale_beyond_its_bound_is_adopted(settings: RigSettings, reading_n: float) -> None:
     with pytest.raises(FindingError, match="nothing was changed"):
         findings.calibrate(settings, Request(Verb.CALIBRATE, "kim", adopt=True), Standing(), measured(reading_n))
+
+
+def test_an_adopted_scale_goes_on_from_the_one_in_force_and_counts_as_a_check(settings: RigSettings) -> None:
+    adopt = replace(CALIBRATE, adopt=True)
+    given = findings.calibrate(settings, adopt, Standing(zero_n=1.0, scale=1.01), measured(294.2 / 1.005 + 1.0))
+    assert given.good
+    assert given.entry.passed
+    assert given.settings == ((Setting.OVERDUE, 0.0), (Setting.SCALE, pytest.approx(1.005)))
 
 
 def test_the_shunt_is_held_against_its_own_reference(settings: RigSettings) -> None:

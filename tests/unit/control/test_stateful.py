@@ -23,7 +23,9 @@ LIMITS = [
     LimitSettings(signal="drive_current_a", high=9.0, persistence_ms=5, action="quick_stop", modes=ARMED),
     LimitSettings(signal="lateness_us", high=500.0, persistence_ms=2, action="log", modes=ARMED),
 ]
-SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml").model_copy(update={"limits": LIMITS})
+SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml").model_copy(
+    update={"limits": LIMITS}
+)
 GOOD = Sight(
     tension_n=300.0, cell_age_ns=MS, inclination_age_ns=9 * MS, stroke_mm=50.0, drive_age_ns=MS, bus_age_ns=MS,
     drive_temperature_c=40.0, drive_current_a=1.0,

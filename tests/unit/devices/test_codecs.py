@@ -21,17 +21,18 @@ from rigctl.telemetry.record import Quality
 EDS = pathlib.Path(__file__).parents[3] / "config/eds"
 
 
-def pdo(eds: str, direction: str) -> Any:
+def pdo(eds: str, direction: str, number: int = 1) -> Any:
     node = canopen.RemoteNode(1, str(EDS / eds))
     network = canopen.Network()
     network.add_node(node)
     maps = getattr(node, direction)
-    maps[1].read(from_od=True)
-    return maps[1]
+    maps[number].read(from_od=True)
+    return maps[number]
 
 
 CELL, SLOPE = pdo("tension_amplifier.eds", "tpdo"), pdo("inclinometer.eds", "tpdo")
 ENCODER = pdo("rail_encoder.eds", "tpdo")
+STATUS_2 = pdo("cylinder_drive.eds", "tpdo", 2)
 STATUS, COMMAND = pdo("cylinder_drive.eds", "tpdo"), pdo("cylinder_drive.eds", "rpdo")
 
 
@@ -78,6 +79,13 @@ def test_drive_status_is_what_canopen_reads(data: bytes) -> None:
     assert codecs.decode_drive(data) == (statusword, pytest.approx(position * 1e-3), pytest.approx(velocity * 1e-2))
 
 
+@given(st.binary(min_size=8, max_size=8))
+def test_current_temperature_and_inputs_are_what_canopen_reads(data: bytes) -> None:
+    current, temperature, inputs = oracle(STATUS_2, data)
+    found = codecs.decode_drive_status(data)
+    assert found == (pytest.approx(current * 1e-3), pytest.approx(temperature * 0.1), inputs)
+
+
 @given(st.sampled_from(Controlword), st.floats(-2e6, 2e6))
 def test_a_command_is_what_canopen_reads(controlword: Controlword, speed_mm_s: float) -> None:
     word, target = oracle(COMMAND, codecs.encode_command(controlword, speed_mm_s))
@@ -96,6 +104,7 @@ def test_what_is_not_a_speed_leaves_as_zero(speed: float) -> None:
         (codecs.decode_tension, 5),
         (codecs.decode_inclination, 4),
         (codecs.decode_drive, 8),
+        (codecs.decode_drive_status, 8),
         (lambda data: codecs.decode_encoder(data, 4096), 4),
     ],
 )
@@ -108,7 +117,7 @@ def test_a_wrong_length_is_refused(decode: Any, size: int) -> None:
 def test_the_layouts_are_the_eds_files_mappings() -> None:
     for layout, pdo_map in (
         (od.CELL_TPDO, CELL), (od.SLOPE_TPDO, SLOPE), (od.DRIVE_TPDO, STATUS), (od.DRIVE_RPDO, COMMAND),
-        (od.ENCODER_TPDO, ENCODER),
+        (od.ENCODER_TPDO, ENCODER), (od.DRIVE_TPDO2, STATUS_2),
     ):  # fmt: skip
         assert layout.mapping == tuple(v.index << 16 | v.subindex << 8 | v.length for v in pdo_map)
 
@@ -130,7 +139,9 @@ def test_power_on_walks_the_drive_up_and_off_never_enables() -> None:
     words = [next_controlword(state, Power.ON, 0) for state in [*up, DriveState.OPERATION_ENABLED]]
     assert words == [Controlword.SHUTDOWN, Controlword.SWITCH_ON, *[Controlword.ENABLE_OPERATION] * 2]
     for state in DriveState:
-        assert next_controlword(state, Power.OFF, 0) in (Controlword.SHUTDOWN, Controlword.DISABLE_VOLTAGE)
+        stops = Controlword.QUICK_STOP if state is DriveState.QUICK_STOP_ACTIVE else Controlword.SHUTDOWN
+        assert next_controlword(state, Power.OFF, 0) is stops  # never off at once: something may be moving
+        assert next_controlword(state, Power.CUT, 0) is Controlword.DISABLE_VOLTAGE
         assert next_controlword(state, Power.ON, 0) is not Controlword.FAULT_RESET
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import pytest
@@ -15,6 +16,10 @@ from tests.unit.hil.rig_bench import MS, SETTINGS, SETTINGS_BRAKE_MS, RigBench
 DRIVE = SETTINGS.cylinder.node
 ENABLE = Controlword.ENABLE_OPERATION
 START, STOP, PRE_OPERATIONAL, RESET_NODE = 0x01, 0x02, 0x80, 0x81
+OFF, READY, ON = DriveState.SWITCH_ON_DISABLED, DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON
+QUICK_MM, SLOW_MM = 0.1, 0.25  # from 10 mm/s at 500 and at 200 mm/s2
+assert SETTINGS.simulation is not None
+SETTINGS_DRIVE = SETTINGS.simulation.drive
 STANDSTILL_MS = 400  # ramp from 10 mm/s at 500 mm/s2 or more, the lag of 20 ms down to 0.05 mm/s, the brake
 
 
@@ -107,26 +112,158 @@ def test_the_stroke_end_is_reported(bench: RigBench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("controlword", "at_once", "at_rest"),
+    ("controlword", "option", "at_once", "at_rest", "ramp_mm"),
     [
-        (Controlword.QUICK_STOP, DriveState.QUICK_STOP_ACTIVE, DriveState.SWITCH_ON_DISABLED),
-        (Controlword.DISABLE_VOLTAGE, DriveState.SWITCH_ON_DISABLED, DriveState.SWITCH_ON_DISABLED),
-        (Controlword.SHUTDOWN, DriveState.READY_TO_SWITCH_ON, DriveState.READY_TO_SWITCH_ON),
-        (Controlword.SWITCH_ON, DriveState.SWITCHED_ON, DriveState.SWITCHED_ON),
+        (Controlword.QUICK_STOP, (objects.QUICK_STOP_OPTION, 2), DriveState.QUICK_STOP_ACTIVE, OFF, QUICK_MM),
+        (Controlword.QUICK_STOP, (objects.QUICK_STOP_OPTION, 1), DriveState.QUICK_STOP_ACTIVE, OFF, SLOW_MM),
+        (Controlword.QUICK_STOP, (objects.QUICK_STOP_OPTION, 0), DriveState.QUICK_STOP_ACTIVE, OFF, 0.0),
+        (Controlword.DISABLE_VOLTAGE, (objects.QUICK_STOP_OPTION, 2), OFF, OFF, 0.0),
+        (Controlword.SHUTDOWN, (objects.SHUTDOWN_OPTION, 0), READY, READY, 0.0),
+        (Controlword.SHUTDOWN, (objects.SHUTDOWN_OPTION, 1), READY, READY, SLOW_MM),
+        (Controlword.SWITCH_ON, (objects.DISABLE_OPERATION_OPTION, 0), ON, ON, 0.0),
+        (Controlword.SWITCH_ON, (objects.DISABLE_OPERATION_OPTION, 1), ON, ON, SLOW_MM),
     ],
 )
 def test_every_way_out_of_operation_ends_on_the_brake(
-    bench: RigBench, controlword: Controlword, at_once: DriveState, at_rest: DriveState
+    bench: RigBench,
+    controlword: Controlword,
+    option: tuple[int, int],
+    at_once: DriveState,
+    at_rest: DriveState,
+    ramp_mm: float,
 ) -> None:
+    assert bench.write(DRIVE, option[0], 0, option[1], 2) == 0
     bench.drive(500, ENABLE, 10.0)
     before = bench.rig.truth.stroke_mm
     bench.drive(1, controlword, 10.0)
     assert bench.state() is at_once
     bench.drive(STANDSTILL_MS, controlword, 10.0)
     assert bench.state() is at_rest
-    # v^2 / 2a = 0.1 mm on the ramp, v (tau + Td) = 0.22 mm behind it
-    assert bench.rig.truth.stroke_mm - before == pytest.approx(0.1 + 0.22, abs=0.02)
+    # v^2 / 2a on the ramp, v (tau + Td) = 0.22 mm behind it
+    assert bench.rig.truth.stroke_mm - before == pytest.approx(ramp_mm + 0.22, abs=0.02)
     assert rests(bench)
+
+
+def test_disable_voltage_closes_the_brake_on_a_motor_that_runs_away(bench: RigBench) -> None:
+    drive = bench.rig.drive
+    drive.defect = lambda speed, braked: (10.0 if drive.control.stage.powered else speed, braked)
+    assert bench.write(DRIVE, objects.SHUTDOWN_OPTION, 0, 1, 2) == 0
+    bench.drive(500, ENABLE)
+    bench.drive(1, Controlword.SHUTDOWN)
+    bench.drive(500, Controlword.SHUTDOWN)
+    assert not drive.control.stage.braked  # it waits for a standstill that never comes
+    bench.drive(SETTINGS_BRAKE_MS + 2, Controlword.DISABLE_VOLTAGE)
+    assert rests(bench)
+
+
+def test_a_motor_without_power_gives_way_under_load_until_the_brake_has_closed(bench: RigBench) -> None:
+    bench.drive(6000, ENABLE, 8.0)
+    bench.drive(500, ENABLE)
+    before = bench.rig.truth
+    assert before.tension_n > 200.0
+    bench.drive(500, Controlword.DISABLE_VOLTAGE)
+    creep_mm = before.tension_n / SETTINGS_DRIVE.creep_n_s_mm * SETTINGS_BRAKE_MS * 1e-3
+    # its speed comes up, and is taken in by the brake, with the motor's lag
+    assert 0.2 * creep_mm < before.stroke_mm - bench.rig.truth.stroke_mm < creep_mm
+
+
+# -- emergency stop ---------------------------------------------------------------------------------------------
+
+
+def inputs(bench: RigBench) -> int:
+    return bench.read(DRIVE, objects.DIGITAL_INPUTS)
+
+
+def press(bench: RigBench, pressed: bool) -> None:
+    """As a test bench on the bus does."""
+    assert bench.write(objects.SIMULATOR_NODE, objects.SIM_E_STOP, 0, int(pressed), 1) == 0
+
+
+def test_an_emergency_stop_ramps_down_closes_the_brake_and_keeps_the_drive_off_until_released(bench: RigBench) -> None:
+    bench.drive(500, ENABLE, 10.0)
+    before = bench.rig.truth.stroke_mm
+    assert inputs(bench) >> 16 & 1
+    press(bench, True)
+    assert bench.emergencies(DRIVE) == [EmcyCode.EXTERNAL]
+    assert bench.state() is DriveState.FAULT_REACTION_ACTIVE
+    assert not inputs(bench) >> 16 & 1
+    bench.drive(STANDSTILL_MS, ENABLE, 10.0)
+    assert bench.rig.truth.stroke_mm - before == pytest.approx(QUICK_MM + 0.22, abs=0.02)
+    assert rests_while_driven(bench)
+    bench.drive(3, Controlword.DISABLE_VOLTAGE)
+    bench.drive(3, Controlword.FAULT_RESET)
+    assert bench.state() is DriveState.FAULT
+    press(bench, False)
+    bench.drive(3, Controlword.DISABLE_VOLTAGE)
+    bench.drive(3, Controlword.FAULT_RESET)
+    assert bench.state() is DriveState.SWITCH_ON_DISABLED
+    assert bench.emergencies(DRIVE) == [EmcyCode.EXTERNAL, EmcyCode.NO_ERROR]
+
+
+def rests_while_driven(bench: RigBench) -> bool:
+    """Whether the stroke stays where it is whatever the controller commands."""
+    before = bench.rig.truth.stroke_mm
+    for word in (Controlword.SHUTDOWN, Controlword.SWITCH_ON, ENABLE):
+        bench.drive(100, word, 10.0)
+    return bench.rig.truth.stroke_mm == before and bench.state() is DriveState.FAULT
+
+
+def test_a_drive_that_restarts_with_its_emergency_stop_pressed_stays_off(bench: RigBench) -> None:
+    press(bench, True)
+    bench.nmt(RESET_NODE, DRIVE)
+    bench.wait(STANDSTILL_MS)
+    assert bench.state() is DriveState.FAULT
+    assert bench.read(DRIVE, objects.ERROR_CODE) == EmcyCode.EXTERNAL
+
+
+# -- second TPDO ------------------------------------------------------------------------------------------------
+
+
+def test_the_second_tpdo_comes_with_every_nth_sync_once_it_is_switched_on(bench: RigBench) -> None:
+    bench.drive(200, ENABLE)
+    assert bench.sent(objects.TPDO2_BASE + DRIVE) == []
+    assert bench.write(DRIVE, objects.TPDO2_COMMUNICATION, 2, 50, 1) == 0
+    assert bench.write(DRIVE, objects.TPDO2_COMMUNICATION, 1, objects.TPDO2_BASE + DRIVE, 4) == 0
+    first = len(bench.sent(objects.TPDO1_BASE + DRIVE))
+    bench.drive(200, ENABLE)
+    assert len(bench.sent(objects.TPDO1_BASE + DRIVE)) - first == 200
+    frames = bench.sent(objects.TPDO2_BASE + DRIVE)
+    assert len(frames) == 4
+    current, temperature, bits = objects.DRIVE_TPDO2.codec.unpack(frames[-1])
+    assert (current, bits) == (0, 1 << 16 | 1 << 2)  # a slack rope at stroke 0
+    assert temperature == SETTINGS_DRIVE.ambient_c * 10
+
+
+def test_the_motors_current_is_the_load_it_carries_and_warms_it(bench: RigBench) -> None:
+    bench.drive(6000, ENABLE, 8.0)
+    raised = bench.read(DRIVE, objects.CURRENT_ACTUAL)
+    load_n = bench.rig.truth.tension_n
+    rated_a = bench.read(DRIVE, objects.MOTOR_RATED_CURRENT) / 1000
+    expected = (load_n + SETTINGS_DRIVE.friction_n) / SETTINGS_DRIVE.force_n_a / rated_a * 1000
+    assert raised == pytest.approx(expected, abs=1.0)
+    assert raised > 100
+    bench.drive(100, ENABLE)
+    held = bench.read(DRIVE, objects.CURRENT_ACTUAL)
+    assert 0 < held < raised  # no friction at rest
+    warm = bench.read(DRIVE, objects.DRIVE_TEMPERATURE)
+    bench.drive(60_000, ENABLE)
+    share = 1.0 - math.exp(-60.0 / SETTINGS_DRIVE.thermal_s)
+    final_c = SETTINGS_DRIVE.ambient_c + SETTINGS_DRIVE.heating_c_a2 * (held * rated_a / 1000) ** 2
+    assert (bench.read(DRIVE, objects.DRIVE_TEMPERATURE) - warm) / 10 == pytest.approx(
+        (final_c - warm / 10) * share, abs=0.1
+    )
+    bench.drive(200, Controlword.SHUTDOWN)
+    assert bench.read(DRIVE, objects.CURRENT_ACTUAL) == 0
+
+
+@pytest.mark.parametrize(("speed", "bit"), [(-10.0, 0), (10.0, 1)])
+def test_limit_switches_are_inputs(bench: RigBench, speed: float, bit: int) -> None:
+    bench.rig.plant.parameters[0]["stroke_high"] = 5.0
+    bench.rig.plant.parameters[0]["stroke_low"] = -5.0
+    bench.drive(300, ENABLE, speed)
+    assert inputs(bench) & 0b111 == 0
+    bench.drive(700, ENABLE, speed)
+    assert inputs(bench) & 0b111 == 1 << bit
 
 
 @pytest.mark.parametrize(("option", "stays"), [(2, False), (6, True)])

@@ -54,14 +54,25 @@ def test_a_stop_again_does_not_begin_the_ramp_again(driving: PowerStage) -> None
     assert driving.velocity_mm_s == 0.0
 
 
-def test_without_a_ramp_it_stops_at_once(driving: PowerStage) -> None:
-    driving.stop(100 * MS, math.inf)
-    driving.advance(101 * MS, 10.0)
-    assert driving.velocity_mm_s == 0.0
+def test_a_cut_takes_power_off_at_once_and_closes_the_brake_though_it_moves(driving: PowerStage) -> None:
+    driving.cut(100 * MS)
+    assert (driving.phase, driving.powered, driving.velocity_mm_s) == (Phase.FALLING, False, 0.0)
+    driving.advance(149 * MS, 10.0)
+    assert driving.phase is Phase.FALLING
+    driving.advance(150 * MS, 10.0)
+    assert (driving.phase, driving.braked) == (Phase.BRAKED, True)
+
+
+def test_a_cut_does_not_make_a_closing_brake_begin_again(driving: PowerStage) -> None:
+    driving.stop(100 * MS, 1e6)
+    driving.advance(101 * MS, 0.0)
+    driving.cut(140 * MS)
+    driving.advance(151 * MS, 0.0)
+    assert driving.phase is Phase.BRAKED
 
 
 def test_a_brake_that_is_closing_opens_again_in_full(driving: PowerStage) -> None:
-    driving.stop(100 * MS, math.inf)
+    driving.stop(100 * MS, 1e9)
     driving.advance(101 * MS, 0.0)
     driving.start(110 * MS)
     phases = []

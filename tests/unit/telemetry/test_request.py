@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Check, Fault
+from rigctl.telemetry.events import CHECK_TEXT
 from rigctl.telemetry.request import Request, RequestError, Sight, answer, parse, verb_of
 
 JSON = st.recursive(
@@ -96,5 +97,34 @@ def test_every_answer_has_one_line(verb: Verb, mode: Mode, refusal: Refusal) -> 
     assert found["text"].startswith(f"{verb.name}: " if found["accepted"] else f"{verb.name} refused: ")
     assert "\n" not in found["text"]
     assert (found["operator"], found["verb"], found["mode"]) == ("kim", verb.name.lower(), mode.name)
-    assert found.get("checks") == (["no fresh tension sample"] if refusal is Refusal.PREFLIGHT else None)
+    assert found.get("checks") == ([CHECK_TEXT[Check.CELL_STALE]] if refusal is Refusal.PREFLIGHT else None)
     msgspec.json.encode(found)
+
+
+def test_arm_at_an_end_is_said_by_arm_alone_and_told_to_the_loop() -> None:
+    payload = msgspec.json.encode({"operator": "kim", "near_end": True})
+    assert parse(Verb.ARM, payload).number == 1.0
+    assert parse(Verb.ARM, msgspec.json.encode({"operator": "kim"})).number == 0.0
+    with pytest.raises(RequestError, match="found near_end"):
+        parse(Verb.HOLD, payload)
+
+
+def test_what_is_known_of_a_check_is_said_instead_of_its_general_phrase() -> None:
+    checks = Check.CELL_STALE | Check.DISK
+    reply = {"accepted": 0, "reason": 2, "checks": int(checks), "mode": 0, "value": 0.0, "t_ns": 5}
+    found = answer(Request(Verb.ARM, "kim"), reply, Sight(), LIMITS, {Check.DISK: "/data is full"})
+    assert found["checks"] == [CHECK_TEXT[Check.CELL_STALE], "/data is full"]
+    assert "; /data is full" in found["text"]
+
+
+def test_an_armed_rig_says_what_was_waived_and_why() -> None:
+    reply = {"accepted": 1, "reason": 0, "checks": 0, "mode": 1, "value": 0.0, "t_ns": 5}
+    waived = {Check.CALIBRATION: "no weight", Check.TARE: "no weight", Check.REALTIME: "a toy"}
+    found = answer(Request(Verb.ARM, "kim"), reply, Sight(), LIMITS, {}, waived)
+    assert found["text"].endswith("; waived: calibration, tare (no weight), realtime (a toy)")
+    assert "waived" not in answer(Request(Verb.HOLD, "kim"), reply, Sight(), LIMITS, {}, waived)["text"]
+
+
+@pytest.mark.parametrize("check", Check)
+def test_every_check_has_a_phrase(check: Check) -> None:
+    assert CHECK_TEXT[check]

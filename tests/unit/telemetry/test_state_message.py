@@ -16,10 +16,11 @@ from rigctl.control.modes import Mode
 from rigctl.control.safety import Fault
 from rigctl.telemetry.cursor import Cursor
 from rigctl.telemetry.events import Kind
+from rigctl.telemetry.messages import event_message
 from rigctl.telemetry.record import EVENT, RECORD, Flag, Quality
 from rigctl.telemetry.ring import RingReader, create
 from rigctl.telemetry.state import ALIVE_NS, Recent, Trip, percentiles_us, quality_words, state_of, warnings_of
-from rigctl.telemetry.streams import BLOCK_RECORDS, blocks_of, event_message
+from rigctl.telemetry.streams import BLOCK_RECORDS, blocks_of
 
 NOW, WALL = 10_000_000_000, 1_700_000_000_000_000_000
 

@@ -1,0 +1,213 @@
+"""The audit log's file: only ever longer. What a crash or a full disk left half written is mended, and said.
+
+One recorder writes it. It is looked at again before each write: a log that was taken away, replaced or cut short
+while the daemon ran goes on with an entry that says so.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import pathlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+from rigctl.recorder.chain import ORIGIN, ChainError, Entry, line_of, read_line
+
+TAIL_BYTES = 1 << 16  # no line is longer
+KEPT_OF_TORN = 400
+
+
+class AuditError(RuntimeError):
+    """The log cannot be used; ``str()`` is one line."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """What is to be written: an entry without its place in the chain. ``wall_ns``: wall clock at ``t_ns``."""
+
+    t_ns: int
+    wall_ns: int
+    what: str
+    text: str
+    who: str = ""
+    details: dict[str, Any] = field(default_factory=dict)
+    source: str = "recorder"
+    seq: int = 0
+
+
+def moment(wall_ns: int) -> str:
+    """A moment on the wall clock as the log writes it."""
+    seconds, rest_ns = divmod(wall_ns, 1_000_000_000)
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest_ns // 1_000_000:03d}Z"
+
+
+class AuditLog:
+    """One rig's log, open for appending. ``entries`` and ``head`` are those of its end."""
+
+    def __init__(self, path: pathlib.Path, rig: str, at_least: int = 0) -> None:
+        """``at_least``: entries that are known to have been written."""
+        self.path, self._rig, self._at_least = path, rig, at_least
+        self._fd = -1
+        self._size = self._inode = 0
+        self.entries, self.head = 0, ORIGIN
+        self.read: dict[str, int] = {}  # of the last line
+        self._found: list[tuple[str, str, dict[str, Any]]] = []  # to be said before anything else
+
+    @property
+    def _torn(self) -> pathlib.Path:
+        """Where a half line is kept between being cut off and being on record."""
+        return self.path.with_name(f"{self.path.name}.torn")
+
+    def open(self) -> None:
+        """Open or begin the log, and mend its end.
+
+        Raises:
+            AuditError: another rig's, or its last line is no entry.
+            OSError: it cannot be read or written.
+        """
+        self.close()
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o640)
+        try:
+            self._take_up(fd)
+        except BaseException:
+            os.close(fd)
+            raise
+        self._fd = fd
+
+    def _take_up(self, fd: int) -> None:
+        status = os.fstat(fd)
+        found, own, whole, torn = last_line(fd, self.path, self._rig)
+        if torn:
+            self._keep(torn)
+            os.ftruncate(fd, whole)
+            os.fsync(fd)
+        known, has = self.entries, found.n if found else 0
+        if (known and own != self.head) or has < self._at_least:
+            details = {"entries": max(known, self._at_least), "head": self.head, "found": has, "found_head": own}
+            self._found.append(("tampered", "the log was changed or taken away while the daemon ran", details))
+        self._at_least = 0
+        if self._torn.exists():
+            part = self._torn.read_bytes()
+            details = {"bytes": len(part), "sha256": hashlib.sha256(part).hexdigest(),
+                       "begins": part[:KEPT_OF_TORN].decode("ascii", "backslashreplace")}  # fmt: skip
+            if not any(what == "repaired" for what, _, _ in self._found):
+                self._found.append(("repaired", "half a line at the end of the log was cut off", details))
+        self._size, self._inode = whole, status.st_ino
+        self.entries, self.head = has, own
+        if not known:
+            self.read = dict(found.read) if found else {}
+
+    def _keep(self, torn: bytes) -> None:
+        with self._torn.open("ab") as file:
+            file.write(torn)
+            file.flush()
+            os.fsync(file.fileno())
+
+    def close(self) -> None:
+        """Let go of the file."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def append(self, items: Sequence[Item], read: Sequence[dict[str, int]]) -> None:
+        """Write entries and wait until they are on the disk; all or none. ``read``: for each, what stands in it.
+
+        Raises:
+            AuditError: see `open`.
+            OSError: the log is as it was, to be tried again.
+        """
+        if not self._in_place():
+            self.open()
+        first = items[0]
+        said = [Item(first.t_ns, first.wall_ns, what, text, details=details) for what, text, details in self._found]
+        lines, n, head = [], self.entries, self.head
+        for item, state in zip([*said, *items], [*([self.read] * len(said)), *read], strict=True):
+            n += 1
+            line, head = line_of(
+                Entry(n, self._rig, moment(item.wall_ns), item.t_ns, item.what, item.who, item.text, item.details,
+                      item.source, item.seq, state, head)
+            )  # fmt: skip
+            lines.append(line)
+        data = b"".join(lines)
+        try:
+            _write(self._fd, data)
+            os.fsync(self._fd)
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._fd, self._size)
+            self.close()  # and what is there is looked at again
+            raise
+        self._size += len(data)
+        self.entries, self.head, self.read = n, head, dict(read[-1])
+        if self._found:
+            self._found.clear()
+            with contextlib.suppress(OSError):
+                self._torn.unlink(missing_ok=True)
+
+    def _in_place(self) -> bool:
+        """The file is still there, and ends where we left it."""
+        if self._fd < 0:
+            return False
+        try:
+            status = self.path.stat()
+        except FileNotFoundError:
+            return False
+        return (status.st_ino, status.st_size) == (self._inode, self._size)
+
+
+def _write(fd: int, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        view = view[os.write(fd, view) :]
+
+
+def last_line(fd: int, path: pathlib.Path, rig: str) -> tuple[Entry | None, str, int, bytes]:
+    """The last whole entry (None in an empty log) with its hash, where it ends, and half a line after it.
+
+    Raises:
+        AuditError: another rig's log, or none.
+    """
+    size = os.fstat(fd).st_size
+    start = max(0, size - 2 * TAIL_BYTES)
+    tail = os.pread(fd, size - start, start)
+    end = tail.rfind(b"\n") + 1
+    if not end and start:
+        raise AuditError(f"{path}: no audit log: it does not end in lines")
+    torn, tail = tail[end:], tail[:end]
+    if not tail:
+        return None, ORIGIN, 0, torn
+    line = tail[tail.rfind(b"\n", 0, -1) + 1 :]
+    try:
+        entry, own = read_line(line)
+    except ChainError as error:
+        raise AuditError(f"{path}: no audit log, or broken: its last line: {error}") from None
+    if entry.rig != rig:
+        raise AuditError(f"{path}: found the audit log of {entry.rig!r}, allowed that of {rig!r}")
+    return entry, own, start + end, torn
+
+
+def check(path: pathlib.Path, rig: str) -> None:
+    """Refuse a log that cannot be continued; one that is not there, or half a line at its end, is no reason.
+
+    Raises:
+        AuditError: one line.
+    """
+    try:
+        fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise AuditError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        if not path.is_file():
+            raise AuditError(f"{path}: cannot be read: not a file")
+        last_line(fd, path, rig)
+    except OSError as error:
+        raise AuditError(f"{path}: cannot be read: {error.strerror}") from None
+    finally:
+        os.close(fd)

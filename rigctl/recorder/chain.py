@@ -1,0 +1,137 @@
+"""The chain of an audit log: a line for each entry, which carries the hash of the one before and its own.
+
+A line is the entry as canonical JSON (keys sorted, no spaces) with its own hash as the last key: the SHA-256 of the
+line without that key. Nobody can change, remove, insert or swap lines without breaking the chain after them; whoever
+computes the whole chain anew, or cuts lines off its end, is found out by a head hash noted elsewhere.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+ORIGIN = "0" * 64
+"""What the first entry names as the hash before it."""
+_END = re.compile(rb',"hash":"([0-9a-f]{64})"\}\Z')
+_END_SIZE = len(',"hash":"') + 64 + len('"}')
+
+
+class ChainError(ValueError):
+    """A line that does not belong where it stands; ``str()`` says why."""
+
+
+class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One line without its hash.
+
+    ``n`` counts from 1. ``wall`` is ISO 8601 UTC, ``t_ns`` the same moment on the daemon's CLOCK_MONOTONIC. ``seq`` is
+    its number in the ring ``source``, 0 for what the recorder says itself. ``read``: how far each ring is in the log.
+    """
+
+    n: int
+    rig: str
+    wall: str
+    t_ns: int
+    what: str
+    who: str
+    text: str
+    details: dict[str, Any]
+    source: str
+    seq: int
+    read: dict[str, int]
+    previous: str
+
+
+def canonical(value: Any) -> bytes:
+    """The one JSON text of a value: keys sorted, no spaces, NaN as null."""
+    return msgspec.json.encode(value, order="sorted")
+
+
+def line_of(entry: Entry) -> tuple[bytes, str]:
+    """The line, its end included, and its hash."""
+    body = canonical(entry)
+    own = hashlib.sha256(body).hexdigest()
+    return body[:-1] + b',"hash":"' + own.encode() + b'"}\n', own
+
+
+def read_line(line: bytes) -> tuple[Entry, str]:
+    """A line as the entry it is, with its hash.
+
+    Raises:
+        ChainError: torn off, no entry, or changed since it was written.
+    """
+    if not line.endswith(b"\n"):
+        raise ChainError("truncated: it has no end")
+    line = line[:-1]
+    found = _END.search(line)
+    if found is None:
+        raise ChainError("edited: no entry with its hash")
+    body, own = line[:-_END_SIZE] + b"}", found[1].decode()
+    if hashlib.sha256(body).hexdigest() != own:
+        raise ChainError("edited: its content is not what its hash says")
+    try:
+        entry = msgspec.json.decode(body, type=Entry)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise ChainError(f"edited: {' '.join(str(error).split())}") from None
+    if canonical(entry) != body:
+        raise ChainError("edited: not in canonical form")
+    return entry, own
+
+
+@dataclass(frozen=True)
+class Report:
+    """What became of a log: the figures of what holds and, if the chain breaks, where and why."""
+
+    entries: int
+    rig: str = ""
+    first: str = ""
+    last: str = ""
+    head: str = ORIGIN
+    line: int = 0  # the first that does not hold, 0 for none
+    why: str = ""
+    head_line: int = 0  # where the head hash that was asked for stands
+
+    @property
+    def good(self) -> bool:
+        """The chain holds."""
+        return not self.why
+
+
+def _misplaced(entry: Entry, due: int, previous: str) -> str:
+    """Why an entry does not follow the one before; empty if it does."""
+    if entry.n > due:
+        gone = f"entry {due} is" if entry.n == due + 1 else f"entries {due} to {entry.n - 1} are"
+        return f"removed or reordered: {gone} missing before entry {entry.n}"
+    if entry.n < due:
+        return f"reordered or repeated: found entry {entry.n} where entry {due} is due"
+    if entry.previous != previous:
+        return "edited: the line before it is not the one it was written after"
+    return ""
+
+
+def verify(lines: Iterable[bytes], head: str | None = None) -> Report:
+    """Follow the chain from the first line; ``head``: a hash it is known to have had at its end."""
+    report = Report(0)
+    for number, line in enumerate(lines, 1):
+        try:
+            entry, own = read_line(line)
+            why = _misplaced(entry, report.entries + 1, report.head)
+            if not why and number > 1 and entry.rig != report.rig:
+                why = f"edited: an entry of {entry.rig!r} in the log of {report.rig!r}"
+        except ChainError as error:
+            why = str(error)
+        if why:
+            return _broken(report, number, why)
+        head_line = number if own == head else report.head_line
+        report = Report(number, entry.rig, report.first or entry.wall, entry.wall, own, head_line=head_line)
+    if head is not None and not report.head_line and head != ORIGIN:
+        return _broken(report, report.entries + 1, f"truncated: the head {head[:16]}... is not in it")
+    return report
+
+
+def _broken(report: Report, line: int, why: str) -> Report:
+    return Report(report.entries, report.rig, report.first, report.last, report.head, line, why, report.head_line)

@@ -1,0 +1,104 @@
+"""What comes from the rings, as an MCAP file that Foxglove, Lichtblick and PlotJuggler open.
+
+Records and frames are protobuf (JSON knows no NaN, and 1 kHz of it no limit), the rest JSON with its schema. Times are
+those of the wall clock; CLOCK_MONOTONIC stands in every message as ``t_ns``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import IO, Any, NamedTuple
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+from mcap.writer import CompressionType, Writer
+
+from rigctl import __version__
+from rigctl.recorder.audit_log import Item
+from rigctl.recorder.protobuf import Encoding
+from rigctl.telemetry.record import FRAME, RECORD
+
+CHUNK_BYTES = 1 << 18
+SAID_SCHEMA = {
+    "title": "rigctl.Said",
+    "type": "object",
+    "properties": {
+        "seq": {"type": "integer", "description": "number in its ring"},
+        "t_ns": {"type": "integer", "description": "CLOCK_MONOTONIC"},
+        "what": {"type": "string"},
+        "who": {"type": "string", "description": "operator, empty for none"},
+        "text": {"type": "string"},
+        "details": {"type": "object"},
+    },
+}
+
+
+class Message(NamedTuple):
+    """One message, ready to be written."""
+
+    wall_ns: int
+    channel: int
+    seq: int
+    data: bytes
+
+
+class McapFile:
+    """An MCAP file being written: channels for records, frames, and what was said."""
+
+    def __init__(self, stream: IO[bytes], wall_offset_ns: int) -> None:
+        """``wall_offset_ns``: wall clock less CLOCK_MONOTONIC, one for the whole file."""
+        self._offset_ns = wall_offset_ns
+        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile="", library=f"rigctl {__version__}")
+        self._slots = {"records": Encoding(RECORD), "frames": Encoding(FRAME)}
+        self._channels = {
+            topic: self._channel(topic, "protobuf", encoding.name, "protobuf", encoding.descriptor())
+            for topic, encoding in self._slots.items()
+        }
+        schema = msgspec.json.encode(SAID_SCHEMA)
+        self._said = self._writer.register_schema("rigctl.Said", "jsonschema", schema)
+
+    def _channel(self, topic: str, message: str, name: str, encoding: str, schema: bytes) -> int:
+        schema_id = self._writer.register_schema(name, encoding, schema)
+        return self._writer.register_channel(f"/{topic}", message, schema_id)
+
+    def slots(self, topic: str, slots: npt.NDArray[np.void]) -> list[Message]:
+        """``records`` or ``frames`` as messages."""
+        channel = self._channels[topic]
+        walls = (slots["t_ns"] + self._offset_ns).tolist()
+        numbers = slots["seq"].tolist()
+        encoded = self._slots[topic].encode(slots)
+        return [Message(*found) for found in zip(walls, [channel] * len(slots), numbers, encoded, strict=True)]
+
+    def said(self, items: Iterable[Item]) -> list[Message]:
+        """What was said in the other rings, each on a topic of its own."""
+        found = []
+        for item in items:
+            if item.source not in self._channels:
+                channel = self._writer.register_channel(f"/{item.source}", "json", self._said)
+                self._channels[item.source] = channel
+            data = msgspec.json.encode(
+                {"seq": item.seq, "t_ns": item.t_ns, "what": item.what, "who": item.who, "text": item.text,
+                 "details": item.details}
+            )  # fmt: skip
+            found.append(Message(item.t_ns + self._offset_ns, self._channels[item.source], item.seq, data))
+        return found
+
+    def write(self, messages: Sequence[Message]) -> None:
+        """Write messages in the order of time."""
+        add = self._writer.add_message
+        for wall_ns, channel, seq, data in sorted(messages, key=lambda message: message.wall_ns):
+            add(channel, wall_ns, data, wall_ns, seq & 0xFFFFFFFF)
+
+    def attach(self, name: str, data: bytes, wall_ns: int) -> None:
+        """Put a JSON document in."""
+        self._writer.add_attachment(wall_ns, wall_ns, name, "application/json", data)
+
+    def describe(self, name: str, values: dict[str, Any]) -> None:
+        """Put a table of words in."""
+        self._writer.add_metadata(name, {key: str(value) for key, value in values.items()})
+
+    def finish(self) -> None:
+        """Write the index; the stream is the caller's to close."""
+        self._writer.finish()  # type: ignore[no-untyped-call]

@@ -1,0 +1,69 @@
+"""Slots as protobuf messages, by their tables: fixed-width fields only, so that numpy lays out many at once.
+
+Any protobuf reader decodes them by the descriptor that goes into the file (encoding: protobuf.dev, "Encoding").
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
+
+from rigctl.telemetry.record import FrameFlag, Slot
+
+_WIRE_64, _WIRE_BYTES, _WIRE_32 = 1, 2, 5
+_P = FieldDescriptorProto
+_KINDS = {
+    "d": (_P.TYPE_DOUBLE, _WIRE_64, "<f8"),
+    "q": (_P.TYPE_SFIXED64, _WIRE_64, "<i8"),
+    "Q": (_P.TYPE_FIXED64, _WIRE_64, "<u8"),
+    "I": (_P.TYPE_FIXED32, _WIRE_32, "<u4"),
+    "H": (_P.TYPE_FIXED32, _WIRE_32, "<u4"),
+    "B": (_P.TYPE_FIXED32, _WIRE_32, "<u4"),
+    "8s": (_P.TYPE_BYTES, _WIRE_BYTES, "S8"),
+}
+
+
+class Encoding:
+    """How the slots of one table are encoded. Bytes, where a table has them, are its last field."""
+
+    def __init__(self, slot: Slot) -> None:
+        self.name = f"rigctl.{slot.name.capitalize()}"
+        self._fields = [("seq", "Q"), *((field.name, field.code) for field in slot.fields)]
+        self._slot = slot
+        self._has_bytes = self._fields[-1][1] == "8s"
+        layout: list[tuple[str, str]] = []
+        for number, (name, code) in enumerate(self._fields, 1):
+            layout.append((f"tag_{name}", f"V{len(_tag(number, _KINDS[code][1]))}"))
+            if code == "8s":
+                layout.append(("size", "u1"))
+            layout.append((name, _KINDS[code][2]))
+        self._dtype = np.dtype(layout)
+
+    def descriptor(self) -> bytes:
+        """A serialised ``FileDescriptorSet``: the schema."""
+        files = FileDescriptorSet()
+        file = files.file.add(name=f"rigctl/{self._slot.name}.proto", package="rigctl", syntax="proto3")
+        message = file.message_type.add(name=self._slot.name.capitalize())
+        for number, (name, code) in enumerate(self._fields, 1):
+            message.field.add(name=name, number=number, type=_KINDS[code][0], label=_P.LABEL_OPTIONAL)
+        return bytes(files.SerializeToString())
+
+    def encode(self, slots: npt.NDArray[np.void]) -> list[bytes]:
+        """One message for each slot."""
+        made = np.zeros(len(slots), self._dtype)
+        for number, (name, code) in enumerate(self._fields, 1):
+            made[f"tag_{name}"] = np.void(_tag(number, _KINDS[code][1]))
+            made[name] = slots[name]
+        width = self._dtype.itemsize
+        ends = np.full(len(slots), width)
+        if self._has_bytes:
+            made["size"] = np.where(slots["can_id"] & FrameFlag.REMOTE.value, 0, np.minimum(slots["dlc"], 8))
+            ends += made["size"].astype(int) - 8
+        raw = made.tobytes()
+        return [raw[start : start + int(end)] for start, end in zip(range(0, len(raw), width), ends, strict=True)]
+
+
+def _tag(number: int, wire: int) -> bytes:
+    value = number << 3 | wire
+    return bytes([value]) if value < 0x80 else bytes([value & 0x7F | 0x80, value >> 7])

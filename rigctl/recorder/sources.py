@@ -1,0 +1,164 @@
+"""The rings an audit log is made of, each with what its slots say."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.recorder.audit_log import Item
+from rigctl.telemetry import supervision
+from rigctl.telemetry.events import failed_checks
+from rigctl.telemetry.messages import event_message
+from rigctl.telemetry.notes import note_message
+from rigctl.telemetry.ring import RingReader
+from rigctl.telemetry.runtime import Runtime
+
+BATCH = 1000  # slots of a ring at once
+Words = tuple[str, str, str, dict[str, Any]]  # what, who, text, details
+
+
+def _text(slot: np.void, name: str) -> str:
+    return bytes(slot[name]).decode(errors="replace")
+
+
+def _number(slot: np.void, name: str) -> float | None:
+    value = float(slot[name])
+    return value if math.isfinite(value) else None
+
+
+def _name(kind: type[IntEnum], number: int) -> str:
+    try:
+        return kind(number).name
+    except ValueError:
+        return str(number)
+
+
+def _event(slot: np.void) -> Words:
+    severity, message = event_message(slot, 0)
+    numbers = {name: _number(slot, name) for name in ("value", "limit")}
+    details = {"severity": severity, "a": message["a"], "b": message["b"], **numbers}
+    return message["kind"].lower(), "", message["text"], details
+
+
+def _note(slot: np.void) -> Words:
+    severity, message = note_message(slot, 0)
+    details = {"severity": severity, "other": message["other"], "reason": message["reason"]}
+    return message["kind"].lower(), message["operator"], message["text"], details
+
+
+def _desk(slot: np.void) -> Words:
+    verb, value = _text(slot, "verb"), _number(slot, "value")
+    asked = {"id": int(slot["id"]), "verb": verb, "value": value, "holder": _text(slot, "holder")}
+    who = _text(slot, "operator")
+    if not slot["answered"]:
+        return "command_given", who, verb + (f" {value:g}" if value is not None else ""), asked
+    accepted = bool(slot["accepted"])
+    details = {**asked, "accepted": accepted, "reason": _text(slot, "reason"), "ledger_entry": _text(slot, "entry")}
+    return "command_accepted" if accepted else "command_refused", who, _text(slot, "text"), details
+
+
+def _order(slot: np.void) -> Words:
+    code, value = int(slot["verb"]), _number(slot, "value")
+    name = _name(Verb if code in Verb._value2member_map_ else Setting, code)
+    text = name + (f" {value:g}" if value is not None else "")
+    return "order", "", text, {"id": int(slot["id"]), "verb": code, "value": value}
+
+
+def _reply(slot: np.void) -> Words:
+    accepted, reason = bool(slot["accepted"]), _name(Refusal, int(slot["reason"]))
+    mode, checks = _name(Mode, int(slot["mode"])), failed_checks(int(slot["checks"]))
+    text = f"carried out, {mode}" if accepted else f"not carried out: {reason}, {mode}"
+    details = {"id": int(slot["id"]), "accepted": accepted, "reason": reason, "mode": mode, "checks": checks}
+    return "reply", "", text, {**details, "value": _number(slot, "value"), "spread": _number(slot, "spread")}
+
+
+def _doing(slot: np.void) -> Words:
+    process, reason = _text(slot, "other"), _text(slot, "reason")
+    what, text = supervision.worded(int(slot["kind"]), process, reason)
+    return what, "", text, {"process": process, "reason": reason}
+
+
+@dataclass(frozen=True)
+class Source:
+    """A ring that goes into the log."""
+
+    name: str
+    open: Callable[[Runtime], RingReader]
+    words: Callable[[np.void], Words]
+
+    def item(self, slot: np.void, wall_offset_ns: int) -> Item:
+        """One slot in words; one that nobody can word goes into the log as it is."""
+        t_ns = int(slot["t_ns"])
+        try:
+            what, who, text, details = self.words(slot)
+        except (ValueError, KeyError, OverflowError) as error:
+            raw = slot.tobytes().rstrip(b"\0").hex()
+            what, who, text = "unworded", "", f"a slot of the ring {self.name}: {type(error).__name__}: {error}"
+            details = {"slot": raw}
+        return Item(t_ns, t_ns + wall_offset_ns, what, text, who, details, self.name, int(slot["seq"]))
+
+
+SOURCES = (
+    Source("supervision", lambda runtime: runtime.supervision_reader(), _doing),
+    Source("commands", lambda runtime: runtime.command_reader(from_start=True), _order),
+    Source("events", lambda runtime: runtime.event_reader(from_start=True), _event),
+    Source("replies", lambda runtime: runtime.reply_reader(from_start=True), _reply),
+    Source("notes", lambda runtime: runtime.note_reader(from_start=True), _note),
+    Source("desk", lambda runtime: runtime.desk_reader(), _desk),
+)
+
+
+class Rings:
+    """Every source with how far it has been read. What a ring no longer held when it was read is an item too."""
+
+    def __init__(self, runtime: Runtime, read: dict[str, int]) -> None:
+        """``read``: number of the last slot of each that is in the log already."""
+        self._readers = [(source, source.open(runtime)) for source in SOURCES]
+        self._lost = dict.fromkeys((source.name for source in SOURCES), 0)
+        for source, reader in self._readers:
+            reader.cursor = min(read.get(source.name, 0), reader.head)
+
+    def take(self, wall_offset_ns: int) -> list[Item]:
+        """What is new, in the order of time; each ring in its own order."""
+        parts = [self._new(source, reader, wall_offset_ns) for source, reader in self._readers]
+        return list(heapq.merge(*parts, key=lambda item: item.t_ns))
+
+    def take_all(self, wall_offset_ns: int) -> list[Item]:
+        """Everything that is still held."""
+        items = self.take(wall_offset_ns)
+        while new := self.take(wall_offset_ns):
+            items += new
+        return items
+
+    def _new(self, source: Source, reader: RingReader, wall_offset_ns: int) -> list[Item]:
+        before = reader.cursor
+        items = [source.item(slot, wall_offset_ns) for slot in reader.read(BATCH)]
+        count, self._lost[source.name] = reader.lost - self._lost[source.name], reader.lost
+        if not count:
+            return items
+        t_ns = items[0].t_ns if items else 0
+        text = f"{count} slots of the ring {source.name} were overwritten before they were read"
+        details = {
+            "count": count,
+            "ring": source.name,
+            "after": before,
+            "up_to": items[0].seq - 1 if items else reader.cursor,
+        }
+        return [Item(t_ns, t_ns + wall_offset_ns, "lost", text, details=details), *items]
+
+
+def sourced(items: list[Item], read: dict[str, int]) -> list[dict[str, int]]:
+    """For each item, how far each ring is in the log once it is written."""
+    states, state = [], dict(read)
+    for item in items:
+        if item.seq:
+            state = {**state, item.source: item.seq}
+        states.append(state)
+    return states

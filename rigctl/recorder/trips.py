@@ -1,0 +1,213 @@
+"""Trip dumps: everything from 10 s before a trip to 2 s after it, in a file of its own.
+
+A dump is made from what the rings hold once its time is over, so a recorder that was killed meanwhile leaves it to the
+next one. Trips that follow one another within 2 s share a file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import IO, Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from rigctl import __version__
+from rigctl.commission import ledger
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode
+from rigctl.control.safety import Fault
+from rigctl.recorder.audit_log import moment
+from rigctl.recorder.mcap_file import McapFile
+from rigctl.recorder.sources import Rings
+from rigctl.telemetry.events import Kind
+from rigctl.telemetry.ring import RingReader
+from rigctl.telemetry.runtime import ACTIVE, Runtime
+from rigctl.telemetry.schema import schema
+
+BEFORE_NS, AFTER_NS = 10_000_000_000, 2_000_000_000
+_ATTACHED = (ACTIVE, "control.json", "calibration.json")  # of the runtime folder; lease.json holds a secret
+
+
+@dataclass(frozen=True)
+class Trigger:
+    """An event that calls for a dump."""
+
+    seq: int
+    t_ns: int
+    fault: str
+
+
+@dataclass(frozen=True)
+class Group:
+    """Triggers that share a dump."""
+
+    triggers: tuple[Trigger, ...]
+
+    @property
+    def start_ns(self) -> int:
+        """From when on."""
+        return self.triggers[0].t_ns - BEFORE_NS
+
+    @property
+    def end_ns(self) -> int:
+        """Until when."""
+        return self.triggers[-1].t_ns + AFTER_NS
+
+    @property
+    def last_seq(self) -> int:
+        """Event it goes up to."""
+        return self.triggers[-1].seq
+
+    @property
+    def fault(self) -> str:
+        """What tripped first."""
+        return next((trigger.fault for trigger in self.triggers if trigger.fault), Fault.LOOP_EXCEPTION.name)
+
+
+def triggers(events: npt.NDArray[np.void]) -> list[Trigger]:
+    """Trips, and changes to FAULT, which an exception in the loop makes without one."""
+    found = []
+    for slot in events:
+        seq, t_ns, kind, a, b = (int(slot[name]) for name in ("seq", "t_ns", "kind", "a", "b"))
+        if kind == Kind.TRIP:
+            known = a in Fault._value2member_map_
+            found.append(Trigger(seq, t_ns, Fault(a).name if known else f"FAULT_{a}"))
+        elif kind == Kind.MODE and b == Mode.FAULT:
+            found.append(Trigger(seq, t_ns, ""))
+    return found
+
+
+def first_group(pending: Sequence[Trigger]) -> Group:
+    """The oldest trigger and those soon after it."""
+    until_ns = pending[0].t_ns + AFTER_NS
+    return Group(tuple(trigger for trigger in pending if trigger.t_ns <= until_ns))
+
+
+@dataclass(frozen=True)
+class Dump:
+    """A file that was written, and the older ones that went for it."""
+
+    path: pathlib.Path
+    group: Group
+    records: int
+    frames: int
+    deleted: tuple[str, ...]
+
+
+class Trips:
+    """Watches the events for trips and writes their dumps."""
+
+    def __init__(self, runtime: Runtime, settings: RigSettings, dumped: int) -> None:
+        """``dumped``: the last event whose trip has its file."""
+        self._runtime, self._settings = runtime, settings
+        self._events = runtime.event_reader()
+        self._events.cursor = min(dumped, self._events.head)
+        self._pending: list[Trigger] = []
+        self.folder = settings.file(settings.audit.trips)
+
+    def due(self, now_ns: int, *, final: bool = False) -> Group | None:
+        """Trips whose time is over; ``final``: there will be no more of it."""
+        self._pending += triggers(self._events.read())
+        if not self._pending:
+            return None
+        group = first_group(self._pending)
+        return group if final or now_ns >= group.end_ns else None
+
+    def missed(self, group: Group, now_ns: int) -> bool:
+        """Whether the rings hold nothing of it any more."""
+        return now_ns - group.triggers[-1].t_ns > self._settings.telemetry.history_s * 1_000_000_000
+
+    def done(self, group: Group) -> None:
+        """Forget its triggers."""
+        self._pending = [trigger for trigger in self._pending if trigger.seq > group.last_seq]
+
+    def write(self, group: Group, wall_offset_ns: int, audit: dict[str, Any]) -> Dump:
+        """Write its file, whole or not at all. ``audit``: where the log is and how far.
+
+        Raises:
+            OSError: it could not be written; nothing is left of it.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        stamp = moment(group.triggers[0].t_ns + wall_offset_ns).replace("-", "").replace(":", "")
+        path = self.folder / f"{self._settings.rig}-{stamp}-{group.fault}.mcap"
+        part = path.with_name(f".{path.name}.part")
+        try:
+            with part.open("wb") as stream:
+                records, frames = self._fill(stream, group, wall_offset_ns, audit)
+                stream.flush()
+                os.fsync(stream.fileno())
+            part.rename(path)
+            ledger.sync_folder(self.folder)
+        except OSError:
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)
+            raise
+        return Dump(path, group, records, frames, self._delete_old())
+
+    def _fill(self, stream: IO[bytes], group: Group, offset_ns: int, audit: dict[str, Any]) -> tuple[int, int]:
+        runtime, wall_ns = self._runtime, group.triggers[0].t_ns + offset_ns
+        file = McapFile(stream, offset_ns)
+        records = _window(runtime.record_reader(from_start=True), group)
+        frames = _window(runtime.frame_reader(), group)
+        said = [
+            item
+            for item in Rings(runtime, {}).take_all(offset_ns)
+            if item.seq and group.start_ns <= item.t_ns <= group.end_ns
+        ]
+        active = runtime.read_json(ACTIVE)
+        file.describe(
+            "rigctl",
+            {
+                "rig": self._settings.rig,
+                "version": __version__,
+                "fault": group.fault,
+                "t_ns": group.triggers[0].t_ns,
+                "trips": " ".join(trigger.fault for trigger in group.triggers if trigger.fault),
+                "wall_offset_ns": offset_ns,
+                "records": len(records),
+                "frames": len(frames),
+                "started_wall_ns": active.get("started_wall_ns", 0),
+                "host": os.uname().nodename,
+                "kernel": os.uname().release,
+            },
+        )
+        file.describe("audit", audit)
+        for name in _ATTACHED:
+            file.attach(name, msgspec.json.encode(runtime.read_json(name)), wall_ns)
+        file.attach("schema.json", msgspec.json.encode(schema(self._settings.rig)), wall_ns)
+        if (book := self._settings.ledger) is not None and book.is_file():
+            file.attach("calibration_ledger.json", book.read_bytes(), wall_ns)
+        file.write([*file.slots("records", records), *file.slots("frames", frames), *file.said(said)])
+        file.finish()
+        return len(records), len(frames)
+
+    def names(self) -> list[str]:
+        """Dumps of this rig that are there, oldest first."""
+        return sorted(path.name for path in self.folder.glob(f"{self._settings.rig}-[0-9]*.mcap"))
+
+    def _delete_old(self) -> tuple[str, ...]:
+        """Keep the newest; what cannot be deleted stays."""
+        deleted = []
+        for name in self.names()[: -self._settings.audit.trips_kept]:
+            with contextlib.suppress(OSError):
+                (self.folder / name).unlink()
+                deleted.append(name)
+        return tuple(deleted)
+
+    def sweep(self) -> None:
+        """Take away what a recorder that was killed had begun."""
+        with contextlib.suppress(OSError):
+            for part in self.folder.glob(f".{self._settings.rig}-[0-9]*.mcap.part"):
+                part.unlink()
+
+
+def _window(reader: RingReader, group: Group) -> npt.NDArray[np.void]:
+    reader.seek(group.start_ns)
+    slots = reader.read()
+    return slots[(slots["t_ns"] >= group.start_ns) & (slots["t_ns"] <= group.end_ns)]

@@ -1,0 +1,107 @@
+"""Random commands: bytes through the parsers an operator's query meets, and what parses into the real loop."""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+from typing import Any
+
+import numpy as np
+
+from hil.lockstep import Lockstep, lockstep
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode, Verb
+from rigctl.control.safety import Fault
+from rigctl.control.tension import Gains
+from rigctl.telemetry.lease import ACTS
+from rigctl.telemetry.lease_request import parse_lease
+from rigctl.telemetry.request import Request, RequestError, parse, verb_of
+from rigctl.telemetry.ring import RingReader
+from tests.fuzz import mutate
+from tests.fuzz.frames import ONWARD
+from tests.fuzz.judge import Tally
+
+_OPTIONS: dict[Verb, dict[str, Any]] = {
+    Verb.ARM: {"near_end": False},
+    Verb.TARGET: {"value": 290.0},
+    Verb.CALIBRATE: {"value": 300.0, "adopt": False},
+    Verb.IDENTIFY: {"tight": True},
+    Verb.GAINS: {"gain_file": "gains: {}\n", "name": "gains.yaml"},
+}
+_NAMES = ("", "Arm", "arm ", "arm/..", "*", "**", "lease_take", "lease_return", "é" * 300, "a\nb", "none", "0")
+
+
+def query(chance: random.Random, mode: Mode) -> tuple[str, bytes | None]:
+    """A key's ending and a payload: of a command that leads on, or of one that is none."""
+    verb = chance.choice(ONWARD[mode]) if chance.random() < 0.6 else chance.choice(list(Verb))
+    body: Any = {"operator": "anna", **_OPTIONS.get(verb, {})}
+    if verb is Verb.TARGET:
+        body["value"] = chance.uniform(-50.0, 500.0)
+    name = chance.choice((*_NAMES, *ACTS)) if chance.random() < 0.1 else verb.name.lower()
+    kind = chance.random()
+    if kind < 0.4:
+        return name, json.dumps(body).encode()
+    if kind < 0.75:
+        try:
+            return name, json.dumps(mutate.data(body, chance)).encode()
+        except RecursionError:
+            return name, b"[" * 5000
+    if kind < 0.95:
+        return name, mutate.raw(json.dumps(body).encode(), chance)
+    return name, chance.choice(
+        (None, b"", b"null", b"[]", b"{}", b"[" * 100_000, b"{" * 16_000, b" " * 20_000, b"\xff" * 99)
+    )
+
+
+def parsed(name: str, payload: bytes | None) -> object:
+    """As the desk reads a query."""
+    act = ACTS.get(name)
+    return parse(verb_of(name), payload) if act is None else parse_lease(act, payload)
+
+
+def play(settings: RigSettings, gains: Gains, count: int, seed: int) -> Tally:
+    """Parse ``count`` commands; give those that are one to a loop that holds a simulated rig, and judge what it does."""
+    tally, chance = Tally(), random.Random(seed)
+    sent = 0
+    with lockstep(settings, gains) as rig:
+        loop, ring, answers = rig.loop, rig.runtime.command_writer(), rig.runtime.reply_reader()
+        rig.run(0.2)
+        answered = _take(answers)
+        for _ in range(count):
+            name, payload = query(chance, loop.machine.mode)
+            found = tally.attempt("command", payload or b"", lambda n=name, p=payload: parsed(n, p), (RequestError,))  # type: ignore[misc]
+            if isinstance(found, Request):
+                sent += 1
+                ring.write(rig.clock.now(), sent, found.verb, found.number)
+            ticks = chance.choice((1, 2, 3, 5, 8)) if chance.random() < 0.99 else chance.choice((300, 2000, 5000))
+            _judge(rig, ticks, tally)
+            answered += _take(answers)
+        loop.stop_requested = True
+        _judge(rig, 3000, tally)
+        answered += _take(answers)
+        tally.tried["given to the loop"] += sent
+        if answered != sent:
+            tally.wrong.append(f"{sent} commands given, {answered} answered")
+        if not loop.finished:
+            tally.wrong.append("the loop has not stopped")
+    return tally
+
+
+def _judge(rig: Lockstep, ticks: int, tally: Tally) -> None:
+    """What leaves for the drive is finite and inside its limits; nothing was thrown."""
+    records = rig.run(ticks / rig.settings.loop.rate_hz)
+    for mode in np.unique(records["mode"]):
+        tally.taken[f"in {Mode(mode).name}"] += 1
+    if not np.isfinite(records["command_mm_s"]).all() or not np.isfinite(records["estimate_n"]).all():
+        tally.wrong.append("not finite in the record")
+    elif abs(records["command_mm_s"]).max() > rig.settings.tension.speed_max_mm_s:
+        tally.wrong.append(f"commands {abs(records['command_mm_s']).max()} mm/s")
+    if (records["fault"] == Fault.LOOP_EXCEPTION).any():
+        tally.wrong.append("an exception in the loop")
+    if not math.isfinite(rig.loop.law.target_n):
+        tally.wrong.append(f"target {rig.loop.law.target_n}")
+
+
+def _take(answers: RingReader) -> int:
+    return len(answers.read())

@@ -1,0 +1,78 @@
+"""What a reader of input may do with it: take it, or refuse it in plain lines. Anything else is a bug."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+PATIENCE_S = 60.0  # only what hangs takes that long
+LONGEST_LINE = 4000
+
+
+class HangsError(BaseException):
+    """It has not come back; no ``except Exception`` of the subject can keep it."""
+
+
+@dataclass
+class Tally:
+    """What came of it, by name of what was read; ``wrong`` says what should not have been."""
+
+    tried: Counter[str] = field(default_factory=Counter)
+    taken: Counter[str] = field(default_factory=Counter)
+    wrong: list[str] = field(default_factory=list)
+
+    def attempt(
+        self,
+        name: str,
+        what: bytes,
+        read: Callable[[], object],
+        allowed: tuple[type[Exception], ...],
+        *,
+        line: bool = True,
+    ) -> object | None:
+        """Read it; None if it was refused. ``line``: the refusal is one line, else several that each say something."""
+        self.tried[name] += 1
+        try:
+            with patience():
+                found = read()
+        except allowed as error:
+            said = str(error)
+            if not plain(said) if line else not all(plain(part) for part in said.split("\n")):
+                self.wrong.append(f"{name}: refused in other than plain lines: {said[:300]!r}")
+            return None
+        except (Exception, HangsError) as error:  # noqa: BLE001 - finding these is what this is for
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            said = f"{type(error).__name__}: {str(error)[:200]!r} at {place.filename}:{place.lineno}"
+            self.wrong.append(f"{name}: {said}, of {what[:2000]!r}")
+            return None
+        self.taken[name] += 1
+        return found if found is not None else True
+
+
+def plain(said: str) -> bool:
+    """One line of some length that a terminal shows as it is."""
+    return bool(said.strip()) and len(said) <= LONGEST_LINE and said.isprintable()
+
+
+@contextlib.contextmanager
+def patience() -> Iterator[None]:
+    """Give up on what hangs.
+
+    Raises:
+        HangsError: it did.
+    """
+
+    def give_up(_number: int, _frame: object) -> None:
+        raise HangsError(f"no answer within {PATIENCE_S:g} s")
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

@@ -1,0 +1,141 @@
+"""A share of the fuzzing, and what fuzzing has found."""
+
+from __future__ import annotations
+
+import pathlib
+import random
+import struct
+
+import pytest
+
+from hil.bus import InProcessBus
+from hil.hub import Hub, Port
+from hil.rig import SimulatedRig
+from hil.wire import FRAME
+from rigctl import config
+from rigctl.config import ConfigError, RigSettings
+from rigctl.control.modes import Mode, Verb
+from rigctl.control.tension import Gains
+from rigctl.design.margins import design_and_check
+from rigctl.devices import objects as od
+from rigctl.devices import startup
+from rigctl.devices.remote_node import StartupError
+from rigctl.telemetry.request import RequestError, parse
+from tests.fuzz import commands, files, frames, mutate, replies
+from tests.fuzz.judge import Tally
+
+ROOT = pathlib.Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def settings() -> RigSettings:
+    return config.load(ROOT / "config/paper_rig.yaml")
+
+
+@pytest.fixture(scope="module")
+def gains(settings: RigSettings) -> Gains:
+    return design_and_check(settings).gains
+
+
+def test_whatever_comes_from_the_bus_what_leaves_for_the_drive_is_finite_and_inside_its_limits(
+    settings: RigSettings, gains: Gains
+) -> None:
+    found = frames.play(settings, gains, 60_000, seed=3)
+    assert found.wrong == []
+    assert found.modes == {mode.name for mode in Mode}, "it reached every mode"
+    assert len(found.faults) > 5, "NONE and five ways to trip"
+    assert "LOOP_EXCEPTION" not in found.faults
+
+
+def test_a_command_is_refused_in_one_line_or_does_what_a_command_may(settings: RigSettings, gains: Gains) -> None:
+    found = commands.play(settings, gains, 1000, seed=1)
+    assert found.wrong == []
+    assert found.taken["command"] > 200
+    assert found.tried["command"] - found.taken["command"] > 200
+    assert {name for name in found.taken if name.startswith("in ")} >= {"in HOLD", "in TENSIONING", "in FAULT"}
+
+
+def test_a_file_is_taken_or_refused_in_plain_lines() -> None:
+    found = files.play(250, 40, 1, seed=1)
+    assert found.wrong == []
+    for name in ("rig file", "scenario", "DBC file", "calibration ledger", "gain file"):
+        assert 0 < found.taken[name] < found.tried[name]
+
+
+def test_start_up_ends_whatever_a_device_answers(settings: RigSettings) -> None:
+    found = replies.play(settings, 40, seed=1)
+    assert found.wrong == []
+    assert found.taken["start-up"] < 40
+    assert {name for name in found.tried if name.startswith("answered: ")} >= {"answered: endless", "answered: short"}
+
+
+def test_what_is_wrong_is_found() -> None:
+    tally, chance = Tally(), random.Random(1)
+    assert tally.attempt("good", b"", lambda: 1, ()) == 1
+    assert tally.attempt("refused", b"", lambda: int("x"), (ValueError,)) is None
+    assert tally.wrong == []
+    tally.attempt("thrown", b"", lambda: {}["x"], (ValueError,))
+    tally.attempt("two lines", b"", lambda: int("x\ny") if chance else 0, ())
+    assert len(tally.wrong) == 2
+    assert any(mutate.data({"a": [1, 2.0, "b"]}, chance) != {"a": [1, 2.0, "b"]} for _ in range(3))
+
+
+def answering(settings: RigSettings, lie: object) -> str:
+    """What the start-up says when every SDO answer of the devices is another."""
+    hub = Hub(lambda: replies.START_NS)
+    port = hub.attach(lambda frame: rig.receive(frame))
+    rig = SimulatedRig(settings, replies.START_NS, port.send)
+
+    def tap(sender: Port, frame: bytes) -> list[bytes]:
+        can_id, length, data = FRAME.unpack(frame)
+        if sender is not port or can_id not in {od.SDO_TX_BASE + node for node in settings.canopen_nodes.values()}:
+            return [frame]
+        said = lie(data[:length])  # type: ignore[operator]
+        return [FRAME.pack(can_id, len(said), said)]
+
+    hub.tap = tap
+    bus = InProcessBus(hub)
+    try:
+        with pytest.raises(StartupError) as error:
+            startup.bring_up(bus, settings)
+    finally:
+        bus.shutdown()
+    return str(error.value)
+
+
+def test_a_device_that_sends_segments_without_end_does_not_keep_the_start_waiting(settings: RigSettings) -> None:
+    toggle = [0]
+
+    def lie(data: bytes) -> bytes:
+        if data[0] != 0x80:
+            toggle[0] = 0
+            return b"\x41" + data[1:4] + struct.pack("<L", 2**31)
+        toggle[0] ^= 0x10
+        return bytes([toggle[0] ^ 0x10]) + data[1:]
+
+    assert answering(settings, lie) == (
+        "tension cell (node 2), object 0x1000:00: answered with what is no SDO answer on rigsim:/tmp/rigctl-paper_rig.sock"
+    )
+
+
+@pytest.mark.parametrize("lie", [lambda _: b"", lambda data: data[:2], lambda data: bytes([data[0] | 0x0C]) + data[1:]])
+def test_an_answer_of_the_wrong_length_ends_the_start_in_one_line(settings: RigSettings, lie: object) -> None:
+    said = answering(settings, lie)
+    assert "object 0x1000:00" in said
+    assert said.isprintable()
+
+
+@pytest.mark.parametrize("value", ["x" * 5000, "a\u2028b", "\u202eabc"])
+def test_what_a_rig_file_holds_is_quoted_in_one_printable_line(tmp_path: pathlib.Path, value: str) -> None:
+    file = tmp_path / "rig.yaml"
+    text = (ROOT / "config/paper_rig.yaml").read_text()
+    file.write_text(text.replace("rate_hz: 1000", f'rate_hz: "{value}"', 1))
+    with pytest.raises(ConfigError) as refused:
+        config.load(file)
+    assert all(line.isprintable() and len(line) < 700 for line in refused.value.findings)
+
+
+def test_an_unknown_key_of_a_command_is_quoted_in_one_printable_line() -> None:
+    with pytest.raises(RequestError) as refused:
+        parse(Verb.ARM, '{"operator": "anna", "\u2028": 1}'.encode())
+    assert str(refused.value).isprintable()

@@ -1,0 +1,173 @@
+"""Runs in the guest only: what a CAN bus does at its worst, by the kernel's own driver, while the load hangs on it.
+
+After each fault the load hangs where it hung; the operator's commands bring the same daemon back, once the cause is
+gone, unless the interface itself has vanished.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from rigctl.devices.objects import DriveState
+from tests import daemons
+from tests.guest.inside.guest_rig import TARGET_N, Cable, GuestRig, controller, link, patient
+
+TRIES = 5
+MOVED_MM = 1.0
+CARRIED = 0.03
+
+
+@pytest.fixture(autouse=True)
+def mended(rig: GuestRig) -> Iterator[None]:
+    """A test that fails leaves no fault behind."""
+    yield
+    rig.cable.order("resume")
+    link(rig.cable.interface, "up")
+
+
+def carried(rig: GuestRig, stroke_mm: float) -> None:
+    assert rig.truth.stroke_mm == pytest.approx(stroke_mm, abs=MOVED_MM)
+    assert rig.truth.vertical_n == pytest.approx(TARGET_N, rel=CARRIED)
+
+
+def fallen(rig: GuestRig, stroke_mm: float, after: int, *faults: str) -> None:
+    """FAULT, for one of ``faults``; the load carried, the drive stopped and off by its own supervision."""
+    rig.until("FAULT")
+    assert rig.state["fault"] in faults, rig.said
+    assert re.search(rf"trip ({'|'.join(faults)}): ", rig.said[after:]), rig.said
+    daemons.wait_for(lambda: rig.truth.drive is not DriveState.OPERATION_ENABLED, log=rig.log)
+    carried(rig, stroke_mm)
+
+
+def refused(rig: GuestRig) -> str:
+    """What a reset is told while the cause is there."""
+    answer = patient(lambda: rig.command("reset"))
+    assert not answer["accepted"]
+    assert answer["reason"] == "cause_present"
+    return str(answer["text"])
+
+
+def ridden_through(rig: GuestRig, play: Callable[[], None]) -> None:
+    """Play a fault while COMPENSATING: nothing trips. Where the host stopped the whole guest meanwhile, once more."""
+    for _ in range(TRIES):
+        stroke_mm, after = rig.compensate(), len(rig.said)
+        play()
+        if rig.mode == "COMPENSATING":
+            carried(rig, stroke_mm)
+            return
+        assert rig.stopped_by_host(after), rig.said
+    raise AssertionError(f"the host stopped the guest {TRIES} times\n{rig.said}")
+
+
+def test_an_error_passive_controller_is_told_in_words_and_ridden_through(rig: GuestRig) -> None:
+    def play() -> None:
+        after, before = len(rig.said), rig.state["error_frames"]
+        for words, state, event in (
+            ("sw100000", "ERROR-WARNING", "error warning, receiving"),
+            ("sp000130", "ERROR-PASSIVE", "error-passive, transmitting"),
+            ("e1a", "ERROR-PASSIVE", "no acknowledgement"),
+            ("e2cs", "ERROR-PASSIVE", "stuff error"),
+            ("sa000010", "ERROR-ACTIVE", "error-active again"),
+        ):
+            rig.cable.order(f"say {words}")
+            rig.until_said(event, after)
+            assert controller(rig.cable.interface)["state"] == state
+        daemons.wait_for(lambda: rig.state["error_frames"] == before + 5)
+
+    ridden_through(rig, play)
+
+
+def test_an_overrun_is_told_in_words_and_ridden_through(rig: GuestRig) -> None:
+    def play() -> None:
+        after, lost = len(rig.said), rig.state["frames_lost"]
+        rig.cable.order("lose 5")
+        rig.cable.order("say e1o")
+        rig.until_said("receive overrun, frames lost", after)
+        daemons.wait_for(lambda: rig.state["frames_lost"] >= lost + 4)  # one may have been a heartbeat
+
+    ridden_through(rig, play)
+
+
+def test_a_short_babble_is_ridden_through(rig: GuestRig) -> None:
+    def play() -> None:
+        lost = rig.state["frames_lost"]
+        rig.cable.order("babble 0.3")
+        daemons.wait_for(lambda: rig.state["frames_lost"] > lost + 20)
+        daemons.wait_for(lambda: rig.state["tension_age_ns"] < 100_000_000)
+
+    ridden_through(rig, play)
+
+
+def test_a_babbling_node_that_goes_on_is_a_silent_bus_to_us(rig: GuestRig) -> None:
+    stroke_mm, after = rig.compensate(), len(rig.said)
+    rig.cable.order("babble 4")
+    fallen(rig, stroke_mm, after, "BUS_SILENT")
+    assert "frame not sent: Failed to transmit: No buffer space available" in rig.said[after:]
+    rig.compensate()
+    carried(rig, stroke_mm)
+
+
+def test_an_adapter_that_takes_nothing_is_told_as_no_buffer_space(rig: GuestRig) -> None:
+    stroke_mm, after, unsent = rig.compensate(), len(rig.said), rig.state["send_failures"]
+    rig.cable.order("stall")
+    fallen(rig, stroke_mm, after, "DRIVE_STALE", "CELL_STALE")
+    assert "frame not sent: Failed to transmit: No buffer space available" in rig.said[after:]
+    assert rig.state["send_failures"] > unsent
+    assert "CELL_STALE" in refused(rig) or "DRIVE_STALE" in refused(rig)
+    rig.cable.order("resume")
+    rig.compensate()
+    carried(rig, stroke_mm)
+
+
+def test_bus_off_is_told_in_words_and_over_when_the_interface_was_down_and_up(rig: GuestRig) -> None:
+    stroke_mm, after = rig.compensate(), len(rig.said)
+    rig.cable.order("say sb000256")
+    rig.cable.order("off")
+    fallen(rig, stroke_mm, after, "BUS_SILENT")
+    assert "CAN error frame: bus-off" in rig.said[after:]
+    assert controller(rig.cable.interface)["state"] == "BUS-OFF"
+    assert "BUS_SILENT" in refused(rig)
+    link(rig.cable.interface, "down")
+    link(rig.cable.interface, "up")
+    rig.compensate()
+    carried(rig, stroke_mm)
+
+
+def test_an_interface_that_flaps_is_ridden_through(rig: GuestRig) -> None:
+    def play() -> None:
+        after = len(rig.said)
+        link(rig.cable.interface, "down")
+        link(rig.cable.interface, "up")
+        rig.until_said("bus not readable: Error receiving: Network is down", after)
+        daemons.wait_for(lambda: rig.state["tension_age_ns"] < 100_000_000)
+
+    ridden_through(rig, play)
+
+
+def test_an_interface_pulled_down_is_held_and_recovers_when_it_is_up(rig: GuestRig) -> None:
+    stroke_mm, after = rig.compensate(), len(rig.said)
+    link(rig.cable.interface, "down")
+    fallen(rig, stroke_mm, after, "BUS_SILENT")
+    assert "frame not sent: Failed to transmit: Network is down" in rig.said[after:]
+    assert "BUS_SILENT" in refused(rig)
+    link(rig.cable.interface, "up")
+    rig.compensate()
+    carried(rig, stroke_mm)
+
+
+def test_an_unplugged_adapter_needs_the_daemon_anew_and_the_refusal_says_so(rig: GuestRig) -> None:
+    stroke_mm, after, name = rig.compensate(), len(rig.said), rig.cable.interface
+    rig.cable.unplug()
+    fallen(rig, stroke_mm, after, "BUS_SILENT")
+    assert "bus not readable: Error receiving: No such device" in rig.said[after:]
+    rig.cable = Cable()
+    assert rig.cable.interface == name
+    assert "a CAN interface that was unplugged needs the daemon started anew" in refused(rig)
+    rig.restart()
+    assert rig.mode == "DISARMED"
+    carried(rig, stroke_mm)
+    rig.compensate()
+    carried(rig, stroke_mm)

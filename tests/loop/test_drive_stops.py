@@ -1,0 +1,245 @@
+"""The emergency stop, and the ways the drive is stopped: seen at once, ended on the brake, the load carried."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+
+from hil.lockstep import Lockstep, lockstep
+from hil.nodes.power_stage import Phase
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.control.safety import HOST_CHECKS, Action, Check, Fault, Trip
+from rigctl.control.tension import Gains
+from rigctl.devices import objects
+from rigctl.devices.objects import drive_state
+
+Enter = Callable[[Mode], None]
+ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
+
+
+def status_period_s(rig: Lockstep) -> float:
+    return 1.0 / (rig.settings.cylinder.status_rate_hz or math.inf)
+
+
+def braked(rig: Lockstep) -> bool:
+    return rig.rig.drive.control.stage.phase is Phase.BRAKED
+
+
+def carried(rig: Lockstep, seconds: float = 1.0) -> bool:
+    """The brake is closed and the stroke stays where it is."""
+    before = rig.rig.truth.stroke_mm
+    rig.run(seconds)
+    return braked(rig) and rig.rig.truth.stroke_mm == before
+
+
+@pytest.mark.parametrize("mode", ARMED)
+def test_an_emergency_stop_is_seen_at_once_latched_and_ends_on_the_brake(
+    rig: Lockstep, enter: Enter, mode: Mode
+) -> None:
+    enter(mode)
+    before = rig.rig.truth.tension_n
+    rig.rig.drive.press_e_stop(True)
+    for _ in range(2):  # its emergency message is there long before the input's next status
+        rig.loop.tick()
+    machine = rig.loop.machine
+    assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.E_STOP, Action.QUICK_STOP)
+    rig.run(0.5)
+    assert carried(rig)
+    if mode is not Mode.HOLD:
+        assert rig.rig.truth.tension_n == pytest.approx(before, abs=5.0)  # 10 mm/s stopped at 500 mm/s2: 0.3 mm
+    assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+    assert rig.reply["value"] == Fault.E_STOP
+    rig.rig.drive.press_e_stop(False)
+    rig.run(2 * status_period_s(rig))
+    assert machine.fault is Fault.E_STOP  # latched
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    rig.run(0.2)
+    assert (machine.mode, machine.fault) == (Mode.DISARMED, Fault.NONE)
+    assert rig.command(Verb.ARM) is Refusal.NONE
+
+
+def test_an_emergency_stop_is_latched_while_disarmed_and_a_short_press_too(rig: Lockstep) -> None:
+    rig.rig.drive.press_e_stop(True)
+    rig.run(0.01)
+    rig.rig.drive.press_e_stop(False)
+    rig.run(0.2)
+    assert rig.loop.machine.fault is Fault.E_STOP
+    assert rig.command(Verb.ARM) is Refusal.WRONG_MODE
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    rig.run(0.2)
+    assert rig.command(Verb.ARM) is Refusal.NONE
+
+
+def test_without_its_message_the_input_alone_is_seen_with_the_next_status(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.HOLD)
+    rig.rig.drive.e_stop_pressed = True  # a drive that mirrors the input and does nothing about it
+    rig.run(status_period_s(rig) + 0.002)
+    assert rig.loop.machine.fault is Fault.E_STOP
+    rig.run(0.3)
+    assert carried(rig)  # by our quick stop
+
+
+def test_arming_is_refused_while_pressed_and_while_the_input_is_not_seen(rig: Lockstep) -> None:
+    drive = rig.rig.drive
+    assert drive.device is not None
+    drive.device.sdo[objects.TPDO2_COMMUNICATION][1].raw = 1 << 31 | (objects.TPDO2_BASE + drive.id)
+    rig.run(4 * status_period_s(rig))
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+    assert rig.reply["checks"] == Check.E_STOP_UNSEEN
+    assert math.isnan(rig.loop.observer.sight.drive_current_a)
+    drive.press_e_stop(True)
+    rig.loop.tick()
+    assert Check.E_STOP in Check(rig.loop._orders.failed_checks())
+
+
+def test_current_and_temperature_are_the_drives(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    sight, truth = rig.loop.observer.sight, rig.rig.truth
+    simulation = rig.settings.simulation
+    assert simulation is not None
+    load_a, friction_a = (n / simulation.drive.force_n_a for n in (truth.tension_n, simulation.drive.friction_n))
+    unit_a = (rig.settings.cylinder.rated_current_a or math.nan) * objects.PER_CURRENT_UNIT
+    assert abs(sight.drive_current_a - load_a) <= friction_a + unit_a
+    assert simulation.drive.ambient_c <= sight.drive_temperature_c < simulation.drive.ambient_c + 1.0
+
+
+def test_a_drive_that_is_not_asked_for_its_status_has_no_emergency_stop(settings: RigSettings, gains: Gains) -> None:
+    without = {"status_rate_hz": None, "rated_current_a": None, "e_stop_input": None}
+    plain = settings.model_copy(update={"cylinder": settings.cylinder.model_copy(update=without)})
+    with lockstep(plain, gains, log=True) as rig:
+        rig.run(0.3)
+        rig.rig.drive.e_stop_pressed = True
+        rig.run(0.3)
+        sight = rig.loop.observer.sight
+        assert not sight.e_stop
+        assert math.isnan(sight.drive_temperature_c)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        identifiers = {int.from_bytes(frame[:4], "little") for _, frame in rig.frames}
+        assert objects.TPDO2_BASE + settings.cylinder.node not in identifiers
+
+
+# -- quick stop and cut -----------------------------------------------------------------------------------------
+
+
+def moving(rig: Lockstep) -> None:
+    """COMPENSATING, on its way to another target."""
+    assert rig.command(Verb.TARGET, 250.0) is Refusal.NONE
+    rig.run(0.5)
+    assert abs(rig.rig.truth.speed_mm_s) > 5.0
+
+
+def test_a_quick_stop_at_speed_ends_with_the_brake_closed_and_the_tension_held(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    moving(rig)
+    before = rig.rig.truth
+    rig.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), rig.clock.now())
+    words = set()
+    for _ in range(400):
+        rig.loop.tick()
+        words.add(rig.loop.outbox.controlword)
+    assert carried(rig)
+    assert objects.Controlword.DISABLE_VOLTAGE not in words  # never off at once on a drive that obeys
+    assert abs(rig.rig.truth.stroke_mm - before.stroke_mm) < 0.4  # 8 mm/s: 0.06 mm of ramp, 0.2 mm of lag
+    assert rig.rig.truth.tension_n == pytest.approx(before.tension_n, abs=2.5)
+    assert drive_state(rig.loop.inbox.statusword) in objects.OFF_STATES
+
+
+@pytest.mark.parametrize("speed_mm_s", [10.0, -10.0])
+def test_a_drive_that_runs_away_is_cut_and_its_brake_closes(rig: Lockstep, enter: Enter, speed_mm_s: float) -> None:
+    enter(Mode.COMPENSATING)
+    drive = rig.rig.drive
+    drive.defect = lambda speed, closed: (speed_mm_s if drive.control.stage.powered else speed, closed)
+    began_ns = rig.clock.now()
+    while not braked(rig):
+        rig.loop.tick()
+        assert rig.clock.now() - began_ns < 300_000_000
+        if rig.loop.machine.fault is Fault.NONE:
+            tripped_ns = rig.clock.now()
+    assert rig.loop.machine.action is Action.POWER_OFF
+    assert rig.clock.now() - tripped_ns <= 150_000_000  # 60 ms to stop by itself, 50 ms for the brake
+    assert carried(rig)
+
+
+def test_the_drives_own_stop_is_set_and_read_back(rig: Lockstep) -> None:
+    assert rig.report.supervised
+    found = {setting.object: setting.found for setting in rig.report.supervision}
+    assert (found["0x605A"], found["0x605B"], found["0x605C"], found["0x605E"], found["0x6007"]) == (2, 1, 1, 2, 3)
+    assert found["0x1016:01"] == 1 << 16 | rig.settings.cylinder.heartbeat_timeout_ms
+    assert found["0x1400:05"] == rig.settings.cylinder.command_deadline_ms
+
+
+def test_a_drive_that_keeps_a_stop_setting_of_its_own_cannot_be_armed(
+    settings: RigSettings, gains: Gains, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from hil.nodes import cylinder_drive
+
+    made = cylinder_drive.CylinderDrive.__init__
+
+    def stubborn(self: cylinder_drive.CylinderDrive, *arguments: object) -> None:
+        made(self, *arguments)  # type: ignore[arg-type]
+        self.readers[objects.ABORT_CONNECTION_OPTION, 0] = lambda: 0
+
+    monkeypatch.setattr(cylinder_drive.CylinderDrive, "__init__", stubborn)
+    with lockstep(settings, gains) as rig:
+        rig.run(0.2)
+        (wrong,) = [setting for setting in rig.report.supervision if not setting.ok]
+        assert (wrong.object, wrong.wanted, wrong.found) == ("0x6007", 3, 0)
+        assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+        assert rig.reply["checks"] == Check.DRIVE_SUPERVISION
+
+
+def test_a_drive_that_has_started_anew_counts_as_unverified(rig: Lockstep) -> None:
+    rig.rig.drive.reset_node()
+    rig.run(0.1)
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+    assert Check.DRIVE_SUPERVISION in Check(int(rig.reply["checks"]))
+
+
+def test_at_an_end_of_the_stroke_only_an_operator_who_says_so_arms(settings: RigSettings, gains: Gains) -> None:
+    near = {"stroke_min_mm": -1.0}  # the rope hangs slack at 0
+    with lockstep(settings.model_copy(update={"cylinder": settings.cylinder.model_copy(update=near)}), gains) as rig:
+        rig.run(0.2)
+        assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+        assert rig.reply["checks"] == Check.STROKE_NEAR_END
+        assert rig.command(Verb.ARM, 1.0) is Refusal.NONE
+        assert rig.command(Verb.TENSION) is Refusal.NONE  # away from it
+        rig.run_until(Mode.COMPENSATING, 15.0)
+        assert rig.command(Verb.HOLD) is Refusal.NONE
+        assert rig.command(Verb.DISARM) is Refusal.NONE
+        rig.run(0.3)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+    beyond = {"stroke_min_mm": 3.0}
+    with lockstep(settings.model_copy(update={"cylinder": settings.cylinder.model_copy(update=beyond)}), gains) as rig:
+        rig.run(0.2)
+        assert rig.command(Verb.ARM, 1.0) is Refusal.PREFLIGHT
+        assert rig.reply["checks"] == Check.STROKE_RANGE
+
+
+def test_records_show_what_stands_against_arming_and_what_the_host_says_at_once(rig: Lockstep) -> None:
+    assert rig.run(0.6)["checks"][-1] == 0
+    rig.rig.drive.press_e_stop(True)
+    assert Check.E_STOP in Check(int(rig.run(0.6)["checks"][-1]))
+    rig.rig.drive.press_e_stop(False)
+    rig.run(0.1)
+    rig.command(Verb.RESET)
+    rig.run(0.2)
+    assert rig.command(Verb.ARM) is Refusal.NONE
+    rig.command(Setting.HOST_CHECKS, float(Check.DISK))
+    records = rig.run(0.01)
+    assert records["checks"][-1] & int(HOST_CHECKS) == Check.DISK  # armed or not
+    assert records["drive_temperature_c"][-1] == pytest.approx(25.0, abs=0.2)
+    assert math.isfinite(records["drive_current_a"][-1])
+
+
+def test_what_the_host_says_stands_against_arming_until_it_says_otherwise(rig: Lockstep) -> None:
+    assert rig.command(Setting.HOST_CHECKS, float(Check.DISK | Check.TARE)) is Refusal.NONE
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+    assert rig.reply["checks"] == Check.DISK | Check.TARE
+    assert rig.command(Setting.HOST_CHECKS, float(Check.CELL_STALE)) is Refusal.OUT_OF_RANGE
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+    assert rig.reply["checks"] == Check.HOST
+    assert rig.command(Setting.HOST_CHECKS, 0.0) is Refusal.NONE
+    assert rig.command(Verb.ARM) is Refusal.NONE

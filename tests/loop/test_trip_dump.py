@@ -1,0 +1,282 @@
+"""A trip leaves a file with everything around it, which a reader that is not ours decodes."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from hil.lockstep import Lockstep, lockstep
+from hil.wire import FRAME
+from rigctl.config import AuditSettings, RigSettings
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.tension import Gains
+from rigctl.recorder import chain
+from rigctl.recorder.process import Recorder
+from rigctl.telemetry.record import RECORD
+from rigctl.telemetry.runtime import ACTIVE
+from tests.loop.test_loop import nmt, stop_node
+
+WALL_OFFSET_NS = 1_700_000_000_000_000_000
+TICK_NS = 1_000_000
+
+
+class Kept:
+    """A recorder on a rig in lockstep: real loop, real rings, simulated time."""
+
+    def __init__(self, rig: Lockstep, folder: pathlib.Path, **audit: Any) -> None:
+        self.rig = rig
+        own = AuditSettings(file=str(folder / "audit.jsonl"), trips=str(folder / "trips"), **audit)
+        self.settings = rig.settings.model_copy(update={"audit": own})
+        self.folder = folder / "trips"
+        active = {"settings": self.settings.model_dump(mode="json"), "started_wall_ns": 7, "design": {"gains": {}}}
+        rig.runtime.write_json(ACTIVE, active)
+        self.recorder = self.start()
+
+    def start(self) -> Recorder:
+        now = self.rig.clock.now()
+        self.recorder = Recorder(self.rig.runtime, self.settings, now, now + WALL_OFFSET_NS)
+        return self.recorder
+
+    def poll(self, *, final: bool = False) -> None:
+        now = self.rig.clock.now()
+        self.recorder.poll(now, now + WALL_OFFSET_NS, final=final)
+
+    def files(self) -> list[pathlib.Path]:
+        return sorted(self.folder.glob("*"))
+
+    def log(self) -> list[chain.Entry]:
+        lines = self.settings.audit_log.read_bytes().splitlines(keepends=True)
+        assert chain.verify(lines).good
+        return [chain.read_line(line)[0] for line in lines]
+
+
+@pytest.fixture
+def kept(settings: RigSettings, gains: Gains, tmp_path: pathlib.Path) -> Iterator[Kept]:
+    """Compensating at 60 N, with every frame of the bus kept by the bus itself."""
+    with lockstep(settings, gains, log=True) as rig:
+        found = Kept(rig, tmp_path)
+        rig.run(0.2)
+        assert rig.command(Verb.TARGET, 60.0) is Refusal.NONE
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        assert rig.command(Verb.TENSION) is Refusal.NONE
+        rig.run_until(Mode.COMPENSATING, 5.0)
+        found.poll()
+        yield found
+
+
+def trip(rig: Lockstep) -> int:
+    """Make the cell fall silent; when that has tripped, on the loop's clock."""
+    stop_node(rig, rig.settings.tension_cell.node)
+    rig.run_until(Mode.FAULT, 0.1)
+    return rig.clock.now()
+
+
+def read(file: pathlib.Path) -> tuple[dict[str, list[tuple[int, Any]]], dict[str, bytes], dict[str, dict[str, str]]]:
+    """Messages by topic with their time on the loop's clock, attachments, metadata: by mcap's own reader."""
+    topics: dict[str, list[tuple[int, Any]]] = {}
+    with file.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            topics.setdefault(channel.topic, []).append((message.log_time - WALL_OFFSET_NS, (schema, message.data)))
+        for topic in ("/records", "/frames"):
+            decoded = [found.decoded_message for found in reader.iter_decoded_messages(topics=[topic])]
+            topics[topic] = [(t_ns, item) for (t_ns, _), item in zip(topics[topic], decoded, strict=True)]
+        attached = {found.name: found.data for found in reader.iter_attachments()}
+        words = {found.name: dict(found.metadata) for found in reader.iter_metadata()}
+    return topics, attached, words
+
+
+def test_a_dump_holds_every_record_and_frame_from_10_s_before_to_2_s_after(kept: Kept) -> None:
+    rig = kept.rig
+    rig.run(9.0)
+    tripped_ns = trip(rig)
+    kept.poll()
+    rig.run(1.9)
+    kept.poll()
+    assert kept.files() == []  # its time is not over
+    rig.run(0.5)
+    kept.poll()
+    (file,) = kept.files()
+    assert file.name.startswith("paper_rig-20231114T2213")
+    assert file.name.endswith("Z-CELL_STALE.mcap")
+    topics, attached, words = read(file)
+
+    records = [record for _, record in topics["/records"]]
+    ticks = np.array([record.tick for record in records])
+    assert len(records) == 12_001
+    assert np.all(np.diff(ticks) == 1)
+    first, last = topics["/records"][0][0], topics["/records"][-1][0]
+    assert (tripped_ns - first, last - tripped_ns) == (
+        pytest.approx(10e9, abs=2 * TICK_NS),
+        pytest.approx(2e9, abs=2 * TICK_NS),
+    )
+    assert records[0].t_ns == first
+    ring = rig.runtime.record_reader(from_start=True).read()
+    of_ring = {int(slot["tick"]): slot for slot in ring}
+    for record in records[::997]:
+        slot = of_ring[record.tick]
+        for field in RECORD.fields:
+            assert getattr(record, field.name) == slot[field.name] or np.isnan(slot[field.name]), field.name
+
+    frames = [frame for _, frame in topics["/frames"]]
+    assert {frame.sent for frame in frames} == {0, 1}
+    on_bus: Counter[tuple[int, bytes]] = Counter()
+    inside = (first + 5 * TICK_NS, last - 5 * TICK_NS)
+    for t_ns, raw in rig.frames:
+        if inside[0] <= t_ns <= inside[1]:
+            can_id, dlc, data = FRAME.unpack(raw)
+            on_bus[can_id, data[:dlc]] += 1
+    in_file = Counter((frame.can_id, frame.data) for frame in frames)
+    assert sum(on_bus.values()) > 45_000
+    assert not on_bus - in_file  # nothing that was on the bus is missing
+    assert not {key[0] for key in in_file} - {key[0] for key in on_bus}
+    assert all(frame.dlc == len(frame.data) for frame in frames)
+    assert np.all(np.diff([frame.seq for frame in frames]) == 1)
+
+    said = [json.loads(data) for _, (schema, data) in topics["/events"]]
+    assert {schema.encoding for _, (schema, _) in topics["/events"]} == {"jsonschema"}
+    names = [item["what"] for item in said]
+    assert names[names.index("trip") + 1] == "mode"
+    assert "CELL_STALE" in said[names.index("trip")]["text"]
+    assert json.loads(attached[ACTIVE])["settings"]["rig"] == "paper_rig"
+    assert json.loads(attached["schema.json"])["enums"]["modes"]["FAULT"] == Mode.FAULT
+    assert words["rigctl"]["fault"] == "CELL_STALE"
+    heads = [entry.previous for entry in kept.log()]
+    assert words["audit"]["head"] in heads
+    (entry,) = [entry for entry in kept.log() if entry.what == "trip_dump"]
+    assert entry.details["file"] == file.name
+    kept.poll()
+    assert len(kept.files()) == 1
+
+
+def test_commands_and_answers_are_in_the_dump(kept: Kept) -> None:
+    assert kept.rig.command(Verb.TARGET, 1000.0) is Refusal.OUT_OF_RANGE
+    trip(kept.rig)
+    kept.poll(final=True)
+    topics, _, _ = read(kept.files()[0])
+    orders = [json.loads(data)["text"] for _, (_, data) in topics["/commands"]]
+    replies = [json.loads(data)["text"] for _, (_, data) in topics["/replies"]]
+    assert orders == ["TARGET 60", "ARM 0", "TENSION 0", "TARGET 1000"]
+    assert replies[-1] == "not carried out: OUT_OF_RANGE, COMPENSATING"
+
+
+def test_two_trips_within_seconds_are_both_covered(kept: Kept) -> None:
+    rig = kept.rig
+    first_ns = trip(rig)
+    rig.rig.receive(nmt(1, rig.settings.tension_cell.node))
+    rig.run(0.5)
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    rig.run(0.8)
+    second_ns = trip(rig)
+    assert second_ns - first_ns < 2_000_000_000
+    rig.run(2.1)
+    kept.poll()
+    (file,) = kept.files()
+    topics, _, words = read(file)
+    assert words["rigctl"]["trips"] == "CELL_STALE CELL_STALE"
+    times = [t_ns for t_ns, _ in topics["/records"]]
+    assert times[-1] - second_ns == pytest.approx(2e9, abs=2 * TICK_NS)
+    rig.rig.receive(nmt(1, rig.settings.tension_cell.node))
+    rig.run(0.5)
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    trip(rig)
+    rig.run(2.1)
+    kept.poll()
+    assert len(kept.files()) == 2
+    assert [entry.what for entry in kept.log()].count("trip_dump") == 2
+
+
+def test_a_trip_whose_recorder_was_killed_is_dumped_by_the_next_and_only_once(kept: Kept) -> None:
+    trip(kept.rig)
+    kept.poll()
+    kept.rig.run(2.1)
+    kept.start()  # the one before has not written anything
+    (kept.folder).mkdir()
+    (kept.folder / ".paper_rig-2023-BROKEN.mcap.part").touch()
+    kept.start()
+    kept.poll()
+    assert [file.name.split("-")[-1] for file in kept.files()] == ["CELL_STALE.mcap"]
+    kept.start()
+    kept.poll()
+    assert [entry.what for entry in kept.log()].count("trip_dump") == 1
+
+
+def test_a_trip_as_the_daemon_stops_is_dumped(kept: Kept) -> None:
+    trip(kept.rig)
+    now = kept.rig.clock.now()
+    kept.recorder.close(now, now + WALL_OFFSET_NS)
+    (file,) = kept.files()
+    assert len(read(file)[0]["/records"]) > 1000
+    assert [entry.what for entry in kept.log()][-2:] == ["trip_dump", "recorder_stopped"]
+
+
+def test_an_exception_in_the_loop_is_a_trip_too(kept: Kept, monkeypatch: pytest.MonkeyPatch) -> None:
+    law = kept.rig.loop.law
+
+    def fail(*_: object) -> float:
+        raise ZeroDivisionError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(law, "compensating", fail)
+        kept.rig.run(0.002)
+    kept.poll(final=True)
+    assert [file.name.split("-")[-1] for file in kept.files()] == ["LOOP_EXCEPTION.mcap"]
+
+
+def test_the_newest_dumps_are_kept_and_what_is_deleted_is_on_record(kept: Kept) -> None:
+    rig = kept.rig
+    few = kept.settings.audit.model_copy(update={"trips_kept": 2})
+    kept.settings = kept.settings.model_copy(update={"audit": few})
+    kept.start()
+    names = []
+    for _ in range(3):
+        trip(rig)
+        kept.poll(final=True)
+        names.append(kept.files()[-1].name)
+        rig.rig.receive(nmt(1, rig.settings.tension_cell.node))
+        rig.run(0.5)
+        assert rig.command(Verb.RESET) is Refusal.NONE
+    assert [file.name for file in kept.files()] == names[1:]
+    (gone,) = [entry for entry in kept.log() if entry.what == "trip_dump_deleted"]
+    assert gone.text == names[0]
+
+
+def test_a_folder_that_takes_no_dump_is_told_and_tried_again_and_given_up_in_the_end(
+    kept: Kept, capfd: pytest.CaptureFixture[str]
+) -> None:
+    rig = kept.rig
+    kept.folder.write_text("a file in its place")
+    trip(rig)
+    rig.run(2.1)
+    for _ in range(3):
+        kept.poll()
+        rig.run(1.1)
+    assert kept.recorder.trouble.count == 3
+    assert capfd.readouterr().err.count("WARNING: trip dump cannot be written") == 1
+    kept.folder.unlink()
+    kept.poll()
+    assert len(kept.files()) == 1
+    again = kept.log()[-1]
+    assert (again.what, again.details["what"]) == ("written_again", "trip dump")
+    rig.rig.receive(nmt(1, rig.settings.tension_cell.node))
+    rig.run(0.5)
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    trip(rig)
+    rig.run(0.1)
+    for file in kept.files():
+        file.unlink()
+    kept.folder.rmdir()
+    kept.folder.write_text("again")
+    rig.run(rig.settings.telemetry.history_s + 0.1)
+    kept.poll()
+    assert kept.log()[-1].what == "trip_dump_lost"
+    assert kept.recorder.trouble.now

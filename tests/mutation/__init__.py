@@ -1,0 +1,1 @@
+"""Mutation testing of what nothing may get wrong: modes, safety table, tension law."""

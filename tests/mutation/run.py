@@ -1,0 +1,141 @@
+"""Each mutant against the tests, in a process forked off one that has the libraries loaded; nothing on disk changes."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.abc
+import importlib.machinery
+import importlib.util
+import os
+import pathlib
+import resource
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from types import ModuleType
+
+import hypothesis
+import pytest
+
+from tests.mutation.mutants import Mutant, Workshop
+
+LIMIT_CPU_S = 60  # far above all tests of a module: a mutant that takes longer hangs
+PARTS = ("rigctl", "hil", "tests", "config", "docs", "pyproject.toml")
+_HEAVY = ("numpy", "yaml", "msgspec", "can", "hypothesis.strategies", "rigctl.config", "rigctl.telemetry.record")
+SURVIVED, KILLED, SAME = "survived", "killed", "the same program"
+_SAME_CODE = 77
+
+
+def copy_tree(root: pathlib.Path, folder: pathlib.Path) -> None:
+    """What the tests need of the tree as it is now: they run on this copy, whatever happens to the original."""
+    leave = shutil.ignore_patterns("__pycache__", "*.mcap", "fuzz", "mutation", "calibration", "audit")
+    for part in PARTS:
+        if (root / part).is_dir():
+            shutil.copytree(root / part, folder / part, ignore=leave)
+        else:
+            shutil.copy(root / part, folder / part)
+
+
+class _Instead(importlib.abc.MetaPathFinder, importlib.abc.InspectLoader):
+    """One module comes from a text instead of its file."""
+
+    def __init__(self, name: str, source: str, file: pathlib.Path) -> None:
+        self._name, self._source, self._file = name, source, file
+
+    def find_spec(self, fullname: str, _path: object, _target: object = None) -> importlib.machinery.ModuleSpec | None:
+        """Ours, if it is the one."""
+        if fullname != self._name:
+            return None
+        return importlib.util.spec_from_file_location(fullname, self._file, loader=self)
+
+    def get_source(self, _fullname: str) -> str:
+        """The text."""
+        return self._source
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Run the text."""
+        exec(compile(self._source, str(self._file), "exec"), module.__dict__)
+
+
+class _Repeatable:
+    """Hypothesis makes the same examples for every mutant, and remembers none."""
+
+    def pytest_sessionstart(self) -> None:
+        """After the profile of conftest.py."""
+        hypothesis.settings.register_profile("mutation", deadline=None, derandomize=True, database=None)
+        hypothesis.settings.load_profile("mutation")
+
+
+class Runner:
+    """Runs mutants on a copy of the tree in ``folder``, some at a time."""
+
+    def __init__(self, folder: pathlib.Path, workshop: Workshop, tests: dict[str, Sequence[str]]) -> None:
+        """``tests``: for each module the files that test it."""
+        self._folder, self._workshop, self._tests = folder, workshop, tests
+        os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
+        sys.path.insert(0, str(folder))
+        _forget()
+        for name in _HEAVY:
+            importlib.import_module(name)
+        self._loaded = frozenset(sys.modules)
+
+    def passes_unchanged(self, file: str) -> bool:
+        """The tests of a module pass as it is; this also leaves their byte code in the copy."""
+        _, status = os.waitpid(self._fork(lambda: self._test(file, None)), 0)
+        return status == 0
+
+    def run(self, mutants: Iterable[Mutant], at_once: int) -> Iterator[tuple[Mutant, str]]:
+        """Each mutant with what became of it, in the order in which they end."""
+        running: dict[int, Mutant] = {}
+        for mutant in mutants:
+            if len(running) >= at_once:
+                yield self._next(running)
+            running[self._fork(lambda mutant=mutant: self._judge(mutant))] = mutant  # type: ignore[misc]
+        while running:
+            yield self._next(running)
+
+    def _next(self, running: dict[int, Mutant]) -> tuple[Mutant, str]:
+        while True:
+            for pid in running:
+                found, status = os.waitpid(pid, os.WNOHANG)
+                if found:
+                    code = os.waitstatus_to_exitcode(status)
+                    return running.pop(pid), {0: SURVIVED, _SAME_CODE: SAME}.get(code, KILLED)
+            time.sleep(0.01)
+
+    def _fork(self, work: Callable[[], int]) -> int:
+        sys.stdout.flush()
+        pid = os.fork()
+        if pid == 0:
+            code = 3
+            try:
+                code = work()
+            finally:
+                os._exit(code)
+        return pid
+
+    def _judge(self, mutant: Mutant) -> int:
+        source = self._workshop.source_of(mutant)
+        return _SAME_CODE if source is None else self._test(mutant.file, source)
+
+    def _test(self, file: str, source: str | None) -> int:
+        os.chdir(self._folder)
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for stream in (0, 1, 2):
+            os.dup2(nowhere, stream)
+        resource.setrlimit(resource.RLIMIT_CPU, (LIMIT_CPU_S, LIMIT_CPU_S + 1))
+        _forget(but=self._loaded)
+        if source is not None:
+            module = file.removesuffix(".py").replace("/", ".")
+            sys.meta_path.insert(0, _Instead(module, source, self._folder / file))
+        arguments = ["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore", "--rootdir", str(self._folder)]
+        return int(pytest.main([*arguments, *self._tests[file]], plugins=[_Repeatable()]))
+
+
+def _forget(but: frozenset[str] = frozenset()) -> None:
+    """Have the project's own modules loaded anew, from the copy."""
+    own = [name for name in sys.modules if name.split(".")[0] in ("rigctl", "hil", "tests") and name not in but]
+    for name in own:
+        if not name.startswith("tests.mutation"):
+            del sys.modules[name]

@@ -1,0 +1,185 @@
+"""The host's part of the preflight: a check fails on what it is about, says what to do, and may be waived in words."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import time
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import pytest
+
+from rigctl import config
+from rigctl.commission import ledger, preflight
+from rigctl.commission.ledger import Standing
+from rigctl.commission.preflight import Folder, Preflight, Verdict, judge
+from rigctl.config import RigSettings
+from rigctl.control.safety import HOST_CHECKS, Check
+from rigctl.telemetry.runtime import Runtime
+
+PAPER = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+assert PAPER.calibration is not None
+STRICT = PAPER.model_copy(
+    update={
+        "calibration": PAPER.calibration.model_copy(update={"waiver": None}),
+        "loop": PAPER.loop.model_copy(update={"realtime_waiver": None}),
+    }
+)
+NOW = datetime(2026, 6, 1, tzinfo=UTC)
+
+
+def stamp(days_ago: float) -> str:
+    return f"{NOW - timedelta(days=days_ago):%Y-%m-%dT%H:%M:%SZ}"
+
+
+GOOD: dict[str, Any] = {
+    "settings": STRICT,
+    "standing": Standing(due=stamp(-100), tared=stamp(1)),
+    "active": {"design": {"accepted": True, "waiver": None, "verdict": "Ms 1.5"}},
+    "control": {
+        "realtime": [{"name": "scheduler", "ok": True, "warning": ""}],
+        "supervision": [{"name": "deadline", "object": "0x1400:05", "wanted": 30, "found": 30, "ok": True, "why": ""}],
+    },
+    "folders": [Folder(pathlib.Path("/data"), 10_000)],
+    "now": NOW,
+}
+WRONG_STOP = {"name": "abort connection option", "object": "0x6007", "wanted": 3, "found": 0, "ok": False, "why": ""}
+NO_FIFO = {"name": "scheduler", "ok": False, "warning": "SCHED_FIFO 80 not allowed: run as root"}
+REFUSED = {"accepted": False, "waiver": None, "verdict": "design refused: Ms 1.9"}
+WAIVED = {"accepted": True, "waiver": "a soft\nmechanism only", "verdict": "Ms 1.9 (limit 1.6, waived)"}
+
+
+def verdict(**changes: Any) -> Verdict:
+    return judge(**{**GOOD, **changes})
+
+
+def test_nothing_stands_against_a_rig_in_order() -> None:
+    assert verdict() == Verdict({}, {})
+    assert verdict().host_checks == Check(0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "check", "words"),
+    [
+        ({"standing": Standing(overdue=True, tared=stamp(1))}, Check.CALIBRATION, ["no calibration", "rigctl calib"]),
+        (
+            {"standing": Standing(due=stamp(1), tared=stamp(1))},
+            Check.CALIBRATION,
+            ["due on 2026-05-31", "rigctl calib"],
+        ),
+        ({"standing": Standing(due=stamp(-9))}, Check.TARE, ["no tare on record", "rigctl tare"]),
+        (
+            {"standing": Standing(due=stamp(-9), tared=stamp(31))},
+            Check.TARE,
+            ["of 2026-05-01", "30 days", "rigctl tare"],
+        ),
+        ({"standing": Standing(due=stamp(-9), tared=stamp(-3))}, Check.TARE, ["of 2026-06-04"]),  # not yet made
+        ({"active": {}}, Check.MARGINS, ["not known"]),
+        ({"active": {"design": {"ms": 1}}}, Check.MARGINS, ["not known"]),
+        ({"active": {"design": REFUSED}}, Check.MARGINS, ["Ms 1.9", "rigctl tune"]),
+        ({"control": {}}, Check.REALTIME, ["not known yet"]),
+        ({"control": {"realtime": [NO_FIFO]}}, Check.REALTIME, ["SCHED_FIFO 80 not allowed", "loop.realtime_waiver"]),
+        ({"folders": [Folder(pathlib.Path("/data"), 511)]}, Check.DISK, ["/data has 511 MiB free", "make room", "512"]),
+        ({"folders": [Folder(pathlib.Path("/data"), None)]}, Check.DISK, ["/data is not there"]),
+        (
+            {"control": {**GOOD["control"], "supervision": [WRONG_STOP]}},
+            Check.DRIVE_SUPERVISION,
+            ["0x6007 (abort connection option) found 0, wanted 3"],
+        ),
+        (
+            {"control": {**GOOD["control"], "supervision": [{**WRONG_STOP, "found": None, "why": "refused: 0x06"}]}},
+            Check.DRIVE_SUPERVISION,
+            ["found nothing, wanted 3, refused: 0x06"],
+        ),
+    ],
+)
+def test_each_check_fails_on_its_own_and_says_what_to_do(
+    changes: dict[str, Any], check: Check, words: list[str]
+) -> None:
+    found = verdict(**changes)
+    assert list(found.failing) == [check]
+    assert all(word in found.failing[check] for word in words), found.failing[check]
+    assert found.host_checks == check & HOST_CHECKS
+
+
+def test_everything_that_fails_is_said_at_once() -> None:
+    found = verdict(standing=Standing(overdue=True), active={}, control={}, folders=[Folder(pathlib.Path("/"), 0)])
+    assert set(found.failing) == {Check.CALIBRATION, Check.TARE, Check.MARGINS, Check.REALTIME, Check.DISK}
+
+
+def test_a_waiver_in_words_excuses_what_it_is_for_and_is_repeated() -> None:
+    bare = {"standing": Standing(overdue=True), "control": {"realtime": [NO_FIFO]}, "active": {"design": WAIVED}}
+    found = verdict(settings=PAPER, **bare)
+    assert PAPER.calibration is not None
+    assert found.failing == {}
+    assert found.waived == {
+        Check.CALIBRATION: PAPER.calibration.waiver,
+        Check.TARE: PAPER.calibration.waiver,
+        Check.MARGINS: "a soft mechanism only",
+        Check.REALTIME: PAPER.loop.realtime_waiver,
+    }
+    assert set(verdict(**bare).failing) == {Check.CALIBRATION, Check.TARE, Check.REALTIME}
+    assert verdict(settings=PAPER).waived == {}  # what is in order needs none
+    assert verdict(folders=[Folder(pathlib.Path("/"), 0)], settings=PAPER).failing.keys() == {Check.DISK}
+
+
+def test_without_a_calibration_section_neither_calibration_nor_tare_is_asked_for() -> None:
+    settings = STRICT.model_copy(update={"calibration": None})
+    assert verdict(settings=settings, standing=Standing()).failing == {}
+
+
+def test_the_tare_that_holds_is_the_newest_that_was_not_withdrawn() -> None:
+    def item(what: str, when: str, **figures: str) -> ledger.Entry:
+        return ledger.Entry(what, when, "kim", PAPER.rig, "1", "", {}, {}, dict(figures))
+
+    first, second = item("tare", stamp(5)), item("tare", stamp(2))
+    wall_ns = int(NOW.timestamp() * 1e9)
+    assert ledger.standing(STRICT, [], wall_ns).tared is None
+    assert ledger.standing(STRICT, [first, second], wall_ns).tared == stamp(2)
+    withdrawn = item("tare withdrawn", stamp(1), withdraws=stamp(2))
+    assert ledger.standing(STRICT, [first, second, withdrawn], wall_ns).tared == stamp(5)
+    assert ledger.standing(STRICT, [item("identify", stamp(1))], wall_ns).tared is None
+
+
+def test_room_is_that_of_the_folder_or_of_the_nearest_there_is(tmp_path: pathlib.Path) -> None:
+    settings = STRICT.model_copy(update={"directory": str(tmp_path / "not" / "there")})
+    (found,) = preflight.folders(settings)  # all on one disk
+    disk = os.statvfs(tmp_path)
+    assert found.free_mib == pytest.approx(disk.f_bavail * disk.f_frsize / preflight.MIB, rel=0.2)
+
+
+@pytest.fixture
+def settings(tmp_path: pathlib.Path) -> RigSettings:
+    least = PAPER.preflight.model_copy(update={"disk_free_mib": 1})
+    return STRICT.model_copy(update={"directory": str(tmp_path), "preflight": least})
+
+
+def test_it_looks_by_itself_and_sees_what_changes(settings: RigSettings, tmp_path: pathlib.Path) -> None:
+    runtime = Runtime(tmp_path)
+    now = datetime.now(UTC)
+    standing = [Standing(due=f"{now + timedelta(days=9):%Y-%m-%dT%H:%M:%SZ}", tared=f"{now:%Y-%m-%dT%H:%M:%SZ}")]
+    watched = Preflight(runtime, settings, lambda: standing[0])
+    try:
+        assert set(watched.verdict(time.monotonic_ns()).failing) == {Check.MARGINS, Check.REALTIME}
+        runtime.write_json("active.json", GOOD["active"])
+        runtime.write_json("control.json", GOOD["control"])
+        until = time.monotonic() + 20.0
+        while watched.verdict(time.monotonic_ns()).failing and time.monotonic() < until:
+            time.sleep(0.02)
+        assert watched.verdict(time.monotonic_ns()) == Verdict({}, {})
+        standing[0] = replace(standing[0], tared=None)
+        while not watched.verdict(time.monotonic_ns()).failing and time.monotonic() < until:
+            time.sleep(0.02)
+        assert watched.verdict(time.monotonic_ns()).host_checks == Check.TARE
+    finally:
+        watched.close()
+    assert watched.verdict(time.monotonic_ns() + 2 * preflight.STALE_NS).host_checks == Check.HOST  # it looks no more
+
+
+def test_a_file_that_cannot_be_read_is_not_known(settings: RigSettings, tmp_path: pathlib.Path) -> None:
+    (tmp_path / "active.json").write_text("{")
+    (tmp_path / "control.json").mkdir()
+    found = preflight.look(Runtime(tmp_path), settings, Standing(), NOW)
+    assert {Check.MARGINS, Check.REALTIME} <= set(found.failing)

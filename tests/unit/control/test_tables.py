@@ -1,0 +1,315 @@
+"""The tables themselves, held to a second copy: a slip in a mode, a bound or a number on record shows here."""
+
+from __future__ import annotations
+
+import pathlib
+from dataclasses import FrozenInstanceError, replace
+from enum import IntEnum, IntFlag
+
+import pytest
+
+from rigctl import config
+from rigctl.config_limits import LimitSettings
+from rigctl.control import limits
+from rigctl.control.modes import (
+    FILED, TRANSITIONS, TRIED_IN, WITHOUT_EVENT, Decision, Event, Mode, Refusal, Setting, Situation, Transition, Verb,
+    decide,
+)  # fmt: skip
+from rigctl.control.safety import HOST_CHECKS, Action, Check, Fault, Row, Sight, Trip, Watch, preflight, table
+
+MS = 1_000_000
+SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+ALIVE = "HOLD TENSIONING COMPENSATING RELEASING"
+ARMED = f"{ALIVE} FAULT"
+MOVING = "TENSIONING COMPENSATING RELEASING"
+EVERY = f"DISARMED {ARMED}"
+REST = "HOLD FAULT"
+GOOD = Sight(
+    tension_n=300.0, cell_age_ns=MS, inclination_age_ns=9 * MS, stroke_mm=50.0, drive_age_ns=MS, drive_enabled=True,
+    bus_age_ns=MS, drive_wanted=True,
+)  # fmt: skip
+
+# fault, unit: the signal of the sight, its highest value that is none, what acts, after how many ms, in which modes
+ROWS: dict[tuple[str, str], tuple[str, float, str, int, str]] = {
+    ("E_STOP", ""): ("e_stop", 0, "QUICK_STOP", 0, EVERY),
+    ("BUS_SILENT", "ns"): ("bus_age_ns", 15e6, "HOLD", 0, ARMED),
+    ("DRIVE_STALE", "ns"): ("drive_age_ns", 15e6, "HOLD", 0, ARMED),
+    ("CELL_STALE", "ns"): ("cell_age_ns", 15e6, "HOLD", 0, ARMED),
+    ("INCLINATION_STALE", "ns"): ("inclination_age_ns", 100e6, "HOLD", 0, ARMED),
+    ("DRIVE_FAULT", ""): ("drive_faulted", 0, "HOLD", 0, ARMED),
+    ("SIGN_DRIVE", ""): ("drive_reversed", 0, "HOLD", 0, "TENSIONING"),
+    ("SIGN_CELL", ""): ("cell_reversed", 0, "HOLD", 0, "TENSIONING"),
+    ("CELL_INVALID", ""): ("cell_quality", 0, "HOLD", 0, ARMED),
+    ("INCLINATION_INVALID", ""): ("inclination_quality", 0, "HOLD", 0, ARMED),
+    ("TENSION_HIGH", "N"): ("tension_n", 400, "HOLD", 20, EVERY),
+    ("TENSION_LOW", ""): ("rope_lost", 0, "HOLD", 20, "TENSIONING"),
+    ("CELL_STUCK", "samples"): ("cell_repeats", 19, "HOLD", 0, ARMED),
+    ("CELL_NOISY", "N"): ("cell_unrest_n", 0.9, "HOLD", 5, ARMED),
+    ("SENSOR_EMERGENCY", ""): ("sensor_emergency", 0, "HOLD", 0, ARMED),
+    ("DRIVE_EMERGENCY", ""): ("drive_emergency", 0, "HOLD", 0, ARMED),
+    ("DRIVE_NOT_FOLLOWING", "mm/s"): ("speed_error_mm_s", 2.5, "POWER_OFF", 15, ARMED),
+    ("DRIVE_NOT_FOLLOWING", "mm"): ("stroke_error_mm", 0.5, "POWER_OFF", 0, ARMED),
+    ("DRIVE_CONTRADICTS", "mm"): ("contradiction_mm", 0.3, "HOLD", 0, ARMED),
+    ("INNOVATION", "samples"): ("rejects", 19, "HOLD", 0, MOVING),
+    ("INNOVATION", "slopes"): ("slope_rejects", 49, "HOLD", 0, MOVING),
+    ("STRETCH_UNEXPLAINED", "mm"): ("unexplained_mm", 10, "HOLD", 15, MOVING),
+    ("STROKE_END", ""): ("stroke_limited", 0, "HOLD", 200, MOVING),
+    ("DEVICE_RESTARTED", ""): ("device_restarted", 0, "HOLD", 0, ARMED),
+    ("OVERRUN", "ticks"): ("skipped_in_window", 49, "HOLD", 0, ARMED),
+}
+
+
+def modes(names: str) -> set[Mode]:
+    return {Mode[name] for name in names.split()}
+
+
+def row_of(fault: str, unit: str) -> Row:
+    (found,) = [row for row in table(SETTINGS) if (row.fault.name, row.unit) == (fault, unit)]
+    return found
+
+
+@pytest.mark.parametrize("name", ROWS, ids="-".join)
+def test_a_row_is_what_it_is_written_down_to_be(name: tuple[str, str]) -> None:
+    signal, highest, action, persistence_ms, where = ROWS[name]
+    row = row_of(*name)
+    assert row.modes == modes(where)
+    assert (row.action.name, row.persistence_ns, row.sign) == (action, persistence_ms * MS, 1.0)
+    assert row.limit == pytest.approx(highest)
+    at = replace(GOOD, **{signal: row.limit})  # type: ignore[arg-type]
+    assert not row.value(at) > row.limit, "at the bound is not beyond it"
+    assert row.value(replace(GOOD, **{signal: highest * 1.01 + 0.01})) > row.limit  # type: ignore[arg-type]
+
+
+def test_rows_that_watch_more_than_one_signal_or_a_lower_bound() -> None:
+    low, negative = row_of("TENSION_LOW", "N"), row_of("CELL_NEGATIVE", "N")
+    assert (low.limit, low.sign, low.persistence_ns, low.modes) == (-20.0, -1.0, 20 * MS, modes("COMPENSATING"))
+    assert low.value(replace(GOOD, tension_n=19.0)) == -19.0
+    assert (negative.limit, negative.sign, negative.persistence_ns) == (15.0, -1.0, 10 * MS)  # slack 5, tare 10
+    assert negative.modes == modes(ARMED)
+    dropped = row_of("DRIVE_NOT_FOLLOWING", "")
+    assert (dropped.persistence_ns, dropped.modes, dropped.limit) == (20 * MS, modes(ALIVE), 0)
+    seen = {
+        (wanted, enabled): bool(dropped.value(replace(GOOD, drive_wanted=wanted, drive_enabled=enabled)))
+        for wanted in (False, True)
+        for enabled in (False, True)
+    }
+    assert [key for key, bad in seen.items() if bad] == [(True, False)]
+    slips = row_of("STROKE_MOVES", "mm/s")
+    assert (slips.limit, slips.persistence_ns, slips.modes) == (0.2, 200 * MS, modes("DISARMED"))
+    assert slips.value(replace(GOOD, speed_mm_s=-0.3, drive_off=True)) == pytest.approx(0.3)
+    assert slips.value(replace(GOOD, speed_mm_s=-0.3)) == 0.0
+    rest = row_of("STRETCH_UNEXPLAINED", "mm at rest")
+    assert (rest.persistence_ns, rest.action, rest.modes) == (15 * MS, Action.POWER_OFF, modes(REST))
+    assert 1.5 < rest.limit < 10.0, "above the rail's run-out"
+
+
+def test_bounds_that_follow_from_the_rig_file() -> None:
+    """The noise where that is coarse, else what a payload can do; and a count of 0 watches for nothing."""
+
+    def limit(fault: str, unit: str, section: str, **change: object) -> float:
+        changed = SETTINGS.model_copy(update={section: getattr(SETTINGS, section).model_copy(update=change)})
+        (row,) = [row for row in table(changed) if (row.fault.name, row.unit) == (fault, unit)]
+        return row.limit
+
+    fast = SETTINGS.plant.stiffness_n_mm * 80.0 / 1000
+    assert limit("CELL_NOISY", "N", "tension_cell", noise_n=0.001) == pytest.approx(fast)
+    assert limit("CELL_NOISY", "N", "tension_cell", noise_n=0.1) == pytest.approx(3.0)
+    assert limit("CELL_STUCK", "samples", "safety", stuck_samples=0) == float("inf")
+    assert limit("OVERRUN", "ticks", "safety", overrun_ticks=3) == 2
+    assert limit("INNOVATION", "samples", "estimator", reject_limit=7) == 6
+
+
+def test_a_row_acts_at_its_persistence_and_not_before() -> None:
+    watch, bad = Watch(SETTINGS), replace(GOOD, cell_unrest_n=1.0)
+    assert watch.trips(bad, Mode.HOLD, 7) is None
+    assert watch.trips(bad, Mode.HOLD, 5 * MS + 6) is None
+    assert watch.trips(bad, Mode.HOLD, 5 * MS + 7) == Trip(Fault.CELL_NOISY, 1.0, pytest.approx(0.9), Action.HOLD, "")
+
+
+def test_a_logged_limit_is_told_with_what_it_found_and_hides_nothing_behind_it() -> None:
+    rows = [LimitSettings(signal="lateness_us", high=500.0, action="log", modes=["HOLD"]),
+            LimitSettings(signal="drive_current_a", high=5.0, action="ramp_down", modes=["HOLD"])]  # fmt: skip
+    watch = Watch(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": rows})))
+    both = replace(GOOD, lateness_ns=600_000, drive_current_a=6.0)
+    trip = watch.trips(both, Mode.HOLD, 0)
+    assert trip is not None
+    assert trip.action is Action.RAMP_DOWN
+    assert watch.crossed == [(Trip(Fault.LIMIT, 600.0, 500.0, Action.LOG, "lateness_us above"), True)]
+    watch.crossed.clear()
+    watch.trips(both, Mode.HOLD, MS)
+    assert watch.crossed == []
+    watch.trips(both, Mode.TENSIONING, 2 * MS)
+    assert [begins for _, begins in watch.crossed] == [False], "in a mode that does not watch it, it is over"
+
+
+@pytest.mark.parametrize(
+    ("bad", "fault"),
+    [
+        ({"bus_age_ns": 16 * MS}, "BUS_SILENT"), ({"drive_age_ns": 16 * MS}, "DRIVE_STALE"),
+        ({"cell_age_ns": 16 * MS}, "CELL_STALE"), ({"cell_quality": 1}, "CELL_INVALID"),
+        ({"inclination_age_ns": 101 * MS}, "INCLINATION_STALE"), ({"inclination_quality": 1}, "INCLINATION_INVALID"),
+        ({"tension_n": 401.0}, "TENSION_HIGH"), ({"skipped_in_window": 50}, "OVERRUN"),
+        ({"device_restarted": True}, "DEVICE_RESTARTED"), ({"cell_repeats": 20}, "CELL_STUCK"),
+        ({"e_stop": True}, "E_STOP"), ({"cell_unrest_n": 1.0}, "CELL_NOISY"), ({"tension_n": -16.0}, "CELL_NEGATIVE"),
+        ({"sensor_emergency": True}, "SENSOR_EMERGENCY"), ({"drive_emergency": True}, "NONE"),
+        ({"drive_faulted": True}, "NONE"), ({"drive_enabled": False}, "NONE"), ({"speed_error_mm_s": 9.0}, "NONE"),
+        ({"stroke_error_mm": 9.0}, "NONE"), ({"contradiction_mm": 9.0}, "NONE"), ({"rejects": 99}, "NONE"),
+        ({"unexplained_mm": 99.0}, "NONE"), ({"stroke_limited": True}, "NONE"), ({"rope_lost": True}, "NONE"),
+        ({"drive_reversed": True}, "NONE"), ({"cell_reversed": True}, "NONE"), ({"slope_rejects": 99}, "NONE"),
+        ({"tension_n": 1.0}, "NONE"), ({"cell_age_ns": 15 * MS}, "NONE"),
+    ],
+)  # fmt: skip
+def test_what_keeps_a_fault_from_being_reset(bad: dict[str, object], fault: str) -> None:
+    assert Watch(SETTINGS).present(replace(GOOD, **bad)).name == fault  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("seen", "near_end", "failing"),
+    [
+        ({"stroke_mm": -18.0}, False, ""), ({"stroke_mm": 118.0}, False, ""),
+        ({"stroke_mm": -18.1}, False, "STROKE_NEAR_END"), ({"stroke_mm": 118.1}, False, "STROKE_NEAR_END"),
+        ({"stroke_mm": -22.0}, False, "STROKE_NEAR_END"), ({"stroke_mm": 122.0}, False, "STROKE_NEAR_END"),
+        ({"stroke_mm": -22.0}, True, ""), ({"stroke_mm": 122.0}, True, ""),
+        ({"stroke_mm": -22.1}, True, "STROKE_RANGE"), ({"stroke_mm": 122.1}, False, "STROKE_RANGE"),
+        ({"cell_age_ns": 15 * MS}, False, ""), ({"drive_age_ns": 15 * MS}, False, ""),
+        ({"inclination_age_ns": 100 * MS}, False, ""), ({"tension_n": 400.0}, False, ""),
+        ({"e_stop_unseen": True}, False, "E_STOP_UNSEEN"), ({"host_checks": 1 << 19}, False, "DISK"),
+        ({"host_checks": 1 << 16, "e_stop": True}, False, "TARE E_STOP"),
+    ],
+)  # fmt: skip
+def test_preflight_at_its_bounds(seen: dict[str, object], near_end: bool, failing: str) -> None:
+    sight = replace(GOOD, **seen)  # type: ignore[arg-type]
+    found = preflight(sight, SETTINGS, set(), supervision_verified=True, near_end=near_end)
+    assert {check.name for check in found} == set(failing.split())
+
+
+def test_what_no_gateway_has_told_stands_against_arming() -> None:
+    assert {check.name for check in HOST_CHECKS} == {"TARE", "MARGINS", "REALTIME", "DISK", "HOST"}
+    assert not preflight(GOOD, SETTINGS, {Fault.DRIVE_STALE}, supervision_verified=True)
+
+
+def test_nothing_seen_is_nothing_known() -> None:
+    never, sight = 1 << 62, Sight()
+    assert [sight.cell_age_ns, sight.inclination_age_ns, sight.drive_age_ns, sight.bus_age_ns] == [never] * 4
+    for name in ("tension_n", "reading_n", "stroke_mm", "drive_temperature_c", "drive_current_a"):
+        assert getattr(sight, name) != getattr(sight, name), f"{name} is no number"
+    others = [getattr(sight, name) for name in Sight.__slots__
+              if not name.endswith("_age_ns") and getattr(sight, name) == getattr(sight, name)]  # fmt: skip
+    assert not any(others)
+
+
+# -- modes ----------------------------------------------------------------------------------------------------------
+ARROWS = {
+    "DISARMED ENABLED": "HOLD preflight_passed", "HOLD TENSION": "TENSIONING", "HOLD RELEASE": "RELEASING rope_tight",
+    "HOLD DISARM": "DISARMED", "TENSIONING TENSIONED": "COMPENSATING", "TENSIONING RELEASE": "RELEASING",
+    "COMPENSATING RELEASE": "RELEASING", "RELEASING TENSION": "TENSIONING no_fault_latched",
+    "RELEASING SLACK": "HOLD no_fault_latched", "FAULT RESET_HELD": "HOLD cause_gone",
+    "FAULT RESET_OFF": "DISARMED cause_gone",
+    **{f"{mode} RAMP_DOWN": "RELEASING" for mode in ("HOLD", "TENSIONING", "COMPENSATING")},
+    **{f"{mode} {event}": "HOLD no_fault_latched" for mode in ALIVE.split() for event in ("HOLD", "STOP")},
+    **{f"{mode.name} TRIP": "FAULT" for mode in Mode},
+}  # fmt: skip
+CARRIED_OUT = {
+    "DISARMED ARM": "preflight_passed", "DISARMED RESET": "drive_at_fault", "FAULT DISARM": "",
+    **{f"{mode.name} TARGET": "target_in_bounds" for mode in Mode}, **{f"{mode.name} GAINS": "" for mode in Mode},
+    "DISARMED TARE": "rope_unloaded", "HOLD TARE": "rope_unloaded", "DISARMED CALIBRATE": "", "HOLD CALIBRATE": "",
+    "HOLD IDENTIFY": "rope_as_asked",
+}  # fmt: skip
+ALREADY = {
+    ("TENSIONING", "TENSION"), ("COMPENSATING", "TENSION"), ("RELEASING", "RELEASE"), ("DISARMED", "DISARM"),
+    *((mode, "ARM") for mode in ALIVE.split()),
+}  # fmt: skip
+
+
+def test_transitions_and_commands_are_those_written_down() -> None:
+    def words(*parts: object) -> str:
+        return " ".join(getattr(part, "name", None) or getattr(part, "__name__", "") for part in parts if part).strip()
+
+    found = {f"{mode.name} {event.name}": words_of(t) for (mode, event), t in TRANSITIONS.items()}
+    assert found == ARROWS
+    assert {f"{mode.name} {verb.name}": words(guard) for (mode, verb), guard in WITHOUT_EVENT.items()} == CARRIED_OUT
+    tried = {verb.name: {mode.name for mode in where} for verb, where in TRIED_IN.items()}
+    assert tried == {"TARE": {"DISARMED", "HOLD"}, "CALIBRATE": {"DISARMED", "HOLD"}, "IDENTIFY": {"HOLD"}}
+    assert {verb.name for verb in FILED} == {"TARE", "CALIBRATE", "IDENTIFY", "GAINS"}
+
+
+def words_of(transition: Transition) -> str:
+    guard = transition.guard
+    return transition.after.name if guard is None else f"{transition.after.name} {guard.__name__}"
+
+
+@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("verb", Verb)
+def test_what_is_so_already_is_refused_as_that_and_what_cannot_be_as_the_wrong_mode(mode: Mode, verb: Verb) -> None:
+    ready = Situation(unloaded=True, value=300.0, target_min_n=50.0, target_max_n=350.0, drive_faulted=True)
+    refusal = decide(mode, verb, ready).refusal
+    assert (refusal is Refusal.ALREADY) == ((mode.name, verb.name) in ALREADY)
+    assert refusal in (Refusal.NONE, Refusal.ALREADY, Refusal.WRONG_MODE)
+
+
+@pytest.mark.parametrize("value", [50.0, 350.0])
+def test_a_target_at_its_bound_is_inside(value: float) -> None:
+    situation = Situation(value=value, target_min_n=50.0, target_max_n=350.0)
+    assert decide(Mode.HOLD, Verb.TARGET, situation) == Decision()
+
+
+@pytest.mark.parametrize("latched", [False, True])
+@pytest.mark.parametrize("mode", Mode)
+def test_only_a_ramp_down_is_ended_by_hold_as_a_trip(mode: Mode, latched: bool) -> None:
+    event = decide(mode, Verb.HOLD, Situation(fault_latched=latched)).event
+    assert (event is Event.TRIP) == (latched and mode is Mode.RELEASING)
+
+
+def test_guards_refuse_for_their_own_reason_only() -> None:
+    assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(slack=True)) == Decision()
+    assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(value=1.0)) == Decision()
+    assert decide(Mode.DISARMED, Verb.RESET, Situation()).refusal is Refusal.WRONG_MODE
+    assert decide(Mode.FAULT, Verb.DISARM, Situation(cause_present=True, fault_latched=True)) == Decision()
+
+
+@pytest.mark.parametrize(
+    "value",
+    [Situation(), Transition(Mode.HOLD), Decision(), Trip(Fault.LIMIT, 1.0, 0.0), table(SETTINGS)[0]],
+    ids=lambda value: type(value).__name__,
+)
+def test_what_was_decided_is_not_changed_afterwards(value: object) -> None:
+    with pytest.raises(FrozenInstanceError):
+        value.refusal = None  # type: ignore[attr-defined]
+
+
+def test_defaults_are_the_harmless_ones() -> None:
+    assert (Trip(Fault.LIMIT, 1.0, 0.0).action, Row(Fault.LIMIT, lambda _: 0.0, 0, 0, frozenset(), "").action) == (
+        Action.HOLD, Action.HOLD)  # fmt: skip
+    assert not any((Situation().failed_checks, Situation().cause_present, Situation().fault_latched))
+    assert not any((Situation().drive_enabled, Situation().drive_faulted, Situation().slack, Situation().unloaded))
+    assert (Situation().value, Situation().target_min_n, Situation().target_max_n) == (0.0, 0.0, 0.0)
+
+
+# Recordings, the audit log and the rings hold these as numbers: one that moves changes what an old recording says.
+ON_RECORD: dict[type[IntEnum], str] = {
+    Mode: "DISARMED HOLD TENSIONING COMPENSATING RELEASING FAULT",
+    Event: "ENABLED TENSION TENSIONED RELEASE SLACK HOLD DISARM TRIP RESET_HELD RESET_OFF STOP RAMP_DOWN",
+    Refusal: "NONE WRONG_MODE PREFLIGHT OUT_OF_RANGE CAUSE_PRESENT ALREADY EXPIRED UNKNOWN STOPPING DRIVE_TIMEOUT "
+    "ABORTED LOADED UNSTEADY NO_SAMPLES SLACK STRAYED FAULT_LATCHED",
+    Action: "LOG RAMP_DOWN HOLD QUICK_STOP POWER_OFF",
+    Fault: "NONE TENSION_HIGH TENSION_LOW CELL_STALE CELL_INVALID INCLINATION_STALE INCLINATION_INVALID DRIVE_STALE "
+    "DRIVE_FAULT BUS_SILENT OVERRUN LOOP_EXCEPTION STROKE_END DRIVE_NOT_FOLLOWING DEVICE_RESTARTED INNOVATION "
+    "SIGN_DRIVE SIGN_CELL LIMIT CELL_STUCK DRIVE_CONTRADICTS STROKE_MOVES STRETCH_UNEXPLAINED E_STOP CELL_NOISY "
+    "CELL_NEGATIVE SENSOR_EMERGENCY DRIVE_EMERGENCY RIVAL",
+}
+CHECKS = (
+    "CELL_STALE CELL_INVALID INCLINATION_STALE INCLINATION_INVALID DRIVE_STALE DRIVE_FAULT TENSION_HIGH STROKE_RANGE "
+    "DRIVE_SUPERVISION CALIBRATION E_STOP CELL_IMPLAUSIBLE EMERGENCY LIMIT E_STOP_UNSEEN STROKE_NEAR_END TARE MARGINS "
+    "REALTIME DISK HOST RIVAL"
+)
+
+
+def test_numbers_on_record_stay_what_they_are() -> None:
+    for kind, names in ON_RECORD.items():
+        assert [(member.name, member.value) for member in kind] == [(n, i) for i, n in enumerate(names.split())]
+    verbs = "ARM TENSION RELEASE HOLD DISARM RESET TARGET TARE CALIBRATE IDENTIFY GAINS".split()
+    assert [(verb.name, verb.value) for verb in Verb] == [(name, i) for i, name in enumerate(verbs, 1)]
+    settings = "ZERO SCALE OVERDUE K_TENSION K_SPEED K_INTEGRAL HOST_CHECKS".split()
+    assert [(setting.name, setting.value) for setting in Setting] == [(n, i) for i, n in enumerate(settings, 128)]
+    assert issubclass(Check, IntFlag)
+    assert {check.name: check.value for check in Check} == {name: 1 << i for i, name in enumerate(CHECKS.split())}

@@ -1,0 +1,223 @@
+"""The log's file: what a crash, a full disk or a stranger leaves of it, and what is said about that."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import pathlib
+import resource
+import subprocess
+from collections.abc import Callable, Iterator
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rigctl import config
+from rigctl.recorder import audit_log, chain
+from rigctl.recorder.audit_log import AuditError, AuditLog, Item
+
+WALL_NS = 1_735_689_600_123_000_000
+
+
+def write(log: AuditLog, *names: str) -> None:
+    items = [Item(0, WALL_NS, name, f"text of {name}", "kim", source="events", seq=3) for name in names]
+    log.append(items, [{"events": number} for number, _ in enumerate(names, 1)])
+
+
+def entries(path: pathlib.Path) -> list[chain.Entry]:
+    lines = path.read_bytes().splitlines(keepends=True)
+    report = chain.verify(lines)
+    assert report.good, report
+    return [chain.read_line(line)[0] for line in lines]
+
+
+def names(path: pathlib.Path) -> list[str]:
+    return [entry.what for entry in entries(path)]
+
+
+@pytest.fixture
+def path(tmp_path: pathlib.Path) -> pathlib.Path:
+    return tmp_path / "audit" / "rig.jsonl"
+
+
+def test_a_log_goes_on_where_it_ended(path: pathlib.Path) -> None:
+    log = AuditLog(path, "rig")
+    write(log, "a", "b")
+    log.close()
+    log = AuditLog(path, "rig")
+    log.open()
+    assert (log.entries, log.read) == (2, {"events": 2})
+    write(log, "c")
+    assert names(path) == ["a", "b", "c"]
+    entry = entries(path)[2]
+    assert (entry.n, entry.rig, entry.wall, entry.who) == (3, "rig", "2025-01-01T00:00:00.123Z", "kim")
+    assert chain.verify(path.read_bytes().splitlines(keepends=True)).head == log.head
+
+
+@given(st.data())
+def test_half_a_line_at_the_end_is_cut_off_and_said(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.mktemp("log") / "rig.jsonl"
+    write(AuditLog(path, "rig"), "a", "b", "c")
+    whole = path.read_bytes()
+    start = whole[:-1].rfind(b"\n") + 1
+    cut = data.draw(st.integers(start + 1, len(whole) - 1))
+    path.write_bytes(whole[:cut])
+    log = AuditLog(path, "rig")
+    write(log, "again")
+    assert names(path) == ["a", "b", "repaired", "again"]
+    details = entries(path)[2].details
+    torn = whole[start:cut]
+    assert (details["bytes"], details["sha256"]) == (len(torn), hashlib.sha256(torn).hexdigest())
+    assert torn.startswith(details["begins"].encode())
+    assert [file.name for file in path.parent.iterdir()] == ["rig.jsonl"]
+
+
+def test_half_a_line_is_said_also_if_the_one_who_cut_it_off_did_not_live_to_say_so(path: pathlib.Path) -> None:
+    write(AuditLog(path, "rig"), "a")
+    with path.open("ab") as file:
+        file.write(b'{"half')
+    AuditLog(path, "rig").open()
+    assert path.read_bytes().endswith(b"\n")
+    write(AuditLog(path, "rig"), "b")
+    assert names(path) == ["a", "repaired", "b"]
+    write(AuditLog(path, "rig"), "c")
+    assert names(path)[-1] == "c"
+    assert len(entries(path)) == 4
+
+
+def test_a_log_of_nothing_but_half_a_line_begins_anew(path: pathlib.Path) -> None:
+    path.parent.mkdir()
+    path.write_bytes(b"\0" * 4096)  # as a file system leaves it that was short of power
+    write(AuditLog(path, "rig"), "a")
+    assert names(path) == ["repaired", "a"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda path: path.unlink(), 0),
+        (lambda path: path.write_bytes(path.read_bytes().splitlines(keepends=True)[0]), 1),
+        (lambda path: path.replace(path.with_name("away")), 0),
+        (lambda path: path.write_bytes(b""), 0),
+    ],
+)
+def test_a_log_that_is_taken_away_while_the_daemon_runs_is_said(
+    path: pathlib.Path, change: Callable[[pathlib.Path], object], said: int
+) -> None:
+    log = AuditLog(path, "rig")
+    write(log, "a", "b")
+    head = log.head
+    change(path)
+    write(log, "c")
+    assert names(path)[-2:] == ["tampered", "c"]
+    details = entries(path)[-2].details
+    assert (details["entries"], details["head"], details["found"]) == (2, head, said)
+    write(log, "d")
+    assert names(path).count("tampered") == 1
+
+
+def test_a_log_that_lost_its_end_between_two_recorders_is_said(path: pathlib.Path) -> None:
+    write(AuditLog(path, "rig"), "a", "b")
+    path.write_bytes(path.read_bytes().splitlines(keepends=True)[0])
+    write(AuditLog(path, "rig", at_least=2), "c")
+    assert names(path) == ["a", "tampered", "c"]
+    write(AuditLog(path, "rig", at_least=2), "d")  # it may have more than was known
+    assert names(path)[-1] == "d"
+    assert len(entries(path)) == 4
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (b"hello\n", "no audit log, or broken: its last line: edited: no entry"),
+        (b"x" * 200_000, "no audit log: it does not end in lines"),
+        (None, "found the audit log of 'other', allowed that of 'rig'"),
+    ],
+)
+def test_what_is_no_log_of_this_rig_is_refused_and_left_as_it_is(
+    path: pathlib.Path, content: bytes | None, why: str
+) -> None:
+    if content is None:
+        write(AuditLog(path, "other"), "a")
+    else:
+        path.parent.mkdir()
+        path.write_bytes(content)
+    before = path.read_bytes()
+    with pytest.raises(AuditError) as checked:
+        audit_log.check(path, "rig")
+    with pytest.raises(AuditError) as opened:
+        AuditLog(path, "rig").open()
+    assert str(checked.value) == str(opened.value)
+    assert str(opened.value).startswith(f"{path}: {why}")
+    assert path.read_bytes() == before
+
+
+def test_checking_changes_nothing(path: pathlib.Path) -> None:
+    audit_log.check(path, "rig")
+    assert not path.parent.exists()
+    write(AuditLog(path, "rig"), "a")
+    with path.open("ab") as file:
+        file.write(b"half")
+    before = path.read_bytes()
+    audit_log.check(path, "rig")
+    assert path.read_bytes() == before
+    with pytest.raises(AuditError, match="not a file"):
+        audit_log.check(path.parent, "rig")
+
+
+def test_run_refuses_another_rigs_log_before_it_starts_anything(
+    in_process: Callable[..., subprocess.CompletedProcess[str]], tmp_path: pathlib.Path
+) -> None:
+    log = tmp_path / "log.jsonl"
+    write(AuditLog(log, "other"), "a")
+    file = tmp_path / "rig.yaml"
+    text = pathlib.Path("config/paper_rig.yaml").read_text()
+    eds = pathlib.Path("config/eds").resolve()
+    for section, name in (("tension_cell", "tension_amplifier"), ("inclinometer",) * 2, ("cylinder", "cylinder_drive")):
+        text = text.replace(f"\n{section}:", f"\n{section}:\n  eds: {eds}/{name}.eds\n  #", 1)
+    head, _, tail = text.partition("\naudit:")
+    rest = tail[tail.index("\n\n") :] if tail else ""
+    file.write_text(f"{head}{rest}\naudit: {{file: {log}}}\n")
+    answer = in_process("rigctl", "run", file)
+    assert (answer.returncode, answer.stderr.count("\n")) == (2, 1)
+    assert answer.stderr == f"rigctl: {log}: found the audit log of 'other', allowed that of 'paper_rig'\n"
+    assert config.load(file).audit_log == log
+
+
+@contextlib.contextmanager
+def full_disk(bytes_left: int, path: pathlib.Path) -> Iterator[None]:
+    """Files may not become longer than this one is, and a little: a write that goes beyond is cut short, then fails."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + bytes_left, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("bytes_left", [0, 1, 100, 500])
+def test_a_full_disk_leaves_the_log_whole_and_it_goes_on_later(path: pathlib.Path, bytes_left: int) -> None:
+    log = AuditLog(path, "rig")
+    write(log, "a")
+    before = path.read_bytes()
+    head = log.head
+    with full_disk(bytes_left, path):
+        for _ in range(2):
+            with pytest.raises(OSError):
+                write(log, "b", "c")
+    assert path.read_bytes() == before
+    assert (log.entries, log.head) == (1, head)
+    write(log, "b", "c")
+    assert names(path) == ["a", "b", "c"]
+
+
+def test_lines_are_short_enough_to_be_found_again() -> None:
+    worst = chr(0x10FFFF)
+    item = Item(0, WALL_NS, "x" * 32, worst * 480, worst * 64, {"reason": "\x01" * 480, "begins": "\\x00" * 400})
+    entry = chain.Entry(1, "r" * 32, "", 0, item.what, item.who, item.text, item.details, "", 0, {}, chain.ORIGIN)
+    assert len(chain.line_of(entry)[0]) < audit_log.TAIL_BYTES
+    assert json.loads(chain.line_of(entry)[0])["text"] == item.text

@@ -1,0 +1,219 @@
+"""What the rings say, as entries and as protobuf; nothing in a ring stops the recorder."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rigctl import config
+from rigctl.config import AuditSettings, RigSettings
+from rigctl.control.inbox import Inbox
+from rigctl.recorder import chain
+from rigctl.recorder.process import Recorder
+from rigctl.recorder.protobuf import Encoding
+from rigctl.recorder.sources import SOURCES, Rings
+from rigctl.telemetry.notes import DeskBook
+from rigctl.telemetry.record import FRAME, RECORD, FrameFlag, Slot
+from rigctl.telemetry.runtime import ACTIVE, Runtime
+from rigctl.telemetry.state import RECORDER_SILENT_NS, kept_of
+from rigctl.telemetry.supervision import Doing, Supervision
+
+
+@pytest.fixture
+def settings(tmp_path: pathlib.Path) -> RigSettings:
+    own = AuditSettings(file=str(tmp_path / "log" / "audit.jsonl"), trips=str(tmp_path / "trips"))
+    return config.load("config/paper_rig.yaml").model_copy(update={"audit": own})
+
+
+@pytest.fixture
+def runtime(tmp_path: pathlib.Path, settings: RigSettings) -> Runtime:
+    found = Runtime(tmp_path / "run")
+    found.directory.mkdir()
+    found.make_rings(settings)
+    found.write_json(ACTIVE, {"settings": settings.model_dump(mode="json"), "started_wall_ns": 5, "version": "1"})
+    return found
+
+
+def entries(settings: RigSettings) -> list[chain.Entry]:
+    lines = settings.audit_log.read_bytes().splitlines(keepends=True)
+    assert chain.verify(lines).good
+    return [chain.read_line(line)[0] for line in lines]
+
+
+def decoded(slot: Slot, slots: np.ndarray) -> list[object]:
+    """As any protobuf reader decodes it, by the descriptor alone."""
+    encoding = Encoding(slot)
+    files = descriptor_pb2.FileDescriptorSet.FromString(encoding.descriptor())
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(files.file[0])
+    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(encoding.name))
+    return [kind.FromString(data) for data in encoding.encode(slots)]
+
+
+@given(st.binary(min_size=RECORD.dtype.itemsize * 3, max_size=RECORD.dtype.itemsize * 3))
+def test_a_record_of_any_bits_is_decoded_to_the_same_values(raw: bytes) -> None:
+    slots = np.frombuffer(raw, RECORD.dtype)
+    for slot, message in zip(slots, decoded(RECORD, slots), strict=True):
+        for name in RECORD.dtype.names or ():
+            found, value = getattr(message, name), slot[name].item()
+            assert found == value or (math.isnan(found) and math.isnan(value)), name
+
+
+def test_frames_keep_their_bytes_their_length_and_what_kind_they_are() -> None:
+    given_ = [(0x182, 8, b"\1\2\3\4\5\6\0\0"), (0x80, 0, b""), (0x701, 1, b"\0"), (FrameFlag.REMOTE | 0x123, 4, b"")]
+    slots = np.zeros(len(given_), FRAME.dtype)
+    for slot, (can_id, dlc, data) in zip(slots, given_, strict=True):
+        slot["can_id"], slot["dlc"], slot["data"] = can_id, dlc, data
+    found = decoded(FRAME, slots)
+    assert [(f.can_id, f.dlc, f.data) for f in found] == given_  # type: ignore[attr-defined]
+
+
+def test_the_inbox_keeps_every_frame_with_its_flags(runtime: Runtime, settings: RigSettings) -> None:
+    import can
+
+    bus = can.Bus(interface="virtual", channel="kept")
+    other = can.Bus(interface="virtual", channel="kept", receive_own_messages=False)
+    sent = [
+        can.Message(arbitration_id=0x555, data=b"\1\0", is_extended_id=False),
+        can.Message(arbitration_id=0x1ABCDEF0, data=b"\1\2\3\4\5\6\7\x08", is_extended_id=True),
+        can.Message(arbitration_id=0x7, is_remote_frame=True, dlc=3, is_extended_id=False),
+        can.Message(arbitration_id=0x40, is_error_frame=True, data=b"\0" * 8, is_extended_id=False),
+    ]
+    try:
+        for message in sent:
+            other.send(message)
+        Inbox(bus, settings, runtime.frame_writer()).drain(77, 0)
+    finally:
+        bus.shutdown()
+        other.shutdown()
+    slots = runtime.frame_reader().read()
+    assert slots["can_id"].tolist() == [0x555, 0x9ABCDEF0, 0x40000007, 0x20000040]
+    assert slots["dlc"].tolist() == [2, 8, 3, 8]
+    assert [bytes(data) for data in slots["data"]][1] == b"\1\2\3\4\5\6\7\x08"
+    assert set(slots["t_ns"]) == {77}
+    assert set(slots["sent"]) == {0}
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: source.name)
+@given(data=st.data())
+def test_a_slot_of_any_bits_makes_an_entry(source: object, data: st.DataObject) -> None:
+    from rigctl.recorder.sources import Source
+    from rigctl.telemetry import record
+
+    assert isinstance(source, Source)
+    dtype = {
+        "events": record.EVENT, "commands": record.COMMAND, "replies": record.REPLY, "notes": record.NOTE,
+        "desk": record.DESK, "supervision": record.NOTE,
+    }[source.name].dtype  # fmt: skip
+    raw = data.draw(st.binary(min_size=dtype.itemsize, max_size=dtype.itemsize))
+    slot = np.frombuffer(raw, dtype)[0].copy()
+    slot["t_ns"] = data.draw(st.integers(0, 2**60))
+    if "kind" in (dtype.names or ()):
+        slot["kind"] = data.draw(st.integers(0, 40))
+    item = source.item(slot, 0)
+    entry = chain.Entry(
+        1, "rig", "", item.t_ns, item.what, item.who, item.text, item.details, item.source, item.seq, {}, chain.ORIGIN
+    )
+    assert chain.verify([chain.line_of(entry)[0]]).good
+
+
+def test_what_was_overwritten_before_it_was_read_is_said(runtime: Runtime) -> None:
+    events = runtime.event_writer()
+    rings = Rings(runtime, {})
+    for number in range(6000):
+        events.write(number, 9, 0, 0, 0.0, 0.0, b"")
+    items = rings.take_all(0)
+    (lost,) = [item for item in items if item.what == "lost"]
+    held = [item.seq for item in items if item.seq]
+    assert held == list(range(held[0], 6001))
+    assert (lost.details["ring"], lost.details["after"], lost.details["up_to"]) == ("events", 0, held[0] - 1)
+    assert lost.details["count"] == held[0] - 1
+
+
+def test_a_recorder_goes_on_from_the_log_and_a_new_daemon_begins_its_rings_anew(
+    runtime: Runtime, settings: RigSettings
+) -> None:
+    events, desk = runtime.event_writer(), DeskBook(runtime.desk_writer())
+    supervision = Supervision(runtime.supervision_writer())
+    supervision.note(1, Doing.DAEMON_STARTED, reason="rigctl 1")
+    recorder = Recorder(runtime, settings, 1, 1)
+    for number in range(5):
+        events.write(number, 9, 0, 0, 0.0, 0.0, b"")
+    recorder.poll(2, 2)
+    events.write(6, 9, 0, 0, 0.0, 0.0, b"")
+    desk.given(7, 99, "arm", "kim", "", math.nan)
+    desk.answered(
+        8, 99, "kim", {"accepted": False, "verb": "arm", "operator": "kim", "reason": "no", "text": "ARM: no"}
+    )
+    recorder = Recorder(runtime, settings, 3, 3)  # the one before was killed
+    recorder.poll(4, 4)
+    found = entries(settings)
+    assert [entry.seq for entry in found if entry.source == "events"] == [1, 2, 3, 4, 5, 6]
+    (started,) = [entry for entry in found if entry.what == "daemon_started"]
+    assert started.details["version"] == "1"
+    assert len(started.details["settings_sha256"]) == 64
+    assert started.details["calibration_waiver"] == "simulated cell: there is no weight to hang on it"
+    asked = [(entry.what, entry.who, entry.details["id"]) for entry in found if entry.source == "desk"]
+    assert asked == [("command_given", "kim", 99), ("command_refused", "kim", 99)]
+    runtime.make_rings(settings)
+    runtime.write_json(ACTIVE, {**runtime.read_json(ACTIVE), "started_wall_ns": 6})
+    runtime.event_writer().write(6, 9, 0, 0, 0.0, 0.0, b"")
+    Recorder(runtime, settings, 5, 5).poll(6, 6)
+    assert [entry.seq for entry in entries(settings) if entry.source == "events"][-2:] == [6, 1]
+
+
+def test_a_log_that_cannot_be_written_is_told_once_and_made_up_for(
+    runtime: Runtime, settings: RigSettings, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = settings.audit_log.parent
+    folder.write_text("a file in its place")
+    recorder = Recorder(runtime, settings, 0, 0)
+    events = runtime.event_writer()
+    for second in range(1, 5):
+        events.write(second, 9, 0, 0, 0.0, 0.0, b"")
+        recorder.poll(second * 1_000_000_000, second * 1_000_000_000)
+    told = runtime.read_json("recorder.json")
+    assert told["failures"] >= 4
+    assert "cannot be written: " in told["warnings"][0]
+    assert capfd.readouterr().err.count("WARNING") == 1
+    folder.unlink()
+    recorder.poll(9_000_000_000, 9_000_000_000)
+    recorder.poll(9_100_000_000, 9_100_000_000)
+    found = entries(settings)
+    assert [entry.seq for entry in found if entry.source == "events"] == [1, 2, 3, 4]
+    assert (found[-1].what, found[-1].details["for_s"]) == ("written_again", 9.0)
+    assert runtime.read_json("recorder.json")["warnings"] == []
+
+
+def test_the_state_says_what_is_kept_and_whether_the_recorder_runs() -> None:
+    told = {"entries": 3, "head": "ab", "failures": 1, "trip_dump": "x.mcap", "warnings": ["disk"], "t_ns": 10}
+    shown, warnings = kept_of(told, 20)
+    assert shown == {"audit": {"entries": 3, "head": "ab", "failures": 1}, "trip_dump": "x.mcap"}
+    assert warnings == ["disk"]
+    assert "does not run" in kept_of(told, 10 + RECORDER_SILENT_NS + 1)[1][-1]
+    assert kept_of({}, 20) == ({"audit": None, "trip_dump": None}, [])
+
+
+def test_the_recorder_needs_no_network_and_the_loop_no_recorder() -> None:
+    unwanted = {"rigctl.recorder": ("zenoh", "control", "hil"), "rigctl.control.process": ("rigctl.recorder", "mcap")}
+    for module, others in unwanted.items():
+        name = f"{module}.process" if module == "rigctl.recorder" else module
+        code = f"import sys, {name}; print([m for m in {others!r} if m in sys.modules])"
+        answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        assert answer.stdout.strip() == "[]", name
+
+
+@pytest.mark.parametrize(("arguments", "code"), [((), 2), (("/nowhere",), 1)])
+def test_the_process_without_a_daemon_is_one_line(arguments: tuple[str, ...], code: int) -> None:
+    answer = subprocess.run(
+        [sys.executable, "-m", "rigctl.recorder", *arguments], capture_output=True, text=True, check=False
+    )
+    assert (answer.returncode, answer.stderr.count("\n")) == (code, 1)
