@@ -42,9 +42,10 @@ SIGNALS: dict[str, Signal] = {
 
 ModeName = Literal["DISARMED", "HOLD", "TENSIONING", "COMPENSATING", "RELEASING", "FAULT"]
 SignalName = Literal[
-    "tension_n", "tension_rate_n_s", "vertical_error_n", "tangential_deg", "normal_deg", "stroke_mm", "travel_mm", "speed_mm_s",
-    "disturbance_mm_s", "drive_temperature_c", "drive_current_a", "drive_warning", "cell_age_ms", "inclination_age_ms",
-    "drive_age_ms", "rejects", "cell_nis", "lateness_us", "skipped_ticks", "error_frames", "command_age_s",
+    "tension_n", "tension_rate_n_s", "vertical_error_n", "tangential_deg", "normal_deg", "stroke_mm", "travel_mm",
+    "speed_mm_s", "disturbance_mm_s", "drive_temperature_c", "drive_current_a", "drive_warning", "cell_age_ms",
+    "inclination_age_ms", "drive_age_ms", "rejects", "cell_nis", "lateness_us", "skipped_ticks", "error_frames",
+    "command_age_s",
 ]  # fmt: skip
 
 

@@ -177,6 +177,7 @@ _OFF = frozenset({Mode.DISARMED})
 _AT_REST = frozenset({Mode.HOLD, Mode.FAULT})
 _EVERY = frozenset(Mode)
 _MS = 1_000_000
+LOG_AGAIN_NS = 1_000 * _MS  # a row that comes and goes is told no more often than this
 STROKE_END_NS = 200 * _MS
 RIVAL_NS = 500 * _MS  # a controller is heard far more often than this
 DRIVE_GRACE_NS = 20 * _MS  # the drive's answer to enable or disable may take this long
@@ -185,10 +186,9 @@ SPEED_ERROR_MM_S, SPEED_ERROR_NS = 2.5, 15 * _MS  # a lag half as long again as 
 STROKE_ERROR_MM = 0.5
 CONTRADICTION_MM = 0.3
 SLOPE_REJECTS = 50  # half a second of an inclinometer at 100 Hz; until then the filter goes on by itself
-UNEXPLAINED_MM = (
-    12.0  # a payload that heaves by 10 mm in 10 s makes 8, a mechanism of 6 N/mm tensioned at 10 mm/s 10 ...
-)
-UNEXPLAINED_NS = 15 * _MS  # ... and a single bad sample makes anything
+# A payload that heaves by 10 mm in 10 s makes 8, a mechanism of 6 N/mm tensioned at 10 mm/s 10 ...
+UNEXPLAINED_MM = 12.0
+UNEXPLAINED_NS = 15 * _MS  # ... and a single bad sample anything
 AT_REST_MM, AT_REST_NS = 1.6, 15 * _MS  # in HOLD: the rail's run-out is 1.5
 PAYLOAD_MM_S = 80.0  # faster than any payload; a jolt of 1 mm in 20 ms makes 50
 UNREST_NOISES = 30.0
@@ -278,6 +278,7 @@ class Watch:
         self._rows = (*table(settings), *limits)
         self._since: list[int | None] = [None] * len(self._rows)
         self._logged = [False] * len(self._rows)
+        self._quiet_until = [-LOG_AGAIN_NS] * len(self._rows)
         self.crossed: list[tuple[Trip, bool]] = []  # LOG rows since last taken: True begins, False is over
 
     def trips(self, sight: Sight, mode: Mode, t_ns: int) -> Trip | None:
@@ -296,7 +297,8 @@ class Watch:
             if t_ns - start < row.persistence_ns:
                 continue
             if row.action is Action.LOG:
-                if not self._logged[i]:
+                if not self._logged[i] and t_ns >= self._quiet_until[i]:
+                    self._quiet_until[i] = t_ns + LOG_AGAIN_NS
                     self._log(i, value, begins=True)
             elif strongest is None or row.action > strongest.action:
                 strongest = _trip(row, value)

@@ -30,6 +30,7 @@ _OPTIONS: dict[Verb, dict[str, Any]] = {
     Verb.GAINS: {"gain_file": "gains: {}\n", "name": "gains.yaml"},
 }
 _NAMES = ("", "Arm", "arm ", "arm/..", "*", "**", "lease_take", "lease_return", "é" * 300, "a\nb", "none", "0")
+_NONE = (None, b"", b"null", b"[]", b"{}", b"[" * 100_000, b"{" * 16_000, b" " * 20_000, b"\xff" * 99)
 
 
 def query(chance: random.Random, mode: Mode) -> tuple[str, bytes | None]:
@@ -49,9 +50,7 @@ def query(chance: random.Random, mode: Mode) -> tuple[str, bytes | None]:
             return name, b"[" * 5000
     if kind < 0.95:
         return name, mutate.raw(json.dumps(body).encode(), chance)
-    return name, chance.choice(
-        (None, b"", b"null", b"[]", b"{}", b"[" * 100_000, b"{" * 16_000, b" " * 20_000, b"\xff" * 99)
-    )
+    return name, chance.choice(_NONE)
 
 
 def parsed(name: str, payload: bytes | None) -> object:
@@ -61,7 +60,7 @@ def parsed(name: str, payload: bytes | None) -> object:
 
 
 def play(settings: RigSettings, gains: Gains, count: int, seed: int) -> Tally:
-    """Parse ``count`` commands; give those that are one to a loop that holds a simulated rig, and judge what it does."""
+    """Parse ``count`` commands; give those that are one to a loop with a simulated rig, and judge what it does."""
     tally, chance = Tally(), random.Random(seed)
     sent = 0
     with lockstep(settings, gains) as rig:

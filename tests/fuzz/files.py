@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import json
-import os
+import math
 import pathlib
 import random
 import shutil
@@ -61,7 +63,7 @@ class Kind:
 
 
 def play(count: int, others: int, designs: int, seed: int) -> Tally:
-    """Read ``count`` mutated rig files and ``others`` of every other kind; start a loop with ``designs`` of those taken."""
+    """Read ``count`` mutated rig files, ``others`` of other kinds; start a loop with ``designs`` of those taken."""
     tally, chance = Tally(), random.Random(seed)
     with tempfile.TemporaryDirectory(prefix="rigctl-fuzz-", dir="/dev/shm") as name:
         folder = pathlib.Path(name) / "config"
@@ -70,12 +72,15 @@ def play(count: int, others: int, designs: int, seed: int) -> Tally:
         for kind in kinds(folder):
             for _ in range(count if kind.name == "rig file" else others):
                 text = kind.mutant(chance)
-                found = tally.attempt(kind.name, text, lambda kind=kind, text=text: kind.read(text), kind.allowed,
-                                      line=not kind.lines)  # type: ignore[misc]  # fmt: skip
+                found = tally.attempt(
+                    kind.name, text, functools.partial(kind.read, text), kind.allowed, line=not kind.lines
+                )
                 if isinstance(found, RigSettings):
                     taken.append((text, found))
         for text, settings in chance.sample(taken, min(designs, len(taken))):
-            tally.attempt("loop of a rig file taken", text, lambda: _start(settings), (DesignError, StartupError))  # noqa: B023
+            tally.attempt(
+                "loop of a rig file taken", text, functools.partial(_start, settings), (DesignError, StartupError)
+            )
     return tally
 
 
@@ -167,9 +172,8 @@ def _gains(rig: RigSettings) -> Kind:
         text = file.read_bytes()
 
     def read(text: bytes) -> bool:
-        return isinstance(
-            Gains(**gain_file.parse(text.decode(errors="replace"), "gains.yaml").gains.model_dump()), Gains
-        )
+        found = gain_file.parse(text.decode(errors="replace"), "gains.yaml").gains
+        return all(map(math.isfinite, Gains(**found.model_dump()).in_order))
 
     return Kind("gain file", [text], _yaml, _as_yaml, read, (gain_file.GainFileError,))
 
@@ -180,10 +184,10 @@ def _ledger(folder: pathlib.Path, rig: RigSettings) -> Kind:
     made = [("tare", None, 0.4), ("calibration check", True, 0.4), ("identification", None, 0.4)]
     for i, (what, passed, zero_n) in enumerate(made):
         after: dict[str, float | None] = {"zero_n": zero_n, "scale": 1.001}
-        ledger.append(
-            rig, ledger.entry(rig, what, "anna", _NOW_NS + i * 10**9, before={}, after=after, figures={"spread_n": 0.03},
-                              passed=passed)
-        )  # fmt: skip
+        new = ledger.entry(
+            rig, what, "anna", _NOW_NS + i * 10**9, before={}, after=after, figures={"spread_n": 0.03}, passed=passed
+        )
+        ledger.append(rig, new)
     path = rig.ledger
 
     def read(text: bytes) -> ledger.Standing:
@@ -230,8 +234,6 @@ def _rehashed(row: Any) -> bytes:
         return repr(row).encode() + b"\n"
     if not body.endswith(b"}"):
         return body + b"\n"
-    import hashlib
-
     return body[:-1] + b',"hash":"' + hashlib.sha256(body).hexdigest().encode() + b'"}\n'
 
 

@@ -30,7 +30,7 @@ _COMMAND = od.DRIVE_RPDO.codec
 ROUNDING_MM_S = od.MM_S_PER_VELOCITY_UNIT
 
 
-_STATUS = {Controlword.SWITCH_ON: 0x0233, Controlword.ENABLE_OPERATION: 0x0237}
+_STATUS: dict[int, int] = {Controlword.SWITCH_ON: 0x0233, Controlword.ENABLE_OPERATION: 0x0237}
 
 
 class Echo:

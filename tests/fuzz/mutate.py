@@ -11,9 +11,13 @@ from typing import Any
 ODD: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 0.0, -0.0, 1e-300, 1e300, -1e300, 2**31, 2**63, 2**64, -(2**63) - 1, 10**400, math.nan,
     math.inf, -math.inf, 0.1, 1e-9, "", " ", "a", "NaN", "1.0", "0x10", "12:30", "../..", "/dev/null", "a\nb", "a\x00b",
-    "\u202eabc", "\ud7ff", "é" * 50, "x" * 5000, [], {}, [[]], [{}], {"a": 1}, [None], [1, 2, 3], {"": ""}, "2026-11-21",
+    "\u202eabc", "\ud7ff", "é" * 50, "x" * 5000, [], {}, [[]], [{}], {"a": 1}, [None], [1, 2, 3], {"": ""},
+    "2026-11-21",
 )  # fmt: skip
 _DEPTHS = (3, 60, 3000)
+_SLIPS = ("", "x", " ", "\n", "é", "\u2028", "%s", "{}", "#", ": ")
+_MARKS = (b"\n", b"\t", b"\x00", b"\xff", b"  ", b"- ", b"*a", b"&a ", b"!!", b"{", b"}")
+_WORDS = (b"\xef\xbb\xbf", b"\xed\xa0\x80", "é\u2028".encode(), b"1e999", b"--- ", b"%")
 
 
 def data(document: Any, chance: random.Random) -> Any:
@@ -56,9 +60,7 @@ def _nudge(holder: Any, key: Any, chance: random.Random) -> None:
         holder[key] = chance.choice((found * factor, round(found) if math.isfinite(found) else 0))
     elif isinstance(found, str):
         at = chance.randrange(len(found) + 1)
-        holder[key] = (
-            found[:at] + chance.choice(("", "x", " ", "\n", "é", "\u2028", "%s", "{}", "#", ": ")) + found[at + 1 :]
-        )
+        holder[key] = found[:at] + chance.choice(_SLIPS) + found[at + 1 :]
     else:
         _odd(holder, key, chance)
 
@@ -107,13 +109,9 @@ def raw(text: bytes, chance: random.Random) -> bytes:
             case 2:
                 changed[at:at] = changed[at : at + length]
             case 3:
-                changed[at:at] = chance.choice(
-                    (b"\n", b"\t", b"\x00", b"\xff", b"  ", b"- ", b"*a", b"&a ", b"!!", b"{", b"}")
-                )
+                changed[at:at] = chance.choice(_MARKS)
             case 4:
-                changed[at:at] = chance.choice(
-                    (b"\xef\xbb\xbf", b"\xed\xa0\x80", "é\u2028".encode(), b"1e999", b"--- ", b"%")
-                )
+                changed[at:at] = chance.choice(_WORDS)
             case 5:
                 lines = bytes(changed).splitlines(keepends=True) or [b""]
                 lines.insert(chance.randrange(len(lines)), chance.choice(lines))

@@ -120,7 +120,7 @@ def play(settings: RigSettings, count: int, seed: int) -> Tally:
     try:
         for i in range(count):
             hub = Hub(lambda: START_NS)
-            port = hub.attach(lambda frame: rig.receive(frame))  # noqa: B023
+            port = hub.attach(lambda frame: rig.receive(frame))  # noqa: B023, PLW0108 - it is made in a moment
             rig = SimulatedRig(quick, START_NS, port.send)
             liar = Liar(quick, port, chance)
             hub.tap = liar.tap

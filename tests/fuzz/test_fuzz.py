@@ -74,7 +74,7 @@ def test_what_is_wrong_is_found() -> None:
     assert tally.attempt("good", b"", lambda: 1, ()) == 1
     assert tally.attempt("refused", b"", lambda: int("x"), (ValueError,)) is None
     assert tally.wrong == []
-    tally.attempt("thrown", b"", lambda: {}["x"], (ValueError,))
+    tally.attempt("thrown", b"", lambda: 1 // int(not chance), (ValueError,))
     tally.attempt("two lines", b"", lambda: int("x\ny") if chance else 0, ())
     assert len(tally.wrong) == 2
     assert any(mutate.data({"a": [1, 2.0, "b"]}, chance) != {"a": [1, 2.0, "b"]} for _ in range(3))
@@ -83,7 +83,7 @@ def test_what_is_wrong_is_found() -> None:
 def answering(settings: RigSettings, lie: object) -> str:
     """What the start-up says when every SDO answer of the devices is another."""
     hub = Hub(lambda: replies.START_NS)
-    port = hub.attach(lambda frame: rig.receive(frame))
+    port = hub.attach(lambda frame: rig.receive(frame))  # noqa: PLW0108 - it is made in a moment
     rig = SimulatedRig(settings, replies.START_NS, port.send)
 
     def tap(sender: Port, frame: bytes) -> list[bytes]:
@@ -113,9 +113,7 @@ def test_a_device_that_sends_segments_without_end_does_not_keep_the_start_waitin
         toggle[0] ^= 0x10
         return bytes([toggle[0] ^ 0x10]) + data[1:]
 
-    assert answering(settings, lie) == (
-        "tension cell (node 2), object 0x1000:00: answered with what is no SDO answer on rigsim:/tmp/rigctl-paper_rig.sock"
-    )
+    assert "tension cell (node 2), object 0x1000:00: answered with what is no SDO answer" in answering(settings, lie)
 
 
 @pytest.mark.parametrize("lie", [lambda _: b"", lambda data: data[:2], lambda data: bytes([data[0] | 0x0C]) + data[1:]])

@@ -1,4 +1,4 @@
-"""``python -m tests.mutation``: mutants of modes, safety and tension against their tests; docs/mutation.md has the rest.
+"""``python -m tests.mutation``: mutants of modes, safety and tension against their tests; see docs/mutation.md.
 
 Exit code 1 when fewer than 90 % are killed in a module, or a survivor is not argued in that file.
 """

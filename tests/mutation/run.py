@@ -12,7 +12,7 @@ import resource
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import ModuleType
 
 import hypothesis
@@ -70,7 +70,7 @@ class _Repeatable:
 class Runner:
     """Runs mutants on a copy of the tree in ``folder``, some at a time."""
 
-    def __init__(self, folder: pathlib.Path, workshop: Workshop, tests: dict[str, Sequence[str]]) -> None:
+    def __init__(self, folder: pathlib.Path, workshop: Workshop, tests: Mapping[str, Sequence[str]]) -> None:
         """``tests``: for each module the files that test it."""
         self._folder, self._workshop, self._tests = folder, workshop, tests
         os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"

@@ -177,6 +177,14 @@ def test_under_a_limit_the_integral_moves_only_back_inside(error: float) -> None
     assert subject.integral_mm_s == pytest.approx(2.0 * small * DT), "it leads back"
 
 
+def test_the_integral_waits_where_the_drive_is_still_too_fast_for_what_is_wanted() -> None:
+    subject = law(300.0)
+    subject.follow_speed(9.0)
+    subject.compensating(at(300.2), 1.0)
+    assert subject.command_mm_s == pytest.approx(9.0 - STEP)
+    assert subject.integral_mm_s == 0.0
+
+
 @pytest.mark.parametrize("cosine", [1.0, 0.9])
 def test_tensioned_is_on_the_target_within_half_a_percent(cosine: float) -> None:
     subject = law(300.0)

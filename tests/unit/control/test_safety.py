@@ -203,6 +203,14 @@ def test_a_limit_that_is_only_logged_is_told_once_when_it_begins_and_once_when_i
     assert watch.beyond(bad, Mode.HOLD) == set()
 
 
+def test_a_limit_that_comes_and_goes_is_told_at_most_once_a_second() -> None:
+    late = LimitSettings(signal="lateness_us", high=500.0, action="log", modes=["HOLD"])
+    watch = Watch(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [late]})))
+    for t in range(3000):
+        watch.trips(replace(GOOD, lateness_ns=600_000 * (t % 2)), Mode.HOLD, t * MS)
+    assert [begins for _, begins in watch.crossed] == [True, False] * 3
+
+
 def test_of_several_rows_the_strongest_acts_and_among_equals_the_first() -> None:
     watch = Watch(SETTINGS)
     sight = replace(GOOD, cell_quality=1, inclination_quality=1)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import pathlib
 from dataclasses import replace
+from typing import Any
 
-from hypothesis import settings, strategies as st
+from hypothesis import settings
+from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from rigctl import config
@@ -13,11 +15,11 @@ from rigctl.config_limits import LimitSettings
 from rigctl.control import limits
 from rigctl.control.machine import ARM_LIMIT_NS, Machine
 from rigctl.control.modes import Event, Mode, Refusal, Situation, Verb
-from rigctl.control.safety import Action, Fault, Row, Sight, Trip, Watch
+from rigctl.control.safety import Action, Fault, Sight, Trip, Watch
 from rigctl.devices.drive import Power
 
 MS = 1_000_000
-ARMED = ["HOLD", "TENSIONING", "COMPENSATING", "RELEASING"]
+ARMED: list[Any] = ["HOLD", "TENSIONING", "COMPENSATING", "RELEASING"]
 LIMITS = [
     LimitSettings(signal="drive_temperature_c", high=85.0, persistence_ms=20, action="ramp_down", modes=ARMED),
     LimitSettings(signal="drive_current_a", high=9.0, persistence_ms=5, action="quick_stop", modes=ARMED),

@@ -1,0 +1,63 @@
+"""An interface that goes down and comes up again under the loop: it ticks on, counts, says so, and is brought back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import can
+import pytest
+
+from hil.lockstep import Lockstep
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.safety import Fault
+from rigctl.telemetry.events import Kind, worded
+
+
+def pull_down(rig: Lockstep, patch: pytest.MonkeyPatch) -> None:
+    """As the kernel's socket has it: every send fails, the next receive once, and then nothing comes."""
+    untold = [can.CanOperationError("Error receiving: Network is down", 100)]
+
+    def receive(_timeout_s: float) -> None:
+        if untold:
+            raise untold.pop()
+
+    def send(*_: object) -> None:
+        raise can.CanOperationError("Failed to transmit: Network is down", 100)
+
+    patch.setattr(rig.loop.inbox._bus, "recv", receive)
+    patch.setattr(rig.loop.outbox._bus, "send", send)
+
+
+def told(rig: Lockstep) -> list[str]:
+    return [
+        worded(int(slot["kind"]), 0, 0, 0.0, 0.0, slot["text"].decode()).text
+        for slot in rig.events.read()
+        if slot["kind"] in (Kind.RECEIVE_FAILED, Kind.SEND_FAILED)
+    ]
+
+
+@pytest.mark.parametrize(("down_s", "mode"), [(0.008, Mode.COMPENSATING), (0.2, Mode.FAULT)])
+def test_an_interface_down_and_up(
+    rig: Lockstep, enter: Callable[[Mode], None], monkeypatch: pytest.MonkeyPatch, down_s: float, mode: Mode
+) -> None:
+    enter(Mode.COMPENSATING)
+    rig.events.read()
+    stroke_mm, ticks = rig.rig.truth.stroke_mm, rig.loop._logbook.tick
+    with monkeypatch.context() as patch:
+        pull_down(rig, patch)
+        rig.run(down_s)
+    assert rig.loop._logbook.tick == ticks + round(down_s * rig.settings.loop.rate_hz)
+    assert rig.loop.inbox.receive_failures == 1
+    assert told(rig) == [
+        "frame not sent: Failed to transmit: Network is down [Error Code 100]",
+        "bus not readable: Error receiving: Network is down [Error Code 100]",
+    ]
+    rig.run(0.5)
+    assert rig.loop.machine.mode is mode
+    if mode is Mode.FAULT:
+        assert rig.loop.machine.fault is Fault.BUS_SILENT
+        assert rig.command(Verb.RESET) is Refusal.NONE
+        rig.run(0.5)
+        enter(Mode.COMPENSATING)
+    assert rig.rig.truth.stroke_mm == pytest.approx(stroke_mm, abs=1.0)
+    assert rig.rig.truth.vertical_n == pytest.approx(300.0, rel=0.03)
