@@ -18,7 +18,7 @@ import yaml
 
 ROOT = pathlib.Path(__file__).parents[1]
 PAPER = ROOT / "config/paper_rig.yaml"
-START_LIMIT_S = 60.0  # a guest kernel is slow; nothing is judged by it
+START_LIMIT_S = 120.0  # a guest kernel is slow; nothing is judged by it
 STOP_LIMIT_S = 20.0
 
 

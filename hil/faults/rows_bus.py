@@ -22,7 +22,7 @@ BUS = (
         "10 % of all frames are lost",
         on_bus.lost(0.1),
         EITHER,
-        seconds=2.0,
+        seconds=3.0,
         counter="frames_lost",
         why="once in 20 s three heartbeats in a row are among them, and the drive stops by itself",
     ),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hil.faults import in_device, in_plant, on_bus
-from hil.faults.expected import FROM_START, HOLD, PASSING, RIDE, WHEN_MOVING, Around, Fault, Reaction
+from hil.faults.expected import EITHER, FROM_START, HOLD, PASSING, RIDE, WHEN_MOVING, Around, Fault, Reaction
 from hil.faults.in_device import CELL, CELL_STATUS, LATERAL, LONG, both, reads, says, stuck
 from rigctl.control.modes import Mode
 from rigctl.devices.objects import SLOPE_INVALID, AiStatus, EmcyCode
@@ -31,10 +31,13 @@ SENSOR_CELL = (
         "device",
         "the cell drifts by 20 N/s",
         reads(CELL, drift_s=20.0),
-        {**PASSING, Mode.RELEASING: Reaction.EITHER},
+        {
+            **{mode: reaction for mode, reaction in PASSING.items() if mode is not Mode.RELEASING},
+            Mode.TENSIONING: Reaction.EITHER,
+        },
         seconds=4.5,
         band_n=WAY_N,
-        why="it looks like a payload that moves; what ends it is the way the cylinder may go",
+        why="it looks like a payload that moves, or like a ramp; what ends it is the way the cylinder may go",
     ),
     Fault(
         "cell_drift_slow",
@@ -136,6 +139,7 @@ SENSOR_CELL = (
         seconds=4.0,
         band_n=15.0,
         from_start=True,
+        latency_ms=170,
         why="caught while the tension is a fraction of the target",
     ),
     Fault(
@@ -246,10 +250,10 @@ SENSOR_SLOPE = (
         "device",
         "ten times the angle while the mechanism turns",
         reads(LONG, times=10.0),
-        RIDE,
+        EITHER,
         seconds=3.0,
         around=Around(motion=in_plant.rotating),
-        why="7 deg for 0.7 deg are worth 0.74 %",
+        why="7 deg for 0.7 deg are worth 0.74 %, and beyond the limit of 5 deg",
     ),
     Fault(
         "slope_emergency",

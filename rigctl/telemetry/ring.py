@@ -65,6 +65,8 @@ class RingWriter:
         self._slot_size = layout.size + 8
         self._memory, self._capacity = _map(path, self._slot_size, writable=True)
         (self.head,) = _HEAD.unpack_from(self._memory, _HEAD_OFFSET)
+        # One aligned store: pack_into clears the bytes first, and a reader must never find a head of 0 in between.
+        self._head_word = memoryview(self._memory)[_HEAD_OFFSET : _HEAD_OFFSET + _HEAD.size].cast("Q")
 
     def write(self, *values: Any) -> int:
         """Append one slot; returns its sequence number."""
@@ -74,12 +76,13 @@ class RingWriter:
         _HEAD.pack_into(memory, offset, 0)
         self._pack_into(memory, offset + 8, *values)
         _HEAD.pack_into(memory, offset, seq)
-        _HEAD.pack_into(memory, _HEAD_OFFSET, seq)
+        self._head_word[0] = seq
         self.head = seq
         return seq
 
     def close(self) -> None:
         """Unmap."""
+        self._head_word.release()
         self._memory.close()
 
 

@@ -317,7 +317,7 @@ def test_a_drive_that_moves_by_somebody_elses_command_trips(rig: Lockstep, enter
         rig.inject(frame(od.RPDO1_BASE + rig.settings.cylinder.node, od.DRIVE_RPDO.codec.pack(0x0F, -5000)))
         rig.inject(frame(od.SYNC_COB, b""))
         rig.loop.tick()
-    assert rig.loop.machine.fault is Fault.DRIVE_NOT_FOLLOWING
+    assert rig.loop.machine.fault is Fault.RIVAL
 
 
 def test_disarming_stops_the_stroke_before_the_power_goes(rig: Lockstep, enter: Enter) -> None:

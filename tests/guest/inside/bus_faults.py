@@ -7,6 +7,7 @@ gone, unless the interface itself has vanished.
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -16,6 +17,7 @@ from tests import daemons
 from tests.guest.inside.guest_rig import TARGET_N, Cable, GuestRig, controller, link, patient
 
 TRIES = 5
+LATE_S = 1.2  # a trip that a fault has begun would come within the limit of 0.8 s, and its record within 0.1
 MOVED_MM = 1.0
 CARRIED = 0.03
 
@@ -37,7 +39,7 @@ def fallen(rig: GuestRig, stroke_mm: float, after: int, *faults: str) -> None:
     """FAULT, for one of ``faults``; the load carried, the drive stopped and off by its own supervision."""
     rig.until("FAULT")
     assert rig.state["fault"] in faults, rig.said
-    assert re.search(rf"trip ({'|'.join(faults)}): ", rig.said[after:]), rig.said
+    daemons.wait_for(lambda: re.search(rf"trip ({'|'.join(faults)}): ", rig.said[after:]), log=rig.log)
     daemons.wait_for(lambda: rig.truth.drive is not DriveState.OPERATION_ENABLED, log=rig.log)
     carried(rig, stroke_mm)
 
@@ -55,6 +57,7 @@ def ridden_through(rig: GuestRig, play: Callable[[], None]) -> None:
     for _ in range(TRIES):
         stroke_mm, after = rig.compensate(), len(rig.said)
         play()
+        time.sleep(LATE_S)
         if rig.mode == "COMPENSATING":
             carried(rig, stroke_mm)
             return
@@ -93,47 +96,12 @@ def test_an_overrun_is_told_in_words_and_ridden_through(rig: GuestRig) -> None:
 
 def test_a_short_babble_is_ridden_through(rig: GuestRig) -> None:
     def play() -> None:
-        lost = rig.state["frames_lost"]
+        unsent = rig.state["send_failures"]
         rig.cable.order("babble 0.3")
-        daemons.wait_for(lambda: rig.state["frames_lost"] > lost + 20)
+        daemons.wait_for(lambda: rig.state["send_failures"] > unsent)
         daemons.wait_for(lambda: rig.state["tension_age_ns"] < 100_000_000)
 
     ridden_through(rig, play)
-
-
-def test_a_babbling_node_that_goes_on_is_a_silent_bus_to_us(rig: GuestRig) -> None:
-    stroke_mm, after = rig.compensate(), len(rig.said)
-    rig.cable.order("babble 4")
-    fallen(rig, stroke_mm, after, "BUS_SILENT")
-    assert "frame not sent: Failed to transmit: No buffer space available" in rig.said[after:]
-    rig.compensate()
-    carried(rig, stroke_mm)
-
-
-def test_an_adapter_that_takes_nothing_is_told_as_no_buffer_space(rig: GuestRig) -> None:
-    stroke_mm, after, unsent = rig.compensate(), len(rig.said), rig.state["send_failures"]
-    rig.cable.order("stall")
-    fallen(rig, stroke_mm, after, "DRIVE_STALE", "CELL_STALE")
-    assert "frame not sent: Failed to transmit: No buffer space available" in rig.said[after:]
-    assert rig.state["send_failures"] > unsent
-    assert "CELL_STALE" in refused(rig) or "DRIVE_STALE" in refused(rig)
-    rig.cable.order("resume")
-    rig.compensate()
-    carried(rig, stroke_mm)
-
-
-def test_bus_off_is_told_in_words_and_over_when_the_interface_was_down_and_up(rig: GuestRig) -> None:
-    stroke_mm, after = rig.compensate(), len(rig.said)
-    rig.cable.order("say sb000256")
-    rig.cable.order("off")
-    fallen(rig, stroke_mm, after, "BUS_SILENT")
-    assert "CAN error frame: bus-off" in rig.said[after:]
-    assert controller(rig.cable.interface)["state"] == "BUS-OFF"
-    assert "BUS_SILENT" in refused(rig)
-    link(rig.cable.interface, "down")
-    link(rig.cable.interface, "up")
-    rig.compensate()
-    carried(rig, stroke_mm)
 
 
 def test_an_interface_that_flaps_is_ridden_through(rig: GuestRig) -> None:
@@ -147,11 +115,46 @@ def test_an_interface_that_flaps_is_ridden_through(rig: GuestRig) -> None:
     ridden_through(rig, play)
 
 
+def test_a_babbling_node_that_goes_on_is_a_silent_bus_to_us(rig: GuestRig) -> None:
+    stroke_mm, after = rig.compensate(), len(rig.said)
+    rig.cable.order("babble 4")
+    fallen(rig, stroke_mm, after, "BUS_SILENT")
+    rig.until_said("frame not sent: Failed to transmit: No buffer space available", after)
+    rig.compensate()
+    carried(rig, stroke_mm)
+
+
+def test_an_adapter_that_takes_nothing_is_told_as_no_buffer_space(rig: GuestRig) -> None:
+    stroke_mm, after, unsent = rig.compensate(), len(rig.said), rig.state["send_failures"]
+    rig.cable.order("stall")
+    fallen(rig, stroke_mm, after, "DRIVE_STALE", "CELL_STALE")
+    rig.until_said("frame not sent: Failed to transmit: No buffer space available", after)
+    assert rig.state["send_failures"] > unsent
+    assert "CELL_STALE" in refused(rig) or "DRIVE_STALE" in refused(rig)
+    rig.cable.order("resume")
+    rig.compensate()
+    carried(rig, stroke_mm)
+
+
+def test_bus_off_is_told_in_words_and_over_when_the_interface_was_down_and_up(rig: GuestRig) -> None:
+    stroke_mm, after = rig.compensate(), len(rig.said)
+    rig.cable.order("say sb000256")
+    rig.cable.order("off")
+    fallen(rig, stroke_mm, after, "BUS_SILENT")
+    rig.until_said("CAN error frame: bus-off", after)
+    assert controller(rig.cable.interface)["state"] == "BUS-OFF"
+    assert "BUS_SILENT" in refused(rig)
+    link(rig.cable.interface, "down")
+    link(rig.cable.interface, "up")
+    rig.compensate()
+    carried(rig, stroke_mm)
+
+
 def test_an_interface_pulled_down_is_held_and_recovers_when_it_is_up(rig: GuestRig) -> None:
     stroke_mm, after = rig.compensate(), len(rig.said)
     link(rig.cable.interface, "down")
     fallen(rig, stroke_mm, after, "BUS_SILENT")
-    assert "frame not sent: Failed to transmit: Network is down" in rig.said[after:]
+    rig.until_said("frame not sent: Failed to transmit: Network is down", after)
     assert "BUS_SILENT" in refused(rig)
     link(rig.cable.interface, "up")
     rig.compensate()
@@ -162,12 +165,13 @@ def test_an_unplugged_adapter_needs_the_daemon_anew_and_the_refusal_says_so(rig:
     stroke_mm, after, name = rig.compensate(), len(rig.said), rig.cable.interface
     rig.cable.unplug()
     fallen(rig, stroke_mm, after, "BUS_SILENT")
-    assert "bus not readable: Error receiving: No such device" in rig.said[after:]
     rig.cable = Cable()
+    rig.until_said("bus not readable: Error receiving: No such device", after)
     assert rig.cable.interface == name
     assert "a CAN interface that was unplugged needs the daemon started anew" in refused(rig)
     rig.restart()
     assert rig.mode == "DISARMED"
     carried(rig, stroke_mm)
+    rig.carried_out("target", TARGET_N)
     rig.compensate()
     carried(rig, stroke_mm)

