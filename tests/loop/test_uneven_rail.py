@@ -116,8 +116,8 @@ def test_a_lost_encoder_ends_the_feed_forward_and_nothing_else(settings: RigSett
         assert (records["rail_quality"] == Quality.STALE).all()
         assert not records["run_out_mm_s"].any()
 
-        rig.inject(FRAME.pack(objects.NMT_COB, 2, bytes([0x81, NODE])))  # back with a scale nobody has checked
-        rig.inject(FRAME.pack(objects.NMT_COB, 2, bytes([0x01, NODE])))
+        rig.rig.receive(FRAME.pack(objects.NMT_COB, 2, bytes([0x81, NODE])))  # back with a scale nobody has checked
+        rig.rig.receive(FRAME.pack(objects.NMT_COB, 2, bytes([0x01, NODE])))
         records = rig.run(0.5)[10:]
         assert (records["rail_quality"] == Quality.INVALID).all()
         assert rig.loop.machine.mode is Mode.COMPENSATING
