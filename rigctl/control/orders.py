@@ -122,6 +122,8 @@ class Orders:
             target_min_n=settings.tension.target_min_n,
             target_max_n=settings.tension.target_max_n,
         )
+        if verb is Verb.ARM:  # what is shown while armed is what was found then
+            observer.sight.failed_checks = situation.failed_checks
         fault = machine.fault
         machine.command(id_, verb, situation, t_ns)
         self.trial = trials.begin(machine.trial, settings, observer.inbox) if machine.trial is not None else None
