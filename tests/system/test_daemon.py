@@ -301,7 +301,7 @@ def test_check_shows_the_rig_and_refuses_a_bus_that_is_too_slow(tmp_path: pathli
     assert good.returncode == 0
     assert "42.7%" in good.stdout
     figures = json.loads(daemons.rigctl("check", "config/rig.yaml", "--json").stdout)
-    assert figures["bus_load_pct"] == pytest.approx(42.47)
+    assert figures["bus_load_pct"] == pytest.approx(42.74)
     slow = daemons.rig_file(tmp_path, {"can": {"bitrate_bit_s": 500_000}})
     answer = daemons.rigctl("check", str(slow))
     assert answer.returncode == 1
