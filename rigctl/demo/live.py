@@ -30,6 +30,7 @@ from rigctl.telemetry.client import Client, NoDaemonError
 from rigctl.telemetry.ring import RingReader
 from rigctl.telemetry.runtime import Runtime
 
+ARM_NS, ARM_AGAIN_S = 3_000_000_000, 0.1
 OPERATOR = "demo"
 START_LIMIT_S = 20.0
 STOP_LIMIT_S = 10.0
@@ -52,11 +53,16 @@ class LiveStage:
         self.records: list[npt.NDArray[Any]] = []
 
     def command(self, verb: Verb) -> None:
-        """See `Stage`."""
-        try:
-            answer = self._client.command(verb.name.lower(), OPERATOR)
-        except NoDaemonError as error:
-            raise DemoError(str(error)) from None
+        """See `Stage`. A daemon that has just come up has not heard every device yet: arming is tried for a moment."""
+        until_ns = time.monotonic_ns() + ARM_NS
+        while True:
+            try:
+                answer = self._client.command(verb.name.lower(), OPERATOR)
+            except NoDaemonError as error:
+                raise DemoError(str(error)) from None
+            if answer.get("reason") != "preflight" or time.monotonic_ns() > until_ns:
+                break
+            time.sleep(ARM_AGAIN_S)
         self._check(answer)
 
     def _check(self, answer: dict[str, Any]) -> None:
