@@ -305,13 +305,3 @@ def _notify(state: str) -> None:
         with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
             sock.connect("\0" + address[1:] if address.startswith("@") else address)
             sock.send(state.encode(), socket.MSG_DONTWAIT)  # a manager that does not listen must not hold us up
-
-
-def refuse_bus_load(settings: RigSettings) -> None:
-    """Raise `CannotRunError` when the worst-case load of the bus is above its limit."""
-    load = busload.bus_load(settings)
-    if load is not None and load > busload.LIMIT:
-        raise CannotRunError(
-            f"bus load {load:.0%} at {settings.can.bitrate_bit_s} bit/s and {settings.loop.rate_hz} Hz, "
-            f"allowed {busload.LIMIT:.0%}"
-        )

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Check, Fault
 from rigctl.telemetry.events import Kind, failed_checks, fault_text
-from rigctl.telemetry.record import RECORD, Flag, Quality
+from rigctl.telemetry.record import Flag, Quality
 
 ALIVE_NS = 250_000_000  # a loop whose newest record is older than this does not run
 WINDOW_NS = 1_000_000_000
@@ -187,5 +187,3 @@ DERIVED: tuple[tuple[str, str, str], ...] = (
     ("warnings", "", "what the operator should know: real-time settings refused, a design waived and why"),
     ("gateway_wall_ns", "ns", "when this gateway started; changes when it was restarted"),
 )
-
-STATE_FIELDS = tuple(field.name for field in RECORD.fields)
