@@ -78,7 +78,9 @@ def test_an_operator_commissions_the_rig(running: Running, tmp_path: pathlib.Pat
     answer = json.loads(running.do("identify", "--in", "tension", "--json", "--file", str(tmp_path / "found.json")))
     found = {row["key"]: row["found"] for row in answer["entry"]["figures"]["rows"]}
     assert found["plant.cylinder_lag_s"] == pytest.approx(0.02, abs=0.002)
-    assert found["plant.command_delay_s"] == pytest.approx(0.002, abs=0.0005)
+    # Loop and drive run free of each other here, and where in the drive's millisecond a command falls is not the loop's
+    # to choose: one tick, which is what identification promises.
+    assert found["plant.command_delay_s"] == pytest.approx(0.002, abs=0.001)
     # The mean over one of the drive's own milliseconds, which may have ended one ago.
     assert found["age of the drive's speed"] == pytest.approx(0.0011, abs=0.0009)
     assert found["stiffness"] == pytest.approx(5.964, rel=0.01)
