@@ -21,7 +21,7 @@ from rigctl.telemetry.runtime import Runtime
 NOTICE_NS = 1_000_000_000
 NOTICES_KEPT = 64
 _STALE = Quality.STALE.value
-_ENABLED, _ARMING = Flag.DRIVE_ENABLED.value, Flag.ARMING.value
+_ENABLED, _ARMING, _STOPPING = Flag.DRIVE_ENABLED.value, Flag.ARMING.value, Flag.STOPPING.value
 
 
 @dataclass(frozen=True)
@@ -56,12 +56,13 @@ class Logbook:
 
     def record(
         self, t_ns: int, lateness_ns: int, work_ns: int, machine: Machine, observer: Observer, law: TensionLaw,
-        outbox: Outbox,
+        outbox: Outbox, command_seq: int,
     ) -> None:  # fmt: skip
-        """One record of this tick; ``work_ns`` is the tick before's."""
+        """One record of this tick; ``work_ns`` is the tick before's, ``command_seq`` the last command taken."""
         inbox, sight, kalman, slope = observer.inbox, observer.sight, observer.filter, observer.inclination
         x = kalman.state
         flags = law.limits | (_ENABLED if sight.drive_enabled else 0) | (_ARMING if machine.arming else 0)
+        flags |= _STOPPING if machine.stopping else 0
         self._rings.records.write(
             t_ns,
             self.tick,
@@ -123,6 +124,7 @@ class Logbook:
             sight.drive_current_a,
             sight.drive_temperature_c,
             sight.failed_checks,
+            command_seq,
         )
 
     def event(

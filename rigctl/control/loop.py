@@ -68,18 +68,18 @@ class Loop:
         self._clock, self._commands = clock, rings.commands
         self._watch, self._signs = Watch(settings, limits.rows(settings)), SignCheck(settings)
         self._plausibility = Plausibility(settings)
-        self._commanded_ns = clock.now()
+        self._commanded_ns = started_ns = clock.now()
         self._travel_from_mm = 0.0
         self._logbook = logbook = Logbook(settings, rings)
         self._orders = Orders(
             settings, self.machine, self.observer, self.law, self._watch, logbook, supervised=supervised
         )
         self._work_ns = self._stop_until = self._off_until = 0
-        logbook.event(clock.now(), Kind.STARTED)
+        logbook.event(started_ns, Kind.STARTED, rings.commands.cursor)
         self.observer.sight.host_checks = host_checks
         if correction is not None:
             self.observer.sight.calibration_overdue = correction.overdue
-            self._orders.correct(correction, clock.now())
+            self._orders.correct(correction, started_ns)
 
     @property
     def drive_off(self) -> bool:
@@ -194,7 +194,8 @@ class Loop:
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
         logbook, machine, observer = self._logbook, self.machine, self.observer
-        logbook.record(t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox)
+        taken = self._commands.cursor
+        logbook.record(t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox, taken)
         logbook.mode_changes(t_ns, machine, self.outbox.safe_frames)
         for limit, begins in self._watch.crossed:
             logbook.trip(t_ns, Kind.LIMIT if begins else Kind.LIMIT_OVER, limit)

@@ -62,6 +62,7 @@ class Flag(IntFlag):
     LIMITED_STROKE = 4
     ARMING = 16
     DRIVE_ENABLED = 32
+    STOPPING = 64
 
 
 RECORD = Slot(
@@ -130,6 +131,7 @@ RECORD = Slot(
         Field("drive_current_a", "d", "A", "motor current; NaN while it is not known"),
         Field("drive_temperature_c", "d", "deg C", "of the drive; NaN while it is not known"),
         Field("checks", "Q", "", "preflight checks that fail, bits, see checks; not looked at while armed"),
+        Field("command_seq", "Q", "", "sequence number of the last slot the loop has taken from the command ring"),
     ),
 )
 
