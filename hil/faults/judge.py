@@ -49,6 +49,14 @@ class Row:
     fault: str  # latched
     findings: tuple[str, ...]  # what is not as expected
 
+    @classmethod
+    def unreached(cls, id_: str, mode: Mode, expected: Reaction, why: str) -> Row:
+        """A row that could not be played: it has failed, and the others go on."""
+        nan = math.nan
+        return cls(
+            id_, mode.name, str(expected), "not reached", None, None, nan, nan, nan, nan, False, "", (why,)
+        )  # fmt: skip
+
     @property
     def ok(self) -> bool:
         """As expected."""

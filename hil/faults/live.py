@@ -179,7 +179,8 @@ class Live:
             if time.monotonic() > until:
                 name = "no mode" if mode is None else mode.name
                 raise LiveError(
-                    f"not in {wanted.name} within {MODE_S:g} s but in {name}, fault {self.fault}; {self._refusal}"
+                    f"not in {wanted.name} within {MODE_S:g} s but in {name}, fault {self.fault}; {self._refusal}; "
+                    f"log: {self._last_words()}"
                 )
             self._towards(mode, wanted)
             time.sleep(POLL_S)

@@ -153,23 +153,32 @@ CATALOGUE = (
 
 
 def play(settings: RigSettings, rows: Sequence[tuple[ProcessFault, Mode]], advance: Advance) -> list[Row]:
-    """Play rows one after the other on one rig; in their order.
+    """Play rows one after the other; in their order. One that goes wrong ends its rig, and the next has a new one.
 
     Raises:
         ScenarioError: rig and daemon do not come up (1).
     """
-    if not rows:
-        return []
-    found = []
+    found: list[Row] = []
     try:
-        with live(settings) as rig:
-            for fault, mode in rows:
-                advance(0.0, f"{fault.id} in {mode.name}")
-                found.append(row_of(rig, fault, mode))
-                advance(1.0, "")
+        while len(found) < len(rows):
+            with live(settings) as rig:
+                _play_on(rig, rows, found, advance)
     except LiveError as error:
         raise ScenarioError([f"faults: {error}"], exit_code=1) from None
     return found
+
+
+def _play_on(rig: Live, rows: Sequence[tuple[ProcessFault, Mode]], found: list[Row], advance: Advance) -> None:
+    """The rows that are not in ``found`` yet, until one goes wrong."""
+    for fault, mode in rows[len(found) :]:
+        advance(0.0, f"{fault.id} in {mode.name}")
+        try:
+            found.append(row_of(rig, fault, mode))
+        except LiveError as error:
+            found.append(Row.unreached(fault.id, mode, fault.expected[mode], str(error)))
+            return
+        finally:
+            advance(1.0, "")
 
 
 def row_of(rig: Live, fault: ProcessFault, mode: Mode) -> Row:

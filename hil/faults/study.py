@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import multiprocessing
 import os
 from collections.abc import Sequence
@@ -56,15 +55,7 @@ def row_of(bench: Bench, rig: RigSettings, fault: Fault, mode: Mode) -> Row:
     try:
         return judge(fault, mode, bench.play(fault, mode), bench.undisturbed(fault, mode), rig)
     except (RuntimeError, TimeoutError) as error:
-        return _unreached(fault, mode, str(error))
-
-
-def _unreached(fault: Fault, mode: Mode, why: str) -> Row:
-    expected = str(fault.expected[mode])
-    return Row(
-        fault.id, mode.name, expected, "not reached", None, None, math.nan, math.nan, math.nan, math.nan,
-        False, "", (why,),
-    )  # fmt: skip
+        return Row.unreached(fault.id, mode, fault.expected[mode], str(error))
 
 
 def _start(rig: RigSettings, gains: Gains) -> None:

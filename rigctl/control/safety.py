@@ -276,6 +276,12 @@ class Watch:
     def __init__(self, settings: RigSettings, limits: Sequence[Row] = ()) -> None:
         """``limits``: the rig file's rows."""
         self._rows = (*table(settings), *limits)
+        # By mode: place, value and limit of the rows watched in it; a tick touches no more of a row that is good.
+        self._watched = [
+            [(i, row.value, row.limit) for i, row in enumerate(self._rows) if mode in row.modes] for mode in Mode
+        ]
+        self._unwatched = [[i for i, row in enumerate(self._rows) if mode not in row.modes] for mode in Mode]
+        self._mode: Mode | None = None
         self._since: list[int | None] = [None] * len(self._rows)
         self._logged = [False] * len(self._rows)
         self._quiet_until = [-LOG_AGAIN_NS] * len(self._rows)
@@ -285,13 +291,16 @@ class Watch:
         """The strongest of the rows that have been bad for their persistence, among equals the first; or None."""
         strongest: Trip | None = None
         since = self._since
-        for i, row in enumerate(self._rows):
-            if mode not in row.modes or not (value := row.value(sight)) > row.limit:
-                since[i] = None
-                if self._logged[i]:
-                    self._log(i, row.limit, begins=False)
+        if mode is not self._mode:
+            self._mode = mode
+            for i in self._unwatched[mode]:
+                self._ends(i)
+        for i, read, limit in self._watched[mode]:
+            if not (value := read(sight)) > limit:
+                if since[i] is not None:
+                    self._ends(i)
                 continue
-            start = since[i]
+            row, start = self._rows[i], since[i]
             if start is None:
                 start = since[i] = t_ns
             if t_ns - start < row.persistence_ns:
@@ -321,6 +330,12 @@ class Watch:
             if row.fault in _BLOCK_RESET and row.value(sight) > row.limit:
                 return row.fault
         return Fault.NONE
+
+    def _ends(self, i: int) -> None:
+        """A row that is good again, or not watched any more."""
+        self._since[i] = None
+        if self._logged[i]:
+            self._log(i, self._rows[i].limit, begins=False)
 
     def _log(self, i: int, value: float, *, begins: bool) -> None:
         self._logged[i] = begins

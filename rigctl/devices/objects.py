@@ -152,11 +152,18 @@ STATUS_INTERNAL_LIMIT = 0x0800
 
 def drive_state(statusword: int) -> DriveState:
     """State in a statusword (CiA 402 table: bit 5 does not count in four of the states)."""
-    wide = statusword & 0x4F
+    return _STATES[statusword & DRIVE_STATE_MASK]
+
+
+def _state_of(narrow: int) -> DriveState:
+    wide = narrow & 0x4F
     if wide in _WIDE_STATES:
         return DriveState(wide)
-    narrow = statusword & DRIVE_STATE_MASK
     return DriveState(narrow) if narrow in DriveState._value2member_map_ else DriveState.NOT_READY
+
+
+_STATES = tuple(map(_state_of, range(DRIVE_STATE_MASK + 1)))
+"""For every statusword under the mask: the loop asks three times a tick."""
 
 
 class EmcyCode(IntEnum):

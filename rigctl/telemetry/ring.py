@@ -93,7 +93,7 @@ class RingReader:
         """``from_start``: begin with the oldest slot still held, else with the next one written."""
         self._memory, self._capacity = _map(path, dtype.itemsize, writable=False)
         self._slots: npt.NDArray[Any] = np.ndarray((self._capacity,), dtype, self._memory, _DATA_OFFSET)
-        self._dtype = dtype
+        self._none = np.empty(0, dtype)
         self.lost = 0
         self.cursor = self._oldest(self.head) - 1 if from_start else self.head
 
@@ -110,7 +110,7 @@ class RingReader:
         """Slots after the cursor, oldest first, at most ``limit``; moves the cursor."""
         head = self.head
         if self.cursor >= head:
-            return np.empty(0, self._dtype)
+            return self._none
         first = max(self.cursor + 1, self._oldest(head))
         last = head if limit is None else min(head, first + limit - 1)
         numbers = np.arange(first, last + 1, dtype=np.uint64)
