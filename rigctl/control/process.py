@@ -139,7 +139,8 @@ def run(directory: str) -> int:
         correction=correction,
     )
     signal.signal(signal.SIGTERM, _stop_on_signal(loop))
-    applied = [*realtime.apply(settings.loop), realtime.freeze_garbage_collector()]
+    frozen = realtime.freeze_garbage_collector()  # before real time: it takes 100 ms, which another loop must not wait
+    applied = [*realtime.apply(settings.loop), frozen]
     runtime.write_json(
         "control.json",
         {
@@ -150,6 +151,7 @@ def run(directory: str) -> int:
         },
     )
     loop.run()
+    realtime.leave()
     if loop.drive_off:
         bus.set_filters(None)
         startup.release(bus, settings)

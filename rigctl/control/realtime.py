@@ -43,6 +43,12 @@ def apply(loop: LoopSettings) -> list[Applied]:
     return [step() for step in steps]
 
 
+def leave() -> None:
+    """Back to an ordinary process: what is left to do has no deadline, and nobody's loop shall wait for it."""
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
 def freeze_garbage_collector() -> Applied:
     """Collect once, move what is left out of the collector's sight, and switch it off: no tick pays for it."""
     gc.collect()

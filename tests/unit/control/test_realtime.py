@@ -6,6 +6,7 @@ import ast
 import os
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
@@ -14,11 +15,13 @@ REPORT = (
     "from rigctl.config import LoopSettings; from rigctl.control import realtime;"
     "loop = LoopSettings(rate_hz=1000, priority={priority}, cpu={cpu}, lock_memory=True);"
     "rows = [*realtime.apply(loop), realtime.freeze_garbage_collector()];"
-    "print([(row.name, row.ok, row.in_force, row.warning) for row in rows])"
+    'import os; policies = ["policies", True, os.sched_getscheduler(0)];'
+    "realtime.leave(); policies.append(os.sched_getscheduler(0));"
+    "print([(row.name, row.ok, row.in_force, row.warning) for row in rows] + [policies])"
 )
 
 
-def report(priority: int, cpu: int, *, privileged: bool) -> dict[str, tuple[bool, str, str]]:
+def report(priority: int, cpu: int, *, privileged: bool) -> dict[str, tuple[bool, Any, Any]]:
     code = REPORT.format(priority=priority, cpu=cpu)
     drop = "ulimit -l 64 -r 0; exec setpriv --bounding-set -all --inh-caps -all " if not privileged else "exec "
     out = subprocess.run(
@@ -31,9 +34,12 @@ def report(priority: int, cpu: int, *, privileged: bool) -> dict[str, tuple[bool
 def test_with_rights_every_setting_is_in_force() -> None:
     cpu = min(os.sched_getaffinity(0))
     rows = report(70, cpu, privileged=True)
+    _, in_loop, afterwards = rows.pop("policies")
     assert all(ok for ok, _, _ in rows.values()), rows
     assert rows["scheduler"][1] == "SCHED_FIFO 70"
     assert rows["affinity"][1] == f"cpu {cpu}"
+    assert in_loop == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    assert afterwards == os.SCHED_OTHER
     assert set(rows) == {"timer slack", "memory", "affinity", "scheduler", "garbage collector"}
 
 
