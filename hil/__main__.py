@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+import signal
 import sys
 from typing import Annotated
 
@@ -104,6 +105,7 @@ def _announce(text: str) -> None:
 def main() -> int:
     """Run; every refusal is one line on stderr. Exit code 0 good, 1 the result is bad or no bus, 2 usage or files."""
     standard_output.guard()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what was started is ended, as with Ctrl-C
     code = _run()
     if unsaid := standard_output.complaint():
         sys.stderr.write(f"hil: {unsaid}\n")

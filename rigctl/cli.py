@@ -11,7 +11,10 @@ from rigctl import daemon, standard_output
 from rigctl.commission import command as commission
 from rigctl.commission import doctor
 from rigctl.design import command as design
-from rigctl.operator import audit, lease, status, verbs, watch
+from rigctl.operator import audit, lease, recordings, status, verbs, watch
+from rigctl.page import command as page
+from rigctl.replay import command as replay
+from rigctl.report import command as report
 
 app = typer.Typer(
     name="rigctl",
@@ -27,9 +30,14 @@ for command in (daemon.run, daemon.demo, daemon.check):
 app.command()(design.tune)
 app.command()(status.status)
 app.command()(watch.watch)
+app.command()(page.page)
 app.command()(lease.lease)
 app.command()(doctor.doctor)
 app.command()(audit.audit)
+app.command()(replay.replay)
+app.command()(report.report)
+for of_recording in (recordings.info, recordings.export):
+    app.command()(of_recording)
 for verb in (verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset):
     app.command()(verb)
 for trial in (commission.tare, commission.calibrate, commission.identify, commission.gains):

@@ -14,12 +14,15 @@ from pydantic import Field, ValidationError, model_validator
 from rigctl import strict_yaml
 from rigctl.config_base import Settings, require
 from rigctl.config_limits import LimitSettings
+from rigctl.config_page import PageSettings
+from rigctl.config_recording import RecordingSettings
 from rigctl.config_simulation import SimulationSettings
 from rigctl.config_wording import Wording
 from rigctl.devices.objects import SIMULATOR_NODE
 from rigctl.devices.plain import PlainMessage
 
 _ADDED = frozenset({"directory", "plain"})  # settings that ``load`` adds to what is in the file
+_ENDPOINT = r"^(tcp|unixsock-stream)/\S+$"
 NodeId = Annotated[int, Field(ge=1, le=127, description="CANopen node id")]
 
 
@@ -295,7 +298,10 @@ class PreflightSettings(Settings):
 class TelemetrySettings(Settings):
     """Zenoh, in the gateway process."""
 
-    listen: str = Field(default="tcp/127.0.0.1:7447", pattern=r"^(tcp|unixsock-stream)/\S+$", description="endpoint")
+    listen: str = Field(default="tcp/127.0.0.1:7447", pattern=_ENDPOINT, description="endpoint")
+    join: list[Annotated[str, Field(pattern=_ENDPOINT)]] = Field(
+        default_factory=list, max_length=8, description="other routers to be one network with: rigs side by side"
+    )
     rate_hz: int = Field(default=50, ge=1, le=100, description="state messages and fast blocks per second")
     history_s: int = Field(default=16, ge=16, le=120, description="records the ring holds")
     lease_s: int = Field(default=300, ge=15, le=28_800, description="after a command others are kept out so long")
@@ -350,6 +356,8 @@ class RigSettings(Settings):
     preflight: PreflightSettings = Field(default_factory=PreflightSettings)
     telemetry: TelemetrySettings = Field(default_factory=TelemetrySettings)
     audit: AuditSettings = Field(default_factory=AuditSettings)
+    recording: RecordingSettings = Field(default_factory=RecordingSettings)
+    page: PageSettings | None = None
     demo: DemoSettings | None = None
     simulation: SimulationSettings | None = None
     directory: str = ""

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rigctl.config import RigSettings
 
 DEMO_FILE = pathlib.Path("config/paper_rig.yaml")
+DEMO_RECORDINGS = pathlib.Path("recordings")
 File = Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.")]
 
 
@@ -59,6 +60,24 @@ def _check_audit_log(settings: RigSettings) -> None:
         end(USAGE, str(error))
 
 
+def _with_page(settings: RigSettings, page: bool, listen: str | None) -> RigSettings:
+    """The settings with a page where an option asks for one."""
+    if listen is not None:
+        from rigctl.config_page import PageSettings
+        from rigctl.page.address import Address, AddressError
+
+        try:
+            Address.parse(listen)
+        except AddressError as error:
+            end(USAGE, f"--page-listen: {error}")
+        return settings.model_copy(update={"page": PageSettings(listen=listen)})
+    if page and settings.page is None:
+        from rigctl.config_page import PageSettings
+
+        return settings.model_copy(update={"page": PageSettings()})
+    return settings
+
+
 def check(file: File, json: Json = False) -> None:
     """Validate a rig file; show the resolved rig and the worst-case load of its bus."""
     settings = _load(file)
@@ -74,10 +93,16 @@ def check(file: File, json: Json = False) -> None:
         end(BAD, f"{file}: {checking.verdict(settings)}")
 
 
-def run(file: File) -> None:
+def run(
+    file: File,
+    page: Annotated[bool, typer.Option("--page", help="Serve the live page too, read-only.")] = False,
+    page_listen: Annotated[
+        str | None, typer.Option("--page-listen", metavar="HOST:PORT", help="The same, there [127.0.0.1:8080].")
+    ] = None,
+) -> None:
     """Run the daemon until SIGTERM or Ctrl-C; it ends with the stroke held."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    settings = _load(file)
+    settings = _with_page(_load(file), page, page_listen)
     from rigctl.check import accepted, verdict
     from rigctl.supervisor import CannotRunError, Supervisor
 
@@ -98,6 +123,9 @@ def demo(
     file: File = DEMO_FILE,
     json: Annotated[pathlib.Path | None, typer.Option(metavar="FILE", help="Write the figures here.")] = None,
     lockstep: Annotated[bool, typer.Option("--lockstep", help="Play in simulated time.")] = False,
+    recordings: Annotated[
+        pathlib.Path, typer.Option(metavar="FOLDER", help="Leave the recording here.")
+    ] = DEMO_RECORDINGS,
 ) -> None:
     """Play the paper's move on the simulated rig and judge it by the rig file's own limits."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -117,7 +145,7 @@ def demo(
     check_output("--json", json)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended in order, as by Ctrl-C
     try:
-        summary = play(settings, settings.demo, Console(), lockstep=lockstep)
+        summary = play(settings, settings.demo, Console(), recordings.resolve(), lockstep=lockstep)
     except DemoError as error:
         end(BAD, f"demo: {error}")
     except KeyboardInterrupt:

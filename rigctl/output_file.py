@@ -47,6 +47,27 @@ def write(file: pathlib.Path, text: str) -> None:
         file.write_text(text, encoding="utf-8")
 
 
+def replace(file: pathlib.Path, text: str) -> None:
+    """Write a text at once or not at all: who reads meanwhile finds the old one, whole.
+
+    Raises:
+        OutputError: it cannot be written; what was there stays.
+    """
+    with writing(file):
+        place = file.resolve()  # of a link the file it names, not the link
+        if place.exists() and not place.is_file():
+            file.write_text(text, encoding="utf-8")  # a pipe, a device
+            return
+        part = place.with_name(f".{place.name}.{os.getpid()}.part")
+        try:
+            part.write_text(text, encoding="utf-8")
+            if place.exists():
+                part.chmod(place.stat().st_mode & 0o777)
+            part.replace(place)
+        finally:
+            part.unlink(missing_ok=True)
+
+
 @contextlib.contextmanager
 def writing(file: pathlib.Path) -> Iterator[None]:
     """A block that writes ``file``.

@@ -52,6 +52,8 @@ PROCESSES = {
     "gateway": "rigctl.telemetry.gateway",
 }
 """Module of each process that is kept alive, in the order in which they are started."""
+PAGE = {"page": "rigctl.page"}  # where the rig file or an option asks for one
+_NOT_NEEDED = frozenset({"recorder", "page"})  # the daemon starts without them
 
 
 @dataclass
@@ -75,6 +77,7 @@ class Supervisor:
         self._runtime = Runtime.of(settings.rig)
         self._stopping = False
         self._feed_at_ns = 0
+        self._modules = PROCESSES | (PAGE if settings.page is not None else {})
         self._children: dict[str, Child] = {}
         self._active: dict[str, Any] = {}
 
@@ -123,14 +126,14 @@ class Supervisor:
         self._runtime.write_json(ACTIVE, self._active)
         self._note(Doing.DAEMON_STARTED, reason=f"rigctl {__version__}")
         self._say_calibration()
-        for name in PROCESSES:
+        for name in self._modules:
             self._spawn(name)
         self._design()
         self._send_gains()
         until = time.monotonic() + START_LIMIT_S
         while records.head == 0 and not self._stopping:
             for child in self._children.values():
-                if child.process.poll() is not None and child.name != "recorder":
+                if child.process.poll() is not None and child.name not in _NOT_NEEDED:
                     raise CannotRunError(f"{settings.rig}: {child.name} could not start (see above)")
             if time.monotonic() > until:
                 raise CannotRunError(f"{settings.rig}: the loop did not start within {START_LIMIT_S:.0f} s")
@@ -192,7 +195,7 @@ class Supervisor:
         return standing
 
     def _spawn(self, name: str) -> None:
-        command = [sys.executable, "-m", PROCESSES[name], str(self._runtime.directory)]
+        command = [sys.executable, "-m", self._modules[name], str(self._runtime.directory)]
         stdin = subprocess.PIPE if name == "control" else subprocess.DEVNULL
         process = subprocess.Popen(command, stdin=stdin, start_new_session=True)
         failures = self._children[name].failures if name in self._children else 0

@@ -12,10 +12,10 @@ from rich.console import Console
 from hil.compare import plots, study, tables
 from hil.compare.rivals import CONTROLLERS, OURS
 from hil.compare.scenarios import scenarios
-from hil.progress import progress
 from hil.scenario.command import check_folder, check_outputs, simulated_rig
 from hil.scenario.errors import ScenarioError
 from rigctl import output_file
+from rigctl.progress import progress
 
 WIDTH = 100
 

@@ -11,11 +11,11 @@ from hil.faults import gateway, kills, output, processes, study
 from hil.faults.catalogue import CATALOGUE
 from hil.faults.expected import Fault
 from hil.faults.judge import Row
-from hil.progress import progress
 from hil.scenario.command import check_outputs, simulated_rig
 from hil.scenario.errors import ScenarioError
 from rigctl import output_file
 from rigctl.control.modes import Mode
+from rigctl.progress import progress
 
 NAMES = (*(fault.id for fault in CATALOGUE), *(fault.id for fault in processes.CATALOGUE))
 

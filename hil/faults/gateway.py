@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.faults.live import GATEWAY, Live, LiveError, give, live
-from hil.progress import Advance
 from hil.scenario.errors import ScenarioError
+from rigctl.client.connection import Client
+from rigctl.client.fast import FastReader
 from rigctl.config import RigSettings
 from rigctl.control.modes import Mode
-from rigctl.telemetry.client import Client
-from rigctl.telemetry.fast import FastReader
+from rigctl.progress import Advance
 from rigctl.telemetry.ring import RingReader
 
 QUIET_S = 15.0

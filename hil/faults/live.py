@@ -23,12 +23,12 @@ import yaml
 
 from hil.faults import wall_clock
 from hil.truth import TRUTH_DTYPE
+from rigctl.client.connection import Client, NoDaemonError
 from rigctl.config import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Fault
 from rigctl.devices import objects
 from rigctl.devices.objects import AiStatus
-from rigctl.telemetry.client import Client, NoDaemonError
 from rigctl.telemetry.ring import RingReader
 from rigctl.telemetry.runtime import Runtime
 

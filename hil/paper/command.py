@@ -9,9 +9,9 @@ import sys
 from rich.console import Console
 
 from hil.paper import claims, plots, study, tables
-from hil.progress import progress
 from hil.scenario.command import check_folder, check_outputs, simulated_rig
 from rigctl import output_file
+from rigctl.progress import progress
 
 
 def run(rig_file: pathlib.Path, json: pathlib.Path | None, folder: pathlib.Path | None) -> int:

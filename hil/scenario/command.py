@@ -8,7 +8,6 @@ import sys
 
 from rich.console import Console
 
-from hil.progress import progress
 from hil.scenario import output
 from hil.scenario.case import Case, load
 from hil.scenario.errors import ScenarioError
@@ -16,6 +15,7 @@ from hil.scenario.play import Played, play
 from hil.scenario.plot import SUFFIXES, plot
 from rigctl import config, output_file
 from rigctl.config import RigSettings
+from rigctl.progress import progress
 
 STANDARD_OUTPUT = pathlib.Path("-")
 

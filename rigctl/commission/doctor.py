@@ -97,7 +97,7 @@ def _ask(
     settings: RigSettings | None, connect: str | None, rig: str | None
 ) -> tuple[dict[str, Any] | None, dict[str, Any] | None, str]:
     """State and resolved configuration of the daemon, or why there are none."""
-    from rigctl.telemetry.client import ChoiceError, Client, NoDaemonError
+    from rigctl.client.connection import ChoiceError, Client, NoDaemonError
 
     if settings is not None:
         connect, rig = connect or settings.telemetry.listen, rig or settings.rig

@@ -145,6 +145,7 @@ def run(directory: str) -> int:
         "control.json",
         {
             "pid": os.getpid(),
+            "host_checks": int(Check.HOST),  # those the loop began with: for a replay
             "realtime": [asdict(setting) for setting in applied],
             "warnings": [f"{setting.name}: {setting.warning}" for setting in applied if not setting.ok],
             **report.as_json(),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pathlib
+
 from rich.console import Console
 from rich.table import Table
 
@@ -11,12 +13,16 @@ from rigctl.demo.script import Moment
 from rigctl.demo.summary import Summary, rows
 
 
-def run(settings: RigSettings, demo: DemoSettings, console: Console, *, lockstep: bool) -> Summary:
-    """Play the demo and print it.
+def run(
+    settings: RigSettings, demo: DemoSettings, console: Console, recordings: pathlib.Path, *, lockstep: bool
+) -> Summary:
+    """Play the demo and print it. ``recordings``: the folder its recording is left in.
 
     Raises:
         DemoError: it could not be played to its end.
     """
+    kept = settings.recording.model_copy(update={"folder": str(recordings)})
+    settings = settings.model_copy(update={"recording": kept})
     how = "simulated time" if lockstep else "real time"
     console.print(
         f"[bold]{settings.rig}[/]: arm, tension to {settings.tension.target_n:g} N, {demo.angle_deg:g} deg out and "
@@ -52,4 +58,6 @@ def _print_summary(summary: Summary, demo: DemoSettings, console: Console) -> No
         mark = "" if met is None else "[green]met[/]" if met else "[bold red]NOT MET[/]"
         table.add_row(name, measured, limit, mark)
     console.print(table, highlight=False)
+    if summary.recording is not None:
+        console.print(f"recording: {summary.recording}", highlight=False, markup=False, soft_wrap=True)
     console.print("[bold green]passed[/]" if summary.passed else "[bold red]FAILED[/]")

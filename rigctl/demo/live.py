@@ -21,14 +21,15 @@ import numpy.typing as npt
 import yaml
 
 from hil import truth as truth_log
+from rigctl.client.connection import Client, NoDaemonError
 from rigctl.config import DemoSettings, RigSettings
 from rigctl.control.modes import Mode, Verb
 from rigctl.demo.script import DemoError, Moment, Show, play
 from rigctl.demo.summary import Summary, Telemetry, summarise
 from rigctl.devices import objects as od
-from rigctl.telemetry.client import Client, NoDaemonError
+from rigctl.recorder import parts
 from rigctl.telemetry.ring import RingReader
-from rigctl.telemetry.runtime import Runtime
+from rigctl.telemetry.runtime import RECORDED, Runtime
 
 ARM_NS, ARM_AGAIN_S = 3_000_000_000, 0.1
 OPERATOR = "demo"
@@ -218,11 +219,20 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
                 play(stage, demo, show)
                 telemetry = _count(counter)
                 stage.pass_time(0.0)
+                recording = _recording(settings)
         except can.CanError as error:
             raise DemoError(f"the simulated rig has gone: {error}") from None
         _end(daemon)
         _end(rig)  # closes the truth log
-        return summarise(np.concatenate(stage.records), truth_log.read(truth_file), telemetry, demo)
+        return summarise(np.concatenate(stage.records), truth_log.read(truth_file), telemetry, demo, recording)
+
+
+def _recording(settings: RigSettings) -> pathlib.Path | None:
+    """First part of the daemon's recording."""
+    told = Runtime.of(settings.rig).read_json(RECORDED).get("recording")
+    if not told or not told.get("file"):
+        return None
+    return parts.of_same_run(pathlib.Path(told["folder"]) / told["file"])[0]
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

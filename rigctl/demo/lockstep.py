@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import pathlib
+import time
 from typing import Any
 
 import numpy as np
@@ -10,19 +12,23 @@ import numpy.typing as npt
 
 from hil.lockstep import START_NS, Lockstep, lockstep
 from hil.truth import TRUTH_DTYPE
+from rigctl import __version__
 from rigctl.config import DemoSettings, RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.demo.script import DemoError, Moment, Show, play
 from rigctl.demo.summary import Summary, summarise
 from rigctl.design.gain_file import design_in_use
 from rigctl.design.gains import DesignError
+from rigctl.recorder.continuous import Continuous
+from rigctl.telemetry.runtime import ACTIVE
 
 
 class LockstepStage:
     """`Stage` on a `Lockstep`; keeps every record and the plant's truth at every tick."""
 
-    def __init__(self, rig: Lockstep) -> None:
-        self._rig = rig
+    def __init__(self, rig: Lockstep, recording: Continuous | None = None) -> None:
+        self._rig, self._recording = rig, recording
+        self._wall_offset_ns = time.time_ns() - rig.clock.now()
         self.records: list[npt.NDArray[Any]] = []
         self._truth: list[Any] = []
 
@@ -65,6 +71,24 @@ class LockstepStage:
             self._rig.loop.tick()
             self._truth.append(tuple(self._rig.rig.truth))
         self.records.append(self._rig.read_records())
+        if self._recording is not None:
+            now_ns = self._rig.clock.now()
+            self._recording.poll(now_ns, now_ns + self._wall_offset_ns)
+
+    def end_recording(self) -> pathlib.Path | None:
+        """Its file; None: it is not recorded.
+
+        Raises:
+            DemoError: it could not be written.
+        """
+        if (recording := self._recording) is None:
+            return None
+        now_ns = self._rig.clock.now()
+        file: str | None = recording.as_dict()["file"]
+        recording.close(now_ns, now_ns + self._wall_offset_ns)
+        if recording.why or file is None:
+            raise DemoError(recording.why)
+        return recording.folder / file
 
 
 def play_lockstep(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
@@ -80,7 +104,21 @@ def play_lockstep(settings: RigSettings, demo: DemoSettings, show: Show) -> Summ
     if not design.accepted:
         raise DemoError(design.verdict())
     with lockstep(settings, design.gains) as rig:
-        stage = LockstepStage(rig)
+        stage = LockstepStage(rig, _recorded(rig, design.as_dict()) if settings.recording.enabled else None)
         stage.pass_time(0.2)
         play(stage, demo, show)
-        return summarise(np.concatenate(stage.records), stage.truth, None, demo)
+        return summarise(np.concatenate(stage.records), stage.truth, None, demo, stage.end_recording())
+
+
+def _recorded(rig: Lockstep, design: dict[str, Any]) -> Continuous:
+    """A recording of the rig, as the recorder process of a daemon would make it."""
+    wall_ns = time.time_ns()
+    active = {
+        "settings": rig.settings.model_dump(mode="json"),
+        "version": __version__,
+        "started_wall_ns": wall_ns,
+        "design": design,
+    }
+    rig.runtime.write_json(ACTIVE, active)
+    rig.runtime.write_json("control.json", {**rig.report.as_json(), "host_checks": 0})
+    return Continuous(rig.runtime, rig.settings, wall_ns, wall_ns)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pathlib
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -54,6 +55,7 @@ class Summary:
     telemetry: Telemetry | None  # None in lockstep: there is no subscriber
     duration_s: float
     tripped: bool
+    recording: str | None  # first part of it; None: nothing was recorded
     passed: bool
 
     def as_dict(self) -> dict[str, Any]:
@@ -62,7 +64,9 @@ class Summary:
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
 
 
-def summarise(records: Array, truth: Array, telemetry: Telemetry | None, demo: DemoSettings) -> Summary:
+def summarise(
+    records: Array, truth: Array, telemetry: Telemetry | None, demo: DemoSettings, recording: pathlib.Path | None
+) -> Summary:
     """Figures of the records of the whole demo, and of the truth over the same time.
 
     Args:
@@ -70,6 +74,7 @@ def summarise(records: Array, truth: Array, telemetry: Telemetry | None, demo: D
         truth: a structured array with ``t_ns`` and ``vertical_n`` from the plant.
         telemetry: what the subscriber counted; None in simulated time, where neither it nor lateness exists.
         demo: the limits.
+        recording: what was kept of it.
     """
     spans = metrics.compensating_windows(records, demo.settle_s)
     target_n = float(records["target_n"][-1])
@@ -96,6 +101,7 @@ def summarise(records: Array, truth: Array, telemetry: Telemetry | None, demo: D
         telemetry=telemetry,
         duration_s=round(float(records["t_ns"][-1] - records["t_ns"][0]) * 1e-9, 1),
         tripped=tripped,
+        recording=str(recording) if recording is not None else None,
         passed=passed,
     )
 

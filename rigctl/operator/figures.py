@@ -13,6 +13,7 @@ MODE_STYLE = {
     "FAULT": "bold white on red",
 }
 NOTHING = "-"
+BAND_PCT = 5.0  # the requirement: vertical tension within so much of its target
 
 
 def number(value: Any, digits: int, unit: str = "", *, sign: bool = False) -> str:
@@ -94,6 +95,38 @@ def flaws(state: dict[str, Any]) -> str:
     """Signals that are not good beside the inclination, which says so itself; empty when all are."""
     quality = {name: words for name, words in state["quality"].items() if name != "inclination"}
     return ", ".join(f"{name} {words}" for name, words in quality.items() if words != "good")
+
+
+def flags(state: dict[str, Any]) -> str:
+    """Flags of the newest tick that an operator should know; empty where there is none."""
+    return ", ".join(name.replace("_", " ") for name in state.get("flag_names", []) if name != "drive_enabled")
+
+
+def checks(state: dict[str, Any]) -> list[tuple[str, str]]:
+    """What stands against arming, and what would but for a waiver, each in words with a style; while DISARMED."""
+    found = state.get("preflight") or {}
+    if state.get("mode") != "DISARMED":
+        return []
+    failing = [(words, "yellow") for words in found.get("failing", {}).values()]
+    return failing + [(f"waived {name.lower()}: {words}", "") for name, words in found.get("waived", {}).items()]
+
+
+def recorder(state: dict[str, Any]) -> tuple[str, str]:
+    """What is kept, and where, with a style."""
+    audit = state.get("audit")
+    if not audit:
+        return "nothing is recorded", "yellow"
+    parts, failures = [f"audit log {audit.get('entries', 0)} entries"], int(audit.get("failures") or 0)
+    if recording := state.get("recording"):
+        parts.append(f"recording {recording.get('file') or 'not yet begun'}")
+        if lost := recording.get("records_lost"):
+            parts.append(f"{lost} records lost")
+            failures += 1
+    if audit.get("failures"):
+        parts.append(f"{audit['failures']} writes failed")
+    if dump := state.get("trip_dump"):
+        parts.append(f"trip dump {dump}")
+    return ", ".join(parts), "yellow" if failures else ""
 
 
 def counters(state: dict[str, Any]) -> str:

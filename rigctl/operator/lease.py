@@ -26,7 +26,7 @@ from rigctl.operator.options import (
 from rigctl.telemetry.lease import Denial
 
 if TYPE_CHECKING:
-    from rigctl.telemetry.client import Client
+    from rigctl.client.connection import Client
 
 
 class Act(Enum):

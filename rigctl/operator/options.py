@@ -15,7 +15,7 @@ import typer
 from rigctl import output_file
 
 if TYPE_CHECKING:
-    from rigctl.telemetry.client import Client
+    from rigctl.client.connection import Client
 
 DONE, BAD, USAGE = 0, 1, 2
 
@@ -84,7 +84,7 @@ def check_output(option: str, file: pathlib.Path | None) -> None:
 @contextlib.contextmanager
 def daemon(connect: str | None, rig: str | None) -> Iterator[Client]:
     """A client; without a daemon, or with a wrong choice of one, the command ends in one line."""
-    from rigctl.telemetry.client import ChoiceError, Client, NoDaemonError
+    from rigctl.client.connection import ChoiceError, Client, NoDaemonError
 
     try:
         with Client(connect, rig) as client:

@@ -14,9 +14,8 @@ from rigctl.operator import figures
 if TYPE_CHECKING:
     from rigctl.operator.watch import View
 
-BAND_PCT = 5.0
 SPAN_PCT = 10.0  # the bar shows the target and so much either side
-_LABEL = 12
+_LABEL = 14
 _SEVERITY = {"error": "bold red", "warning": "yellow", "info": ""}
 
 
@@ -49,7 +48,7 @@ def tension_bar(state: dict[str, Any], width: int) -> list[Text]:
     """Vertical tension against the target and its band."""
     value, target = state["vertical_n"], state["target_n"] or 0.0
     low, high = target * (1 - SPAN_PCT / 100), target * (1 + SPAN_PCT / 100)
-    band = (target * (1 - BAND_PCT / 100), target * (1 + BAND_PCT / 100))
+    band = (target * (1 - figures.BAND_PCT / 100), target * (1 + figures.BAND_PCT / 100))
     inside = value is not None and band[0] <= value <= band[1]
     active = state["mode"] in ("TENSIONING", "COMPENSATING")
     colour = "green" if inside else "red" if state["mode"] == "COMPENSATING" else "yellow" if active else "dim"
@@ -126,6 +125,11 @@ class Screen:
             _row("work", figures.percentiles(state["work_us"])),
             _row("skipped", skipped, "bold yellow" if state["skipped"] else ""),
             _row("bus", figures.counters(state)),
+            *([_row("flags", flags, "yellow")] if (flags := figures.flags(state)) else []),
+            *([_row("limits", "; ".join(passed), "yellow")] if (passed := self._view.limits.now) else []),
+            *(_row("before arming", words, style) for words, style in figures.checks(state)),
+            _row("calibration", *figures.calibration(state)),
+            _row("recorder", *figures.recorder(state)),
             _row("lease", figures.lease(state)),
         ]
 

@@ -13,7 +13,8 @@ from rigctl.operator.options import BAD, DONE, Connect, Json, Operator, Rig, Wai
 from rigctl.operator.options import say_json as put_json
 
 if TYPE_CHECKING:
-    from rigctl.telemetry.client import Client, Feed
+    from rigctl.client.connection import Client
+    from rigctl.client.messages import Feed
 
 SILENCE_S = 5.0
 

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 from rigctl import standard_output
 from rigctl.operator import figures
 from rigctl.operator.options import DONE, Connect, Json, Rig, daemon, end, say, say_json
+from rigctl.operator.passed_limits import PassedLimits
 
 if TYPE_CHECKING:
-    from rigctl.telemetry.client import Client
+    from rigctl.client.connection import Client
 
 REFRESH_S = 0.1
 SILENT_S = 1.0
@@ -29,6 +30,7 @@ class View:
     state: dict[str, Any] | None = None
     settings: dict[str, Any] = field(default_factory=dict)
     events: list[dict[str, Any]] = field(default_factory=list)
+    limits: PassedLimits = field(default_factory=PassedLimits)
     heard: float = field(default_factory=time.monotonic)
 
     @property
@@ -60,15 +62,20 @@ class Follower:
         while (event := self._events.take()) is not None:
             if all(event["t_ns"] != known["t_ns"] or event["seq"] != known["seq"] for known in self.view.events):
                 self.view.events.append(event)
+                self.view.limits.note(event)
         del self.view.events[:-_EVENTS_HELD]
         return states
 
     def _catch_up(self, gateway: int) -> None:
-        from rigctl.telemetry.client import NoDaemonError
+        from rigctl.client.connection import NoDaemonError
 
         with contextlib.suppress(NoDaemonError):
             self.view.settings = self._client.active().get("settings", {})
-            self.view.events = self._client.past_events()[-_EVENTS_HELD:]
+            past = self._client.past_events()
+            self.view.events = past[-_EVENTS_HELD:]
+            self.view.limits.clear()
+            for event in past:
+                self.view.limits.note(event)
             self._gateway = gateway
 
 

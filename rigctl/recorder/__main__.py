@@ -2,10 +2,10 @@
 
 import signal
 import sys
-import threading
 
-stop = threading.Event()
-signal.signal(signal.SIGTERM, lambda _number, _frame: stop.set())  # before the imports: a daemon may end within them
+from rigctl.termination import Termination
+
+stop = Termination(signal.SIGTERM)  # before the other imports: a daemon may end within them
 
 from rigctl.recorder.process import main  # noqa: E402
 

@@ -114,8 +114,10 @@ class AuditLog:
             os.close(self._fd)
             self._fd = -1
 
-    def append(self, items: Sequence[Item], read: Sequence[dict[str, int]]) -> None:
+    def append(self, items: Sequence[Item], read: Sequence[dict[str, int]]) -> list[bytes]:
         """Write entries and wait until they are on the disk; all or none. ``read``: for each, what stands in it.
+
+        Returns their lines.
 
         Raises:
             AuditError: see `open`.
@@ -148,6 +150,7 @@ class AuditLog:
             self._found.clear()
             with contextlib.suppress(OSError):
                 self._torn.unlink(missing_ok=True)
+        return lines
 
     def _in_place(self) -> bool:
         """The file is still there, and ends where we left it."""

@@ -6,7 +6,8 @@ those of the wall clock; CLOCK_MONOTONIC stands in every message as ``t_ns``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import IO, Any, NamedTuple
 
 import msgspec
@@ -20,6 +21,8 @@ from rigctl.recorder.protobuf import Encoding
 from rigctl.telemetry.record import FRAME, RECORD
 
 CHUNK_BYTES = 1 << 18
+DUMPED = MappingProxyType({"records": Encoding(RECORD), "frames": Encoding(FRAME)})
+_LATEST_NS = 2**63 - 1
 SAID_SCHEMA = {
     "title": "rigctl.Said",
     "type": "object",
@@ -46,12 +49,12 @@ class Message(NamedTuple):
 class McapFile:
     """An MCAP file being written: channels for records, frames, and what was said."""
 
-    def __init__(self, stream: IO[bytes], wall_offset_ns: int) -> None:
-        """``wall_offset_ns``: wall clock less CLOCK_MONOTONIC, one for the whole file."""
+    def __init__(self, stream: IO[bytes], wall_offset_ns: int, slots: Mapping[str, Encoding] = DUMPED) -> None:
+        """``wall_offset_ns``: wall clock less CLOCK_MONOTONIC, one for the whole file; ``slots``: by their topic."""
         self._offset_ns = wall_offset_ns
         self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library=f"rigctl {__version__}")
-        self._slots = {"records": Encoding(RECORD), "frames": Encoding(FRAME)}
+        self._slots = slots
         self._channels = {
             topic: self._channel(topic, "protobuf", encoding.name, "protobuf", encoding.descriptor())
             for topic, encoding in self._slots.items()
@@ -62,6 +65,11 @@ class McapFile:
     def _channel(self, topic: str, message: str, name: str, encoding: str, schema: bytes) -> int:
         schema_id = self._writer.register_schema(name, encoding, schema)
         return self._writer.register_channel(f"/{topic}", message, schema_id)
+
+    def channel(self, topic: str, message: str, name: str, encoding: str, schema: bytes) -> int:
+        """A channel of its own; its number."""
+        self._channels[topic] = self._channel(topic, message, name, encoding, schema)
+        return self._channels[topic]
 
     def slots(self, topic: str, slots: npt.NDArray[np.void]) -> list[Message]:
         """``records`` or ``frames`` as messages."""
@@ -87,18 +95,33 @@ class McapFile:
 
     def write(self, messages: Sequence[Message]) -> None:
         """Write messages in the order of time."""
-        add = self._writer.add_message
-        for wall_ns, channel, seq, data in sorted(messages, key=lambda message: message.wall_ns):
-            add(channel, wall_ns, data, wall_ns, seq & 0xFFFFFFFF)
+        self.add(sorted(messages, key=lambda message: message.wall_ns))
 
-    def attach(self, name: str, data: bytes, wall_ns: int) -> None:
-        """Put a JSON document in."""
-        self._writer.add_attachment(wall_ns, wall_ns, name, "application/json", data)
+    def add(self, messages: Iterable[Message]) -> None:
+        """Write messages as they come."""
+        add = self._writer.add_message
+        for wall_ns, channel, seq, data in messages:
+            time_ns = _storable(wall_ns)
+            add(channel, time_ns, data, time_ns, seq & 0xFFFFFFFF)
+
+    def attach(self, name: str, data: bytes, wall_ns: int, written_ns: int | None = None) -> None:
+        """Put a JSON document in; ``written_ns``: when it was written, on the wall clock, if not at ``wall_ns``."""
+        created_ns = wall_ns if written_ns is None else written_ns
+        self._writer.add_attachment(_storable(created_ns), _storable(wall_ns), name, "application/json", data)
 
     def describe(self, name: str, values: dict[str, Any]) -> None:
         """Put a table of words in."""
         self._writer.add_metadata(name, {key: str(value) for key, value in values.items()})
 
+    def flush(self) -> None:
+        """Close the chunk: what was written so far is in the stream, and can be read."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+
     def finish(self) -> None:
         """Write the index; the stream is the caller's to close."""
         self._writer.finish()  # type: ignore[no-untyped-call]
+
+
+def _storable(wall_ns: int) -> int:
+    """A time of a clock that was never set may lie before 1970, which the format cannot say."""
+    return min(max(wall_ns, 0), _LATEST_NS)

@@ -1,4 +1,4 @@
-"""The recorder: ``python -m rigctl.recorder RUNTIME_DIR``. Keeps the audit log and the trip dumps of a running daemon.
+"""The recorder: ``python -m rigctl.recorder RUNTIME_DIR``. Keeps audit log, trip dumps and recording of a daemon.
 
 It reads the rings and writes files, and nobody waits for it: it may be killed at any time, and the next one goes on
 where the log ends. What cannot be written is told, counted, and tried again while the rings still hold it.
@@ -11,7 +11,6 @@ import os
 import pathlib
 import signal
 import sys
-import threading
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,16 +23,19 @@ from rigctl.commission import ledger
 from rigctl.config import RigSettings
 from rigctl.control.realtime import die_with_parent
 from rigctl.recorder.audit_log import AuditError, AuditLog, Item
+from rigctl.recorder.continuous import Continuous
 from rigctl.recorder.sources import Rings, sourced
 from rigctl.recorder.trips import Trips
 from rigctl.telemetry.ring import RingError
 from rigctl.telemetry.runtime import ACTIVE, RECORDED, Runtime
 from rigctl.telemetry.supervision import OVER, Doing
+from rigctl.termination import Termination
 
 POLL_S = 0.05
 RETRY_NS = 1_000_000_000
 TELL_NS = 1_000_000_000
 WAITING_MAX = 20_000  # entries kept for a disk that takes none; the rings go on holding what comes after
+NICE = 5  # behind whatever else runs on its processor; the rings wait for seconds
 FAREWELL_S = 6.0  # after SIGTERM, so long for the supervisor to say its last word
 _OVER = frozenset(doing.name.lower() for doing in OVER)
 
@@ -99,6 +101,8 @@ class Recorder:
         self._rings = Rings(runtime, read)
         self._trips = Trips(runtime, settings, read.get("dumped", 0))
         self._trips.sweep()
+        self._recording = Continuous(runtime, settings, self._run, wall_ns) if settings.recording.enabled else None
+        self._failures = 0  # of the recording, that have been told
         self._add(self._own(now_ns, wall_ns, "recorder_started", f"process {os.getpid()}", {"pid": os.getpid()}))
 
     def poll(self, now_ns: int, wall_ns: int, *, final: bool = False) -> None:
@@ -109,6 +113,7 @@ class Recorder:
             self.over = self.over or any(item.what in _OVER for item in items)
         self._write(now_ns, final=final)
         self._dump(now_ns, wall_ns, final=final)
+        self._record(now_ns, wall_ns)
         self._tell(now_ns)
 
     def close(self, now_ns: int, wall_ns: int) -> None:
@@ -116,8 +121,31 @@ class Recorder:
         self.poll(now_ns, wall_ns, final=True)
         self._add(self._own(now_ns, wall_ns, "recorder_stopped", f"process {os.getpid()}", {}))
         self._write(now_ns, final=True)
+        if self._recording is not None:
+            self._recording.close(now_ns, wall_ns)
+            if self._recording.why:
+                self.trouble.begins("recording", self._recording.why, now_ns)
         self._tell(now_ns, at_once=True)
         self.log.close()
+
+    def _record(self, now_ns: int, wall_ns: int) -> None:
+        """Go on with the recording; its trouble and the parts that were deleted go into the log."""
+        if (recording := self._recording) is None:
+            return
+        recording.poll(now_ns, wall_ns)
+        said = [
+            self._own(now_ns, wall_ns, "recording_deleted", name, {"file": name}) for name in recording.deleted
+        ]  # fmt: skip
+        recording.deleted.clear()
+        if recording.why and (
+            recording.failures > self._failures or self.trouble.now.get("recording") != recording.why
+        ):
+            self.trouble.begins("recording", recording.why, now_ns)
+        elif not recording.why and (gap := self.trouble.ends("recording", now_ns)) is not None:
+            said.append(self._own(now_ns, wall_ns, "written_again", "it could not be recorded before", gap))
+        self._failures = recording.failures
+        if said:
+            self._add(*said)
 
     def _own(self, now_ns: int, wall_ns: int, what: str, text: str, details: dict[str, Any]) -> Item:
         return Item(now_ns, wall_ns, what, text, details=details)
@@ -150,12 +178,14 @@ class Recorder:
             return
         items, states = zip(*self._waiting, strict=True)
         try:
-            self.log.append(items, states)
+            lines = self.log.append(items, states)
         except (OSError, AuditError) as error:
             why = f"{self.log.path} cannot be written: {error.strerror}" if isinstance(error, OSError) else str(error)
             self.trouble.begins("audit log", why, now_ns)
             return
         self._waiting.clear()
+        if self._recording is not None:
+            self._recording.audit(lines)
         if (gap := self.trouble.ends("audit log", now_ns)) is not None:
             self._add(self._own(now_ns, items[-1].wall_ns, "written_again", "the log could not be written before", gap))
 
@@ -200,6 +230,7 @@ class Recorder:
             "head": self.log.head,
             "trip_dump": self.trip_dump,
             "trips": str(self._trips.folder),
+            "recording": self._recording.as_dict() if self._recording is not None else None,
             "failures": self.trouble.count,
             "warnings": [f"recorder: {why}" for why in self.trouble.now.values()],
         }
@@ -220,25 +251,26 @@ def _settings(runtime: Runtime) -> RigSettings:
     return RigSettings.model_validate(runtime.read_json(ACTIVE).get("settings"))
 
 
-def _serve(recorder: Recorder, stop: threading.Event) -> None:
+def _serve(recorder: Recorder, stop: Termination) -> None:
     """Until told to stop, and then until the supervisor has said its last word, or is gone."""
     parent, until = os.getppid(), None
     while True:
         recorder.poll(time.monotonic_ns(), time.time_ns())
-        if until is None and stop.is_set():
+        if until is None and stop.requested:
             until = time.monotonic() + FAREWELL_S
         if until is not None and (recorder.over or os.getppid() != parent or time.monotonic() > until):
             return
         time.sleep(POLL_S)
 
 
-def main(arguments: Sequence[str], stop: threading.Event) -> int:
+def main(arguments: Sequence[str], stop: Termination) -> int:
     """Run the recorder of the runtime folder named until ``stop``; exit code."""
     if len(arguments) != 1:
         sys.stderr.write("usage: python -m rigctl.recorder RUNTIME_DIR\n")
         return 2
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
+    os.nice(NICE)
     runtime = Runtime(pathlib.Path(arguments[0]))
     try:
         recorder = Recorder(runtime, _settings(runtime), time.monotonic_ns(), time.time_ns())

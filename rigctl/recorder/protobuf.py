@@ -5,36 +5,43 @@ Any protobuf reader decodes them by the descriptor that goes into the file (enco
 
 from __future__ import annotations
 
+from collections.abc import Container
+
 import numpy as np
 import numpy.typing as npt
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 
 from rigctl.telemetry.record import FrameFlag, Slot
 
-_WIRE_64, _WIRE_BYTES, _WIRE_32 = 1, 2, 5
+WIRE_64, WIRE_BYTES, WIRE_32 = 1, 2, 5
 _P = FieldDescriptorProto
 _KINDS = {
-    "d": (_P.TYPE_DOUBLE, _WIRE_64, "<f8"),
-    "q": (_P.TYPE_SFIXED64, _WIRE_64, "<i8"),
-    "Q": (_P.TYPE_FIXED64, _WIRE_64, "<u8"),
-    "I": (_P.TYPE_FIXED32, _WIRE_32, "<u4"),
-    "H": (_P.TYPE_FIXED32, _WIRE_32, "<u4"),
-    "B": (_P.TYPE_FIXED32, _WIRE_32, "<u4"),
-    "8s": (_P.TYPE_BYTES, _WIRE_BYTES, "S8"),
+    "d": (_P.TYPE_DOUBLE, WIRE_64, "<f8"),
+    "f": (_P.TYPE_FLOAT, WIRE_32, "<f4"),
+    "q": (_P.TYPE_SFIXED64, WIRE_64, "<i8"),
+    "Q": (_P.TYPE_FIXED64, WIRE_64, "<u8"),
+    "I": (_P.TYPE_FIXED32, WIRE_32, "<u4"),
+    "H": (_P.TYPE_FIXED32, WIRE_32, "<u4"),
+    "B": (_P.TYPE_FIXED32, WIRE_32, "<u4"),
+    "8s": (_P.TYPE_BYTES, WIRE_BYTES, "S8"),
 }
 
 
 class Encoding:
     """How the slots of one table are encoded. Bytes, where a table has them, are its last field."""
 
-    def __init__(self, slot: Slot) -> None:
+    def __init__(self, slot: Slot, exact: Container[str] | None = None) -> None:
+        """``exact``: fields that keep their 64 bits where they are doubles, the others get 32; None: all keep them."""
         self.name = f"rigctl.{slot.name.capitalize()}"
-        self._fields = [("seq", "Q"), *((field.name, field.code) for field in slot.fields)]
+        codes = [("seq", "Q"), *((field.name, field.code) for field in slot.fields)]
+        self._fields = [
+            (name, "f" if code == "d" and exact is not None and name not in exact else code) for name, code in codes
+        ]
         self._slot = slot
         self._has_bytes = self._fields[-1][1] == "8s"
         layout: list[tuple[str, str]] = []
         for number, (name, code) in enumerate(self._fields, 1):
-            layout.append((f"tag_{name}", f"V{len(_tag(number, _KINDS[code][1]))}"))
+            layout.append((f"tag_{name}", f"V{len(tag(number, _KINDS[code][1]))}"))
             if code == "8s":
                 layout.append(("size", "u1"))
             layout.append((name, _KINDS[code][2]))
@@ -53,8 +60,9 @@ class Encoding:
         """One message for each slot."""
         made = np.zeros(len(slots), self._dtype)
         for number, (name, code) in enumerate(self._fields, 1):
-            made[f"tag_{name}"] = np.void(_tag(number, _KINDS[code][1]))
-            made[name] = slots[name]
+            made[f"tag_{name}"] = np.void(tag(number, _KINDS[code][1]))
+            with np.errstate(over="ignore"):  # beyond what 32 bits hold is infinite
+                made[name] = slots[name]
         width = self._dtype.itemsize
         ends = np.full(len(slots), width)
         if self._has_bytes:
@@ -64,6 +72,7 @@ class Encoding:
         return [raw[start : start + int(end)] for start, end in zip(range(0, len(raw), width), ends, strict=True)]
 
 
-def _tag(number: int, wire: int) -> bytes:
+def tag(number: int, wire: int) -> bytes:
+    """What stands before a field: its number and how it is laid out."""
     value = number << 3 | wire
     return bytes([value]) if value < 0x80 else bytes([value & 0x7F | 0x80, value >> 7])

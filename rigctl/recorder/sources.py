@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -122,8 +122,17 @@ class Rings:
         """``read``: number of the last slot of each that is in the log already."""
         self._readers = [(source, source.open(runtime)) for source in SOURCES]
         self._lost = dict.fromkeys((source.name for source in SOURCES), 0)
+        self.go_back(read)
+
+    @property
+    def position(self) -> dict[str, int]:
+        """Number of the last slot of each that was taken."""
+        return {source.name: reader.cursor for source, reader in self._readers}
+
+    def go_back(self, position: Mapping[str, int]) -> None:
+        """Take again what came after ``position``."""
         for source, reader in self._readers:
-            reader.cursor = min(read.get(source.name, 0), reader.head)
+            reader.cursor = min(position.get(source.name, 0), reader.head)
 
     def take(self, wall_offset_ns: int) -> list[Item]:
         """What is new, in the order of time; each ring in its own order."""

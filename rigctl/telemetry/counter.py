@@ -10,14 +10,14 @@ import argparse
 import dataclasses
 import signal
 import sys
-import threading
 import time
 from typing import Any
 
 import msgspec
 
-from rigctl.telemetry.client import ChoiceError, Client, NoDaemonError
-from rigctl.telemetry.fast import FastReader
+from rigctl.client.connection import ChoiceError, Client, NoDaemonError
+from rigctl.client.fast import FastReader
+from rigctl.termination import Termination
 
 _PERIOD_S = 0.02
 _LAST_S = 0.1  # blocks on their way when told to end
@@ -28,7 +28,7 @@ def _say(message: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def count(client: Client, stop: threading.Event, records: int | None) -> dict[str, Any]:
+def count(client: Client, stop: Termination, records: int | None) -> dict[str, Any]:
     """Count until ``stop`` or until ``records`` were received."""
     reader = FastReader(client)
     ready = False
@@ -38,9 +38,11 @@ def count(client: Client, stop: threading.Event, records: int | None) -> dict[st
             if not ready:
                 ready = True
                 _say({"ready": True, "first_seq": reader.count.first_seq})
-        if ends is None and (stop.is_set() or (records is not None and reader.count.received >= records)):
+        if ends is None and (stop.requested or (records is not None and reader.count.received >= records)):
             ends = time.monotonic() + _LAST_S
-        time.sleep(_PERIOD_S)
+        reader.wait(_PERIOD_S)
+    for _ in reader.finish():
+        pass
     return dataclasses.asdict(reader.count)
 
 
@@ -51,9 +53,7 @@ def main() -> int:
     parser.add_argument("--rig", help="name of the rig")
     parser.add_argument("--records", type=int, help="end after so many")
     options = parser.parse_args()
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda _number, _frame: stop.set())
+    stop = Termination(signal.SIGTERM, signal.SIGINT)
     try:
         with Client(options.connect, options.rig) as client:
             figures = count(client, stop, options.records)

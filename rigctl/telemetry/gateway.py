@@ -9,7 +9,6 @@ import contextlib
 import pathlib
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -25,6 +24,7 @@ from rigctl.config import RigSettings
 from rigctl.control.modes import Setting
 from rigctl.control.realtime import die_with_parent
 from rigctl.control.safety import HOST_CHECKS
+from rigctl.telemetry.active import Active, Written
 from rigctl.telemetry.commands import Desk, sight_of
 from rigctl.telemetry.cursor import Cursor
 from rigctl.telemetry.keys import Keys
@@ -36,17 +36,20 @@ from rigctl.telemetry.schema import schema
 from rigctl.telemetry.session import SessionError, close, finish, open_client, open_router
 from rigctl.telemetry.state import Recent, Trip, design_of, kept_of, preflight_of, state_of, warnings_of
 from rigctl.telemetry.streams import EventStream, FastStream, event_publishers, past_block, past_messages
+from rigctl.termination import Termination
 
 _JSON = zenoh.Encoding.APPLICATION_JSON
 _DROP = zenoh.CongestionControl.DROP
-_LOOK_NS = 500_000_000  # how often control.json is looked at
+_LOOK_NS = 500_000_000  # how often the files of the other processes are looked at
+_JOIN_S = 0.5  # for the routers joined to come in sight
 
 
 class StateView:
     """The state message of this instant."""
 
-    def __init__(self, runtime: Runtime, settings: RigSettings) -> None:
-        self._runtime, self._rig = runtime, settings.rig
+    def __init__(self, runtime: Runtime, settings: RigSettings, active: Active) -> None:
+        self._rig, self._active = settings.rig, active
+        self._recorder = Written(runtime, RECORDED)
         self._records, self._events = runtime.record_reader(), runtime.event_reader(from_start=True)
         self._records.cursor = max(0, self._records.head - settings.loop.rate_hz)
         self._recent, self._trip = Recent(), Trip()
@@ -58,17 +61,23 @@ class StateView:
         self.newest = b"{}"
 
     def make(
-        self, now_ns: int, samples_lost: int, standing: Standing, lease: dict[str, Any] | None, verdict: Verdict
+        self,
+        now_ns: int,
+        samples_lost: int,
+        standing: Standing,
+        lease: dict[str, Any] | None,
+        verdict: Verdict,
+        cursor: Cursor,
     ) -> bytes:
-        """Read what is new and encode it."""
+        """Read what is new and encode it; ``cursor``: how far events and notes are published."""
         self._recent.add(self._records.read())
         self._trip.note(self._events.read())
         if now_ns >= self._look_ns:
             self._look_ns = now_ns + _LOOK_NS
-            self._design, of_design = design_of(written(self._runtime, "active.json"))
-            kept = written(self._runtime, RECORDED)
-            self._kept, of_recorder = kept_of(kept, now_ns)
-            self._warnings = [*of_design, *warnings_of(written(self._runtime, "control.json")), *of_recorder]
+            self._design, of_design = design_of(self._active.written)
+            self._recorder.look()
+            self._kept, of_recorder = kept_of(self._recorder.value, now_ns)
+            self._warnings = [*of_design, *warnings_of(self._active.control), *of_recorder]
         record = self._records.latest()
         state = state_of(record, self._trip, self._recent, now_ns, time.time_ns())
         own = {
@@ -81,17 +90,12 @@ class StateView:
             **self._kept,
             "warnings": self._warnings,
             "gateway_wall_ns": self._started_wall_ns,
+            "stream": cursor.stream,
+            "event_seq": cursor.event_seq,
+            "note_seq": cursor.note_seq,
         }
         self.newest = msgspec.json.encode({**own, **state})
         return self.newest
-
-
-def written(runtime: Runtime, name: str) -> dict[str, Any]:
-    """What another process of the daemon wrote down; nothing while it is unreadable."""
-    try:
-        return runtime.read_json(name)
-    except (OSError, msgspec.MsgspecError):
-        return {}
 
 
 def _answering(answer: Callable[[zenoh.Query], tuple[str, bytes]]) -> Callable[[zenoh.Query], None]:
@@ -118,24 +122,26 @@ def _after(query: zenoh.Query, name: str = "after") -> int:
 
 
 def _declare_queryables(
-    session: zenoh.Session, keys: Keys, runtime: Runtime, settings: RigSettings, view: StateView, stream: int
+    session: zenoh.Session,
+    keys: Keys,
+    runtime: Runtime,
+    settings: RigSettings,
+    view: StateView,
+    active: Active,
+    stream: int,
 ) -> None:
     known = msgspec.json.encode(schema(settings.rig))
     records, events, notes = runtime.record_reader(), runtime.event_reader(), runtime.note_reader()
 
     def past_events(query: zenoh.Query) -> tuple[str, bytes]:
         offset = time.time_ns() - time.monotonic_ns()
-        found = past_messages(events, notes, _after(query), _after(query, "after_note"), offset)
+        found = past_messages(events, notes, _after(query), _after(query, "after_note"), offset, stream)
         return keys.events_past, msgspec.json.encode(found)
-
-    def active(_query: zenoh.Query) -> tuple[str, bytes]:
-        message = {**runtime.read_json("active.json"), "control": written(runtime, "control.json")}
-        return keys.active, msgspec.json.encode(message)
 
     for key, answer in (
         (keys.state, lambda _query: (keys.state, view.newest)),
         (keys.schema, lambda _query: (keys.schema, known)),
-        (keys.active, active),
+        (keys.active, lambda _query: (keys.active, active.look())),
         (keys.fast, lambda query: (keys.fast, past_block(records, _after(query), stream))),
         (keys.events_past, past_events),
     ):
@@ -153,7 +159,8 @@ class Gateway:
         """
         keys, now = Keys(settings.rig), time.monotonic_ns()
         socket = f"unixsock-stream/{runtime.gateway_socket}"
-        self._session = open_router([settings.telemetry.listen, socket])
+        self._session = open_router([settings.telemetry.listen, socket], settings.telemetry.join)
+        self._refuse_a_namesake(keys, settings)
         # Commands have a session of their own: nothing that happens to the data can hold one up.
         self._command_session = open_client(socket)
         self._period_ns = 1_000_000_000 // settings.telemetry.rate_hz
@@ -161,8 +168,10 @@ class Gateway:
 
         records = runtime.record_reader(from_start=True)
         self._cursor = Cursor(runtime.gateway_cursor, runtime.records, records.head)
-        self._view = StateView(runtime, settings)
+        self._active, self._active_sent = Active(runtime), b""
+        self._view = StateView(runtime, settings, self._active)
         self._state = self._session.declare_publisher(keys.state, encoding=_JSON, congestion_control=_DROP)
+        self._configuration = self._session.declare_publisher(keys.active, encoding=_JSON, congestion_control=_DROP)
         fast = self._session.declare_publisher(keys.fast, congestion_control=_DROP)
         self._fast = FastStream(fast, records, self._cursor, now)
         publishers = event_publishers(self._session, keys)
@@ -173,6 +182,7 @@ class Gateway:
         self._newest = newest = runtime.record_reader()
         self._clerk = clerk = Clerk(runtime, settings)
         self._preflight = Preflight(runtime, settings, lambda: clerk.standing)
+        self._look_ns = 0
         self._tell_ns = now  # not before is the loop told again what the host's checks say
         self._keeper = Keeper(runtime, settings.telemetry.lease_s, now)
         self._desk = Desk(
@@ -187,8 +197,8 @@ class Gateway:
             self._preflight,
         )
         verdict = self._preflight.verdict(now)
-        self._view.make(now, 0, self._clerk.standing, self._keeper.shown(now), verdict)
-        _declare_queryables(self._session, keys, runtime, settings, self._view, self._cursor.stream)
+        self._view.make(now, 0, self._clerk.standing, self._keeper.shown(now), verdict, self._cursor)
+        _declare_queryables(self._session, keys, runtime, settings, self._view, self._active, self._cursor.stream)
         self._desk.open(self._command_session)
         self._token = self._session.liveliness().declare_token(keys.daemon)
 
@@ -202,7 +212,27 @@ class Gateway:
         verdict = self._preflight.verdict(now)
         self._tell_checks(verdict, now)
         self._desk.look_at_lease(now)
-        self._state.put(self._view.make(now, self._fast.lost, self._clerk.standing, self._keeper.shown(now), verdict))
+        if now >= self._look_ns:
+            self._look_ns = now + _LOOK_NS
+            self._tell_active()
+        lease = self._keeper.shown(now)
+        self._state.put(self._view.make(now, self._fast.lost, self._clerk.standing, lease, verdict, self._cursor))
+
+    def _tell_active(self) -> None:
+        if (found := self._active.look()) is not self._active_sent:
+            self._active_sent = found
+            self._configuration.put(found)
+
+    def _refuse_a_namesake(self, keys: Keys, settings: RigSettings) -> None:
+        """Behind joined routers another rig may have this name; a command would reach both."""
+        joined = settings.telemetry.join
+        if not joined:
+            return
+        time.sleep(_JOIN_S)
+        found = self._session.liveliness().get(keys.daemon, timeout=_JOIN_S)
+        if any(reply.ok is not None for reply in found):
+            close(self._session)
+            raise SessionError(f"another daemon named {settings.rig} answers behind {', '.join(joined)}: rename one")
 
     def _tell_checks(self, verdict: Verdict, now_ns: int) -> None:
         """The loop's records say what it goes by; a loop that has just started goes by nothing."""
@@ -212,14 +242,14 @@ class Gateway:
         self._tell_ns = now_ns + _LOOK_NS
         self._desk.tell(Setting.HOST_CHECKS, float(verdict.host_checks))
 
-    def run(self, stop: threading.Event) -> None:
+    def run(self, stop: Termination) -> None:
         """Publish on an absolute grid until ``stop``; periods that were missed are left out."""
         due = time.monotonic_ns()
-        while not stop.is_set():
+        while not stop.requested:
             self.publish()
             now = time.monotonic_ns()
             due += self._period_ns * max(1, -((due - now) // self._period_ns))
-            stop.wait((due - time.monotonic_ns()) / 1e9)
+            time.sleep(max(0.0, (due - time.monotonic_ns()) / 1e9))
 
     def close(self) -> None:
         """Publish what is left and end the sessions."""
@@ -237,9 +267,8 @@ def main(arguments: list[str]) -> int:
     if len(arguments) != 1:
         sys.stderr.write("usage: python -m rigctl.telemetry.gateway RUNTIME_DIR\n")
         return 2
-    stop = threading.Event()
+    stop = Termination(signal.SIGTERM)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda _number, _frame: stop.set())
     die_with_parent(signal.SIGTERM)
     runtime = Runtime(pathlib.Path(arguments[0]))
     try:

@@ -2,23 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from enum import IntEnum, IntFlag
 from typing import Any
 
 from rigctl.control.gate import Verdict
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Check, Fault
+from rigctl.control.safety import Action, Check, Fault
 from rigctl.telemetry import block
 from rigctl.telemetry.events import FAULT_TEXT, Kind
 from rigctl.telemetry.keys import SEVERITIES, Keys
-from rigctl.telemetry.lease import Act
+from rigctl.telemetry.meanings import (
+    ACTIVE_CONFIGURATION,
+    ACTS,
+    ANSWER,
+    GATEWAY_EVENT,
+    KINDS,
+    LEASE_PAYLOAD,
+    LOOP_EVENT,
+    NOTES,
+    PAYLOAD,
+    VERBS,
+    Rows,
+)
 from rigctl.telemetry.notes import Note
 from rigctl.telemetry.record import RECORD, Flag, Quality
 from rigctl.telemetry.state import DERIVED
 
+VERSION = 1  # another one is for what a subscriber that goes by this one would read wrongly; more fields are no reason
+
 _ENUMS: dict[str, type[IntEnum | IntFlag]] = {
     "modes": Mode, "faults": Fault, "flags": Flag, "quality": Quality, "verdicts": Verdict,
-    "checks": Check, "refusals": Refusal, "verbs": Verb, "event_kinds": Kind, "note_kinds": Note,
+    "checks": Check, "refusals": Refusal, "verbs": Verb, "event_kinds": Kind, "actions": Action, "note_kinds": Note,
 }  # fmt: skip
 
 
@@ -48,12 +63,35 @@ def _header_fields() -> list[dict[str, Any]]:
     return [{"name": name, "struct": code, "description": text} for name, code, text in block.HEADER_FIELDS]
 
 
+def _rows(rows: Rows) -> list[dict[str, Any]]:
+    return [{"name": name, "json": kind, "unit": unit, "description": text} for name, kind, unit, text in rows]
+
+
+def _state_fields() -> list[dict[str, Any]]:
+    """Those of the record that nothing derived replaces, and the derived ones."""
+    derived = {row[0] for row in DERIVED}
+    taken: Rows = tuple(
+        (row["name"], "number?" if row["struct"] == "d" else "integer", row["unit"], row["description"])
+        for row in _record_fields()
+        if row["name"] not in derived
+    )
+    return _rows(taken + DERIVED)
+
+
+def _commands(keys: Keys, verbs: Mapping[Any, tuple[str, tuple[str, ...]]], name_of: Callable[[Any], str]) -> Any:
+    return {
+        name_of(verb): {"key": keys.command(name_of(verb)), "description": text, "options": list(options)}
+        for verb, (text, options) in verbs.items()
+    }
+
+
 def schema(rig: str) -> dict[str, Any]:
     """The schema of one rig."""
     keys = Keys(rig)
+    verbs, acts = _commands(keys, VERBS, lambda v: str(v.name.lower())), _commands(keys, ACTS, lambda a: str(a.value))
     return {
         "rig": rig,
-        "version": block.VERSION,
+        "version": VERSION,
         "fast": {
             "key": keys.fast,
             "byte_order": "little",
@@ -65,36 +103,22 @@ def schema(rig: str) -> dict[str, Any]:
             },
             "missed": f"get {keys.fast}?after=SEQ answers one block with the records after SEQ that are still held",
         },
-        "state": {
-            "key": keys.state,
-            "fields": "names of the record, and derived",
-            "derived": [{"name": name, "unit": unit, "description": text} for name, unit, text in DERIVED],
-        },
+        "state": {"key": keys.state, "fields": _state_fields()},
+        "active": {"key": keys.active, "fields": _rows(ACTIVE_CONFIGURATION)},
+        "liveliness": {"key": keys.daemon},
         "events": {
             "keys": {severity: keys.event(severity) for severity in SEVERITIES},
-            "sources": {"loop": "kind is one of event_kinds", "gateway": "kind is one of note_kinds"},
+            "sources": {
+                "loop": {"fields": _rows(LOOP_EVENT), "kinds": {kind.name: text for kind, text in KINDS.items()}},
+                "gateway": {"fields": _rows(GATEWAY_EVENT), "kinds": {note.name: text for note, text in NOTES.items()}},
+            },
             "missed": f"get {keys.events_past}?after=SEQ;after_note=SEQ answers a list of those still held: of the "
             "loop's events after the one, of the gateway's notes after the other; each has its own sequence",
         },
-        "commands": {
-            "keys": {verb.name.lower(): keys.command(verb.name.lower()) for verb in Verb},
-            "payload": {
-                "operator": "text, who gives it",
-                "lease": "id from an earlier answer; without it the lease nobody holds is taken",
-                "value": "newtons: the target, or the known weight of calibrate",
-                "shunt": "true: calibrate against the shunt",
-                "adopt": "true: calibrate sets the scale",
-                "tight": "true: identify only a tight rope",
-                "near_end": "true: arm at an end of the stroke, to drive away from it",
-            },
-        },
+        "commands": {"verbs": verbs, "payload": _rows(PAYLOAD), "answer": _rows(ANSWER)},
         "lease": {
-            "keys": {act.name.lower(): keys.command(act.value) for act in Act},
-            "payload": {
-                "operator": "text, who asks",
-                "lease": "id from an earlier answer",
-                "reason": "text: why it is taken over from another",
-            },
+            "verbs": acts,
+            "payload": _rows(LEASE_PAYLOAD),
             "rule": "one operator commands at a time; hold is accepted from anyone, and takes no lease",
         },
         "enums": {name: {member.name: int(member) for member in kind if member.name} for name, kind in _ENUMS.items()},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import zenoh
@@ -21,8 +22,9 @@ def _config(mode: str, listen: list[str], connect: list[str]) -> zenoh.Config:
         "listen": {"endpoints": listen, "timeout_ms": 0, "exit_on_failure": True},
         "connect": {
             "endpoints": connect,
-            "timeout_ms": 0,
-            "exit_on_failure": True,
+            # A router joins others when they are there; a client without its router is no client.
+            "timeout_ms": 0 if mode == "client" else -1,
+            "exit_on_failure": mode == "client",
             # A killed gateway is back within a second: look for it often.
             "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
         },
@@ -64,14 +66,16 @@ def finish(query: zenoh.Query) -> None:
     query.drop()  # type: ignore[no-untyped-call]
 
 
-def open_router(listen: list[str]) -> zenoh.Session:
+def open_router(listen: list[str], join: Sequence[str] = ()) -> zenoh.Session:
     """The gateway's session: clients connect here and are relayed.
+
+    ``join``: other routers to be one network with, tried again for ever while they are not there.
 
     Raises:
         SessionError: naming the endpoint and why.
     """
     try:
-        return zenoh.open(_config("router", listen, []))
+        return zenoh.open(_config("router", listen, list(join)))
     except zenoh.ZError as error:
         raise SessionError(f"cannot listen on {listen[0]}: {_reason(error)}") from None
 

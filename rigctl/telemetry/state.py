@@ -12,6 +12,7 @@ import numpy.typing as npt
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Check, Fault
 from rigctl.telemetry.events import Kind, failed_checks, fault_text
+from rigctl.telemetry.meanings import Rows
 from rigctl.telemetry.record import Flag, Quality
 
 ALIVE_NS = 250_000_000  # a loop whose newest record is older than this does not run
@@ -135,12 +136,12 @@ def design_of(active: dict[str, Any]) -> tuple[str | None, list[str]]:
 def kept_of(told: dict[str, Any], now_ns: int) -> tuple[dict[str, Any], list[str]]:
     """What the recorder says it has kept, and its warnings: one more where it has said nothing for a while."""
     if not told:  # it has not said anything yet
-        return {"audit": None, "trip_dump": None}, []
+        return {"audit": None, "trip_dump": None, "recording": None}, []
     audit = {name: told.get(name) for name in ("entries", "head", "failures")}
     t_ns, warnings = told.get("t_ns"), warnings_of(told)
     if not isinstance(t_ns, int) or now_ns - t_ns > RECORDER_SILENT_NS:
         warnings.append("recorder: it does not run; nothing is put on record at the moment")
-    return {"audit": audit, "trip_dump": told.get("trip_dump")}, warnings
+    return {"audit": audit, **{name: told.get(name) for name in ("trip_dump", "recording")}}, warnings
 
 
 def preflight_of(
@@ -159,31 +160,45 @@ def preflight_of(
     }
 
 
-DERIVED: tuple[tuple[str, str, str], ...] = (
-    ("rig", "", "name of the rig"),
-    ("wall_ns", "ns", "t_ns on the wall clock, since 1970 UTC"),
-    ("age_ms", "ms", "age of this record when the message was made"),
-    ("loop_alive", "", f"the record is younger than {ALIVE_NS // 1_000_000} ms"),
-    ("mode", "", "mode's name"),
-    ("mode_code", "", "its number, as in the record"),
-    ("fault", "", "latched fault's name, null without one"),
-    ("fault_code", "", "its number, as in the record; 0 none"),
-    ("fault_text", "", "why it tripped, in words; empty without a fault"),
-    ("flag_names", "", "flags in words"),
-    ("error_n", "N", "vertical_n - target_n while COMPENSATING, else null"),
-    ("error_pct", "%", "its magnitude over the target, while COMPENSATING, else null"),
-    ("tangential_deg", "deg", "tangential_rad for people"),
-    ("normal_deg", "deg", "normal_rad for people"),
-    ("quality", "", "tension, inclination, drive: good, or what is wrong"),
-    ("lateness_us", "us", "p50, p99, p999 and max over the last second"),
-    ("work_us", "us", "p50, p99, p999 and max over the last second"),
-    ("samples_lost", "", "records overwritten before a gateway could publish them, so far"),
-    ("design", "", "how robust the law in use is, and where its gains come from; null before there is one"),
-    ("calibration", "", "of the tension cell: zero_n, scale, due (null without a valid check), overdue, waiver"),
-    ("lease", "", "holder, since_ns, until_ns (as t_ns), held_s, left_s; null while nobody holds it"),
-    ("preflight", "", "failing: checks that arming would fail now, in words; waived: those that may, and why; or null"),
-    ("audit", "", "audit log: entries, head (hash of the last), failures to write; null before the recorder runs"),
-    ("trip_dump", "", "file about the newest trip since the daemon's start, null for none"),
-    ("warnings", "", "what the operator should know: real-time settings refused, a design waived and why"),
-    ("gateway_wall_ns", "ns", "when this gateway started; changes when it was restarted"),
+DERIVED: Rows = (
+    ("rig", "string", "", "name of the rig"),
+    ("wall_ns", "integer", "ns", "t_ns on the wall clock, since 1970 UTC"),
+    ("age_ms", "number?", "ms", "age of this record when the message was made; null without a record"),
+    ("loop_alive", "boolean", "", f"the record is younger than {ALIVE_NS // 1_000_000} ms"),
+    ("mode", "string?", "", "mode's name; null without a record, whose fields are then not there"),
+    ("mode_code", "integer", "", "its number, as in the record"),
+    ("fault", "string?", "", "latched fault's name, null without one"),
+    ("fault_code", "integer", "", "its number, as in the record; 0 none"),
+    ("fault_text", "string", "", "why it tripped, in words; empty without a fault"),
+    ("flag_names", "array", "", "flags in words"),
+    ("error_n", "number?", "N", "vertical_n - target_n while COMPENSATING, else null"),
+    ("error_pct", "number?", "%", "its magnitude over the target, while COMPENSATING, else null"),
+    ("tangential_deg", "number?", "deg", "tangential_rad for people"),
+    ("normal_deg", "number?", "deg", "normal_rad for people"),
+    ("quality", "object", "", "tension, inclination, drive: good, or what is wrong"),
+    ("lateness_us", "object?", "us", "p50, p99, p999 and max over the last second"),
+    ("work_us", "object?", "us", "p50, p99, p999 and max over the last second"),
+    ("samples_lost", "integer", "", "records overwritten before a gateway could publish them, so far"),
+    ("design", "string?", "", "how robust the law in use is, and where its gains come from; null before there is one"),
+    (
+        "calibration",
+        "object",
+        "",
+        "of the tension cell: zero_n, scale, due (null without a valid check), overdue, tared, waiver",
+    ),
+    ("lease", "object?", "", "holder, since_ns, until_ns (as t_ns), held_s, left_s; null while nobody holds it"),
+    (
+        "preflight",
+        "object?",
+        "",
+        "failing: checks that arming would fail now, in words; waived: those that may, and why",
+    ),
+    ("audit", "object?", "", "audit log: entries, head (hash of the last), failures; null before the recorder runs"),
+    ("trip_dump", "string?", "", "file about the newest trip since the daemon's start, null for none"),
+    ("recording", "object?", "", "folder, file, bytes, records and frames, those lost, failures; null without one"),
+    ("warnings", "array", "", "what the operator should know: real-time settings refused, a design waived and why"),
+    ("gateway_wall_ns", "integer", "ns", "when this gateway started; changes when it was restarted"),
+    ("stream", "integer", "", "as in the header of tele/fast: changes when the daemon is started anew"),
+    ("event_seq", "integer", "", "number of the loop's event published last; 0 none"),
+    ("note_seq", "integer", "", "number of the gateway's note published last; 0 none"),
 )

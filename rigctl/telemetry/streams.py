@@ -105,12 +105,13 @@ class FastStream:
 
 
 def past_messages(
-    events: RingReader, notes: RingReader, after: int, after_note: int, wall_offset_ns: int
+    events: RingReader, notes: RingReader, after: int, after_note: int, wall_offset_ns: int, stream: int
 ) -> list[dict[str, Any]]:
     """Events of the loop after one and notes of the gateway after another that are still held, oldest first."""
     events.cursor, notes.cursor = min(after, events.head), min(after_note, notes.head)
     found = [event_message(event, wall_offset_ns)[1] for event in events.read()]
     found += [note_message(note, wall_offset_ns)[1] for note in notes.read()]
+    found = [message | {"stream": stream} for message in found]
     return sorted(found, key=lambda message: int(message["t_ns"]))
 
 
@@ -138,7 +139,7 @@ class EventStream:
         worded = [event_message(event, wall_offset_ns) for event in self._reader.read()]
         worded += [note_message(note, wall_offset_ns) for note in self._notes.read()]
         for severity, message in worded:
-            self._publishers[severity].put(msgspec.json.encode(message))
+            self._publishers[severity].put(msgspec.json.encode(message | {"stream": self._cursor.stream}))
         self._cursor.event_seq, self._cursor.note_seq = self._reader.cursor, self._notes.cursor
         self._cursor.save()
 

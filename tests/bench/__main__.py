@@ -1,4 +1,4 @@
-"""``python -m tests.bench [--json F] [--seconds S] [--rates R ...]``."""
+"""``python -m tests.bench [--json F] [--seconds S] [--rates R ...]``, ``python -m tests.bench telemetry --help``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rigctl import config
 from rigctl.demo.lockstep import play_lockstep
 from rigctl.report.metrics import PERCENTILES
 from tests import daemons
-from tests.bench import cyclictest, plant
+from tests.bench import cyclictest, plant, report, telemetry
 from tests.bench.loop import BenchRig, figures
 
 ROUNDS = 3
@@ -85,6 +85,10 @@ def _numbers(values: dict[str, float]) -> list[str]:
 
 
 def main() -> int:
+    if sys.argv[1:2] == ["telemetry"]:
+        return telemetry.main(sys.argv[2:])
+    if sys.argv[1:2] == ["report"]:
+        return report.main(sys.argv[2:])
     parser = argparse.ArgumentParser(prog="python -m tests.bench", description=__doc__)
     parser.add_argument("--json", type=pathlib.Path, help="write the figures here")
     parser.add_argument("--seconds", type=float, default=30.0, help="of loop per rate, and as much of cyclictest")

@@ -16,6 +16,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from hil.lockstep import Lockstep, lockstep
 from hil.wire import FRAME
 from rigctl.config import AuditSettings, RigSettings
+from rigctl.config_recording import RecordingSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.recorder import chain
@@ -34,7 +35,8 @@ class Kept:
     def __init__(self, rig: Lockstep, folder: pathlib.Path, **audit: Any) -> None:
         self.rig = rig
         own = AuditSettings(file=str(folder / "audit.jsonl"), trips=str(folder / "trips"), **audit)
-        self.settings = rig.settings.model_copy(update={"audit": own})
+        kept = RecordingSettings(folder=str(folder / "recordings"))
+        self.settings = rig.settings.model_copy(update={"audit": own, "recording": kept})
         self.folder = folder / "trips"
         active = {"settings": self.settings.model_dump(mode="json"), "started_wall_ns": 7, "design": {"gains": {}}}
         rig.runtime.write_json(ACTIVE, active)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pathlib
 import shutil
@@ -11,15 +12,16 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import IO, Any
 
 from rigctl import config
-from rigctl.telemetry.client import Client
+from rigctl.client import Rig, connect
+from rigctl.client.connection import Client
 from rigctl.telemetry.runtime import Runtime
 
 ROOT = pathlib.Path(__file__).parents[2]
-PATIENCE_S = 15.0  # far above anything expected: only a hang fails
+PATIENCE_S = 40.0  # far above anything expected, on a busy machine too: only a hang fails
 
 
 def free_port() -> int:
@@ -43,11 +45,11 @@ DESIGN = {"ms": 1, "accepted": True, "waiver": None, "verdict": "Ms 1"}
 class Daemon:
     """Processes and runtime folder of one rig."""
 
-    def __init__(self, rig: str = "paper_rig", port: int | None = None) -> None:
+    def __init__(self, rig: str = "paper_rig", port: int | None = None, join: Sequence[str] = ()) -> None:
         self.runtime = Runtime(tempfile.mkdtemp(prefix="rigctl-test-", dir="/dev/shm"))
         self.endpoint = f"tcp/127.0.0.1:{port or free_port()}"
         settings = config.load(ROOT / "config" / "paper_rig.yaml")
-        telemetry = settings.telemetry.model_copy(update={"listen": self.endpoint})
+        telemetry = settings.telemetry.model_copy(update={"listen": self.endpoint, "join": list(join)})
         self.settings = settings.model_copy(update={"rig": rig, "telemetry": telemetry})
         self.runtime.make_rings(self.settings)
         self.runtime.write_json("active.json", {"settings": self.settings.model_dump(mode="json"), "design": DESIGN})
@@ -77,6 +79,24 @@ class Daemon:
     def client(self) -> Client:
         until(self._reachable, f"the gateway at {self.endpoint}")
         return Client(self.endpoint, self.settings.rig)
+
+    def rig(self) -> Rig:
+        return connect(self.endpoint, self.settings.rig, timeout_s=PATIENCE_S)
+
+    @contextlib.contextmanager
+    def replaced_gateway(self) -> Iterator[Rig]:
+        """For a while another gateway on the same rings, at an endpoint of its own."""
+        mine = self.runtime.read_json("active.json")
+        elsewhere = f"tcp/127.0.0.1:{free_port()}"
+        telemetry = {**mine["settings"]["telemetry"], "listen": elsewhere}
+        self.runtime.write_json("active.json", {**mine, "settings": {**mine["settings"], "telemetry": telemetry}})
+        try:
+            self.start_gateway()
+            with connect(elsewhere, timeout_s=PATIENCE_S) as rig:
+                yield rig
+        finally:
+            self.kill_gateway()
+            self.runtime.write_json("active.json", mine)
 
     def _reachable(self) -> bool:
         host, port = self.endpoint.removeprefix("tcp/").split(":")

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import zenoh
 
-from rigctl.telemetry.fast import FastReader
+from rigctl.client.fast import FastReader
 from rigctl.telemetry.record import RECORD
 from rigctl.telemetry.session import close, open_client
 from tests.telemetry.miniature import DESIGN, ROOT, Daemon, free_port, until

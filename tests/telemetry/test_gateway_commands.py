@@ -9,9 +9,9 @@ from typing import Any
 import msgspec
 import pytest
 
+from rigctl.client.connection import Client
 from rigctl.control.modes import Setting, Verb
 from rigctl.control.safety import Check
-from rigctl.telemetry.client import Client
 from rigctl.telemetry.events import CHECK_TEXT
 from tests.telemetry.miniature import Daemon, running, until
 

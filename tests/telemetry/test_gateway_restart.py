@@ -8,9 +8,9 @@ import time
 
 import zenoh
 
+from rigctl.client.fast import FastReader
 from rigctl.control.modes import Verb
 from rigctl.telemetry.block import decode
-from rigctl.telemetry.fast import FastReader
 from rigctl.telemetry.record import RECORD
 from tests.telemetry.miniature import Daemon, until
 

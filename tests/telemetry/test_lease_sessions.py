@@ -14,8 +14,9 @@ from typing import Any
 import msgspec
 import pytest
 
+from rigctl.client.connection import Client, NoDaemonError
+from rigctl.client.messages import Feed
 from rigctl.control.modes import Verb
-from rigctl.telemetry.client import Client, Feed, NoDaemonError
 from rigctl.telemetry.lease_keeper import IN_FORCE
 from tests.telemetry.miniature import ROOT, Daemon, until
 

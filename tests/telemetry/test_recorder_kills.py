@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import pytest
 
 from rigctl.config import AuditSettings
+from rigctl.config_recording import RecordingSettings
 from rigctl.recorder import chain
 from rigctl.telemetry.events import Kind
 from rigctl.telemetry.runtime import ACTIVE, RECORDED
@@ -26,7 +27,8 @@ def daemon(tmp_path: pathlib.Path) -> Iterator[Daemon]:
     """Rings without a loop: the test is the writer."""
     found = Daemon()
     own = AuditSettings(file=str(tmp_path / "audit.jsonl"), trips=str(tmp_path / "trips"))
-    found.settings = found.settings.model_copy(update={"audit": own})
+    kept = RecordingSettings(folder=str(tmp_path / "recordings"))
+    found.settings = found.settings.model_copy(update={"audit": own, "recording": kept})
     found.runtime.write_json(ACTIVE, {"settings": found.settings.model_dump(mode="json"), "started_wall_ns": 5})
     try:
         yield found

@@ -15,8 +15,8 @@ from typing import Any, Self, TypeVar
 import canopen
 import yaml
 
+from rigctl.client.connection import Client, NoDaemonError
 from rigctl.devices import objects as od
-from rigctl.telemetry.client import Client, NoDaemonError
 from tests import daemons
 
 BUS = "vcan0"

@@ -12,8 +12,8 @@ import pytest
 
 from hil.scenario.errors import ScenarioError
 from hil.scenario.play import design
+from rigctl.client.connection import Client
 from rigctl.config import load
-from rigctl.telemetry.client import Client
 from tests import daemons
 
 pytestmark = pytest.mark.real_time

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from rigctl import config
 from rigctl.config import AuditSettings, RigSettings
+from rigctl.config_recording import RecordingSettings
 from rigctl.control.inbox import Inbox
 from rigctl.recorder import chain
 from rigctl.recorder.process import Recorder
@@ -30,7 +31,8 @@ from rigctl.telemetry.supervision import Doing, Supervision
 @pytest.fixture
 def settings(tmp_path: pathlib.Path) -> RigSettings:
     own = AuditSettings(file=str(tmp_path / "log" / "audit.jsonl"), trips=str(tmp_path / "trips"))
-    return config.load("config/paper_rig.yaml").model_copy(update={"audit": own})
+    kept = RecordingSettings(folder=str(tmp_path / "recordings"))
+    return config.load("config/paper_rig.yaml").model_copy(update={"audit": own, "recording": kept})
 
 
 @pytest.fixture
@@ -194,12 +196,24 @@ def test_a_log_that_cannot_be_written_is_told_once_and_made_up_for(
 
 
 def test_the_state_says_what_is_kept_and_whether_the_recorder_runs() -> None:
-    told = {"entries": 3, "head": "ab", "failures": 1, "trip_dump": "x.mcap", "warnings": ["disk"], "t_ns": 10}
+    told = {
+        "entries": 3,
+        "head": "ab",
+        "failures": 1,
+        "trip_dump": "x.mcap",
+        "recording": {"file": "y.mcap"},
+        "warnings": ["disk"],
+        "t_ns": 10,
+    }
     shown, warnings = kept_of(told, 20)
-    assert shown == {"audit": {"entries": 3, "head": "ab", "failures": 1}, "trip_dump": "x.mcap"}
+    assert shown == {
+        "audit": {"entries": 3, "head": "ab", "failures": 1},
+        "trip_dump": "x.mcap",
+        "recording": {"file": "y.mcap"},
+    }
     assert warnings == ["disk"]
     assert "does not run" in kept_of(told, 10 + RECORDER_SILENT_NS + 1)[1][-1]
-    assert kept_of({}, 20) == ({"audit": None, "trip_dump": None}, [])
+    assert kept_of({}, 20) == ({"audit": None, "trip_dump": None, "recording": None}, [])
 
 
 def test_the_recorder_needs_no_network_and_the_loop_no_recorder() -> None:

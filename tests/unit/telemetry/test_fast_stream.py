@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -12,9 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigctl.client.connection import Client, NoDaemonError
+from rigctl.client.enquiry import AGAIN_S
+from rigctl.client.fast import FastReader
 from rigctl.telemetry import block
-from rigctl.telemetry.client import Client, NoDaemonError
-from rigctl.telemetry.fast import FastReader
 from rigctl.telemetry.keys import Keys
 from rigctl.telemetry.record import RECORD
 from rigctl.telemetry.schema import schema
@@ -61,15 +63,13 @@ class Gateway:
 
     def __init__(self, held: range, stream: int = 1) -> None:
         self.held, self.stream, self.asked, self.silent = held, stream, 0, False
-        self.waiting: list[bytes] = []
+        self.put: Callable[[Any], None] = print
         self.keys = Keys("paper_rig")
         self.session = self
 
-    def declare_subscriber(self, _key: str, _handler: object) -> Gateway:
+    def declare_subscriber(self, _key: str, put: Callable[[Any], None]) -> Gateway:
+        self.put = put
         return self
-
-    def try_recv(self) -> Any:
-        return SimpleNamespace(payload=self.waiting.pop(0)) if self.waiting else None
 
     def ask(self, selector: str) -> tuple[bool, bytes]:
         self.asked += 1
@@ -80,7 +80,8 @@ class Gateway:
         return True, made(first, min(first + 9, self.held.stop - 1), self.stream)
 
     def publish(self, *spans: tuple[int, int]) -> None:
-        self.waiting += [made(first, last, self.stream) for first, last in spans]
+        for first, last in spans:
+            self.put(SimpleNamespace(payload=made(first, last, self.stream)))
 
 
 def reading(gateway: Gateway, *, recover: bool = True) -> FastReader:
@@ -121,20 +122,35 @@ def test_a_gap_nobody_can_fill_is_lost(silent: bool) -> None:
     gateway.silent = silent
     reader = reading(gateway, recover=silent)
     gateway.publish((1, 10), (21, 30))
-    assert numbers(reader.read()) == [*range(1, 11), *range(21, 31)]
+    assert numbers(reader.read()) == [*range(1, 11), *([] if silent else range(21, 31))]
+    assert numbers(reader.finish()) == (list(range(21, 31)) if silent else [])
     assert (reader.count.lost, reader.count.produced) == (10, 30)
-    assert gateway.asked == (3 if silent else 0)
+
+
+def test_a_gateway_that_is_away_is_asked_again_when_it_is_back() -> None:
+    gateway = Gateway(range(1, 100))
+    gateway.silent = True
+    reader = reading(gateway)
+    gateway.publish((1, 10), (21, 30), (31, 40))
+    assert numbers(reader.read()) == list(range(1, 11))
+    assert numbers(reader.read()) == []  # too soon: not even asked
+    assert gateway.asked == 1
+    gateway.silent = False
+    time.sleep(AGAIN_S)
+    assert numbers(reader.read()) == list(range(11, 41))
+    assert (reader.count.lost, reader.count.recovered) == (0, 10)
 
 
 def test_a_new_daemon_counts_from_one_again() -> None:
     gateway = Gateway(range(1, 2000))
     reader = reading(gateway)
     gateway.publish((1001, 1010))
+    gateway.put(SimpleNamespace(payload=b"garbage"))
     gateway.stream = 2
-    gateway.publish((1, 5))
-    gateway.waiting.insert(1, b"garbage")
+    gateway.publish((3, 5))
     assert numbers(reader.read()) == [*range(1001, 1011), *range(1, 6)]
     assert (reader.count.streams, reader.count.lost, reader.count.malformed, reader.count.produced) == (2, 0, 1, 15)
+    assert reader.count.recovered == 2  # made before this subscriber was back
 
 
 @given(st.lists(st.tuples(st.integers(1, 60), st.integers(0, 20)), max_size=12), st.integers(1, 30))

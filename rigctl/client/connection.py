@@ -1,4 +1,4 @@
-"""A synchronous client of the daemon: what the operator's commands are made of.
+"""Connection to the daemon of one rig: find it, ask it, command it. What every client here is made of.
 
 Zenoh in client mode: once connected it comes back by itself when the gateway was restarted.
 """
@@ -8,13 +8,13 @@ from __future__ import annotations
 import os
 import re
 import threading
-import time
 from types import TracebackType
 from typing import Any, Self
 
 import msgspec
 import zenoh
 
+from rigctl.client.messages import Feed
 from rigctl.telemetry import keys
 from rigctl.telemetry.keys import Keys
 from rigctl.telemetry.lease import Act
@@ -25,7 +25,6 @@ ASK_S = 2.0
 COMMAND_S = 6.0  # the gateway answers within 4 s, arm included ...
 TRIAL_S = 20.0  # ... or when a trial is over: 1 s for an average, up to 10 s for an identification
 _TRIALS = ("tare", "calibrate", "identify", "gains")
-_POLL_S = 0.01
 
 
 class NoDaemonError(RuntimeError):
@@ -54,6 +53,37 @@ def _open(endpoint: str) -> zenoh.Session:
     return opened[0]
 
 
+def _rigs(session: zenoh.Session) -> list[str]:
+    tokens = session.liveliness().get(keys.ANY_DAEMON, timeout=ASK_S)
+    return sorted({keys.rig_of(str(reply.ok.key_expr)) for reply in tokens if reply.ok is not None})
+
+
+def endpoint_of(connect: str | None) -> str:
+    """The endpoint asked for, else ``RIGCTL_CONNECT``, else the default.
+
+    Raises:
+        ChoiceError: it is none.
+    """
+    endpoint = connect or os.environ.get("RIGCTL_CONNECT") or keys.DEFAULT_ENDPOINT
+    if not re.fullmatch(r"[a-z-]+/\S+", endpoint):
+        raise ChoiceError(f"found endpoint {endpoint!r}, allowed e.g. {keys.DEFAULT_ENDPOINT}")
+    return endpoint
+
+
+def rigs(connect: str | None = None) -> list[str]:
+    """Names of the rigs whose daemons answer at an endpoint, sorted; several may share one router.
+
+    Raises:
+        NoDaemonError: nobody there, or not allowed.
+        ChoiceError: not an endpoint.
+    """
+    session = _open(endpoint_of(connect))
+    try:
+        return _rigs(session)
+    finally:
+        close(session)
+
+
 class Client:
     """Connection to the daemon of one rig."""
 
@@ -64,9 +94,7 @@ class Client:
             NoDaemonError: nobody there, or not allowed.
             ChoiceError: not an endpoint, not a name, or several rigs and none chosen.
         """
-        self.endpoint = connect or os.environ.get("RIGCTL_CONNECT") or keys.DEFAULT_ENDPOINT
-        if not re.fullmatch(r"[a-z-]+/\S+", self.endpoint):
-            raise ChoiceError(f"found endpoint {self.endpoint!r}, allowed e.g. {keys.DEFAULT_ENDPOINT}")
+        self.endpoint = endpoint_of(connect)
         wanted = rig or os.environ.get("RIGCTL_RIG") or None
         if wanted is not None and not re.fullmatch(r"[a-z][a-z0-9_]{0,31}", wanted):
             raise ChoiceError(f"found rig {wanted!r}, allowed a rig's name, e.g. paper_rig")
@@ -79,8 +107,7 @@ class Client:
             raise
 
     def _choose(self, wanted: str | None) -> str:
-        tokens = self.session.liveliness().get(keys.ANY_DAEMON, timeout=ASK_S)
-        rigs = sorted({keys.rig_of(str(reply.ok.key_expr)) for reply in tokens if reply.ok is not None})
+        rigs = _rigs(self.session)
         if wanted is not None and rigs and wanted not in rigs:
             raise NoDaemonError(f"no daemon of {wanted} answers at {self.endpoint}, only of {', '.join(rigs)}")
         if not rigs:
@@ -189,37 +216,3 @@ class Client:
         self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-class Feed:
-    """Messages of a subscription, taken one by one."""
-
-    def __init__(self, session: zenoh.Session, key: str, depth: int) -> None:
-        self._subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(depth))
-
-    def take(self) -> dict[str, Any] | None:
-        """The next message that has come, or None."""
-        while (sample := self._subscriber.try_recv()) is not None:
-            try:
-                message = msgspec.json.decode(bytes(sample.payload))
-            except msgspec.MsgspecError:
-                continue  # not from our gateway
-            if isinstance(message, dict):
-                return message
-        return None
-
-    def newest(self) -> dict[str, Any] | None:
-        """The last message that has come, or None; those before it are left out."""
-        last = None
-        while (message := self.take()) is not None:
-            last = message
-        return last
-
-    def wait(self, timeout_s: float) -> dict[str, Any] | None:
-        """The next message, or None after ``timeout_s``."""
-        until = time.monotonic() + timeout_s
-        while (message := self.take()) is None:
-            if time.monotonic() >= until:
-                return None
-            time.sleep(_POLL_S)
-        return message

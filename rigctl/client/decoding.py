@@ -1,0 +1,109 @@
+"""The schema a daemon serves, made into what decodes its fast stream: nothing of the record is known beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from rigctl.telemetry.block import Block
+
+KNOWN_VERSIONS = (1,)
+
+
+class SchemaError(ValueError):
+    """A schema this client does not know or cannot use; ``str()`` is one line."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """One value of a sample: unit ("" for none), meaning, numpy type and shape (() for a number)."""
+
+    name: str
+    unit: str
+    description: str
+    type: str
+    shape: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How records are decoded; ``fields`` are in the record's order."""
+
+    fields: Mapping[str, Field]
+    dtype: np.dtype[Any]
+
+    def decode(self, block: Block) -> npt.NDArray[Any]:
+        """The records of a block, shape ``(count,)``, read-only and without a copy.
+
+        Raises:
+            SchemaError: they are not of this layout.
+        """
+        if block.record_size != self.dtype.itemsize:
+            raise SchemaError(f"a record has {block.record_size} bytes, the schema says {self.dtype.itemsize}")
+        return np.frombuffer(block.data, self.dtype, block.count)
+
+
+class _Field(msgspec.Struct):
+    name: str
+    type: str
+    offset: int
+    size: int
+    unit: str = ""
+    description: str = ""
+    shape: tuple[int, ...] = ()
+
+
+class _Record(msgspec.Struct):
+    size: int
+    fields: list[_Field]
+
+
+class _Fast(msgspec.Struct):
+    record: _Record
+
+
+class _Schema(msgspec.Struct):
+    version: int
+    fast: _Fast
+
+
+def layout_of(schema: Mapping[str, Any]) -> Layout:
+    """The layout a schema describes. What a newer daemon has beside it is passed over; so are fields without a type.
+
+    Raises:
+        SchemaError: another version, or not a schema.
+    """
+    version = schema.get("version")
+    if version not in KNOWN_VERSIONS:
+        known = ", ".join(map(str, KNOWN_VERSIONS))
+        raise SchemaError(f"found schema version {version!r}, this client knows {known}: use that daemon's own client")
+    try:
+        record = msgspec.convert(dict(schema), _Schema).fast.record
+        known_types = [field for field in record.fields if _is_known(field)]
+        dtype = np.dtype(
+            {
+                "names": [field.name for field in known_types],
+                "formats": [(field.type, field.shape) for field in known_types],
+                "offsets": [field.offset for field in known_types],
+                "itemsize": record.size,
+            }
+        )
+    except (msgspec.ValidationError, ValueError, TypeError) as error:
+        raise SchemaError(f"meta/schema cannot be used: {' '.join(str(error).split())}") from None
+    fields = {f.name: Field(f.name, f.unit, f.description, f.type, f.shape) for f in known_types}
+    return Layout(MappingProxyType(fields), dtype)
+
+
+def _is_known(field: _Field) -> bool:
+    """Whether numpy knows the type: one that is new leaves the others readable."""
+    try:
+        kind = np.dtype((field.type, field.shape))
+    except (TypeError, ValueError):
+        return False
+    return kind.itemsize == field.size and not kind.hasobject

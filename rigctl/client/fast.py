@@ -1,0 +1,52 @@
+"""Blocks of the fast stream without decoding them, for programs that count or pass them on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rigctl.client.connection import Client
+from rigctl.client.enquiry import Enquiry
+from rigctl.client.mailbox import Mailbox
+from rigctl.client.ordering import BlockSource, Count
+from rigctl.client.source import Question
+from rigctl.telemetry.block import Block
+
+DEPTH_BLOCKS = 2048  # 40 s at 50 Hz
+
+
+class FastReader:
+    """Blocks of the fast stream without gaps or repetitions, and their count."""
+
+    def __init__(self, client: Client, *, recover: bool = True, depth: int = DEPTH_BLOCKS) -> None:
+        """``recover``: ask for missed records again; without, a gap is counted as lost at once.
+
+        ``depth``: blocks that may wait to be read before the oldest go (and are asked for again).
+        """
+        self._enquiry = Enquiry(client)
+        self._mailbox = Mailbox(client.session, client.keys.fast, depth)
+        self._source = BlockSource(self._mailbox, client.keys.fast, recover=recover)
+
+    @property
+    def count(self) -> Count:
+        """Figures so far."""
+        return self._source.count
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until a block has come, ``timeout_s`` at most; whether one has."""
+        return self._mailbox.wait(timeout_s)
+
+    def read(self) -> Iterator[Block]:
+        """Blocks that have come since; returns when there are no more, or while the daemon does not answer."""
+        while (found := self._source.poll()) is not None:
+            if not isinstance(found, Question):
+                yield found
+            elif not self._enquiry.settle(self._source, found):
+                return
+
+    def finish(self) -> Iterator[Block]:
+        """As `read`, for the last time: what is missing and cannot be asked for now is lost."""
+        while (found := self._source.poll()) is not None:
+            if not isinstance(found, Question):
+                yield found
+            elif not self._enquiry.settle(self._source, found):
+                self._source.answer(None)

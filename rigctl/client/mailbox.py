@@ -1,0 +1,59 @@
+"""What a subscription has brought and nobody has taken yet. Filled by Zenoh's thread, emptied by one reader."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import deque
+from collections.abc import Callable
+
+import zenoh
+
+
+class Mailbox:
+    """Payloads in the order they came; when more than ``depth`` wait the oldest go, and are counted."""
+
+    def __init__(self, session: zenoh.Session, key: str, depth: int) -> None:
+        self.dropped = 0
+        self.closed = False
+        self._waiting: deque[bytes] = deque(maxlen=depth)
+        self._come = threading.Event()
+        self._wake: Callable[[], None] | None = None
+        self._subscriber = session.declare_subscriber(key, self._put)
+
+    def _put(self, sample: zenoh.Sample) -> None:
+        self.dropped += len(self._waiting) == self._waiting.maxlen
+        self._waiting.append(bytes(sample.payload))
+        self._ring()
+
+    def _ring(self) -> None:
+        self._come.set()
+        if (wake := self._wake) is not None:
+            wake()
+
+    def on_arrival(self, wake: Callable[[], None]) -> None:
+        """Call ``wake`` from Zenoh's thread whenever something has come; it must not wait."""
+        self._wake = wake
+
+    def take(self) -> bytes | None:
+        """The oldest payload, or None."""
+        return self._waiting.popleft() if self._waiting else None
+
+    def wait(self, timeout_s: float | None) -> bool:
+        """Wait until something is there or the mailbox is closed; whether something is there."""
+        self._come.clear()
+        if not self._waiting and not self.closed:
+            self._come.wait(timeout_s)
+        return bool(self._waiting)
+
+    def clear(self) -> None:
+        """Forget what waits."""
+        self._waiting.clear()
+
+    def close(self) -> None:
+        """Receive no more; who waits is told."""
+        if not self.closed:
+            self.closed = True
+            with contextlib.suppress(zenoh.ZError):  # the session may be closed already
+                self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+            self._ring()

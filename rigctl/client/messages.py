@@ -1,0 +1,63 @@
+"""JSON messages as they come: states, configurations. A message that was missed is not asked for again."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import msgspec
+import zenoh
+
+from rigctl.client.mailbox import Mailbox
+
+Message = dict[str, Any]
+
+
+class MessageSource:
+    """Every message that came, oldest first; see `rigctl.client.source.Source`."""
+
+    def __init__(self, mailbox: Mailbox) -> None:
+        self.mailbox = mailbox
+
+    def poll(self) -> Message | None:
+        """The next message, or None."""
+        while (payload := self.mailbox.take()) is not None:
+            try:
+                message = msgspec.json.decode(payload)
+            except msgspec.MsgspecError:
+                continue  # not from our gateway
+            if isinstance(message, dict):
+                return message
+        return None
+
+    def answer(self, _payload: bytes | None) -> None:
+        """Nothing is ever asked."""
+
+
+class Feed:
+    """Messages of a subscription, taken one by one."""
+
+    def __init__(self, session: zenoh.Session, key: str, depth: int) -> None:
+        self._mailbox = Mailbox(session, key, depth)
+        self._source = MessageSource(self._mailbox)
+
+    def take(self) -> Message | None:
+        """The next message that has come, or None."""
+        return self._source.poll()
+
+    def newest(self) -> Message | None:
+        """The last message that has come, or None; those before it are left out."""
+        last = None
+        while (message := self.take()) is not None:
+            last = message
+        return last
+
+    def wait(self, timeout_s: float) -> Message | None:
+        """The next message, or None after ``timeout_s``."""
+        until = time.monotonic() + timeout_s
+        while (message := self.take()) is None:
+            left_s = until - time.monotonic()
+            if left_s <= 0:
+                return None
+            self._mailbox.wait(left_s)
+        return message

@@ -1,0 +1,121 @@
+"""Blocks of the fast stream put in order: every record once; what was missed is asked for again.
+
+A gap appears when the connection was down (gateway restarted) or this process was too slow. As long as the ring still
+holds the records (16 s and more) the gateway gives them again; only what it does not hold any more counts as lost.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from rigctl.client.mailbox import Mailbox
+from rigctl.client.source import Question
+from rigctl.telemetry.block import Block, BlockError, decode
+
+
+@dataclass
+class Count:
+    """Figures of a subscription, in records; ``received`` includes ``recovered``.
+
+    ``produced = received + lost``. ``repeated``: came again and were left out. ``malformed``: payloads that are no
+    block. ``streams``: daemons seen, one more whenever it was started anew and numbers begin at 1 again.
+    """
+
+    first_seq: int = 0
+    last_seq: int = 0
+    produced: int = 0
+    received: int = 0
+    lost: int = 0
+    recovered: int = 0
+    repeated: int = 0
+    malformed: int = 0
+    blocks: int = 0
+    streams: int = 0
+
+
+class BlockSource:
+    """Blocks without gaps or repetitions."""
+
+    def __init__(self, mailbox: Mailbox, key: str, *, recover: bool = True) -> None:
+        """``recover``: ask for missed records again; without, a gap is counted as lost at once."""
+        self.mailbox = mailbox
+        self.count = Count()
+        self._key, self._recover = key, recover
+        self._stream = 0
+        self._ready: deque[Block] = deque()
+        self._held: Block | None = None  # came after a gap, and waits for what is missing
+
+    def poll(self) -> Block | Question | None:
+        """See `rigctl.client.source.Source`."""
+        while True:
+            if self._ready:
+                return self._ready.popleft()
+            if self._held is not None:
+                return Question(f"{self._key}?after={self.count.last_seq}")
+            payload = self.mailbox.take()
+            if payload is None:
+                return None
+            self._put(payload)
+
+    def put_back(self, block: Block) -> None:
+        """Give a block once more, before what follows it; it is counted already."""
+        self._ready.appendleft(block)
+
+    def _put(self, payload: bytes) -> None:
+        count = self.count
+        try:
+            found = decode(payload)
+        except BlockError:
+            count.malformed += 1
+            return
+        count.blocks += 1
+        if found.stream != self._stream:  # first block, or the daemon was started anew
+            self._stream = found.stream
+            count.streams += 1
+            # This subscription begins with what comes first; a daemon that is started under it, with its first record.
+            count.first_seq = found.first_seq if count.streams == 1 else 1
+            count.last_seq = count.first_seq - 1
+        if found.first_seq > count.last_seq + 1 and self._recover:
+            self._held = found
+        else:
+            self._pass(found)
+
+    def _pass(self, found: Block) -> None:
+        """Give what is new of a block; what is missing before it is lost."""
+        count = self.count
+        gone = max(0, found.first_seq - 1 - count.last_seq)
+        count.lost += gone
+        count.produced += gone
+        new = found.part(max(found.first_seq, count.last_seq + 1), found.last_seq)
+        count.repeated += found.count - new.count
+        self._give(new)
+
+    def _give(self, block: Block) -> None:
+        if block.count:
+            self.count.received += block.count
+            self.count.produced += block.count
+            self.count.last_seq = block.last_seq
+            self._ready.append(block)
+
+    def answer(self, payload: bytes | None) -> None:
+        """See `rigctl.client.source.Source`."""
+        held, count = self._held, self.count
+        if held is None:
+            return
+        try:
+            found = decode(payload) if payload is not None else None
+        except BlockError:
+            found = None
+        if found is not None and found.stream == self._stream:
+            part = found.part(count.last_seq + 1, held.first_seq - 1)
+            if part.count:
+                gone = part.first_seq - 1 - count.last_seq
+                count.lost += gone
+                count.produced += gone
+                count.recovered += part.count
+                self._give(part)
+                if count.last_seq < held.first_seq - 1:
+                    return
+        self._held = None
+        self._pass(held)

@@ -1,0 +1,229 @@
+"""A rig as a program sees it: samples, states, events, commands. Every call waits; see `rigctl.client.rig_async`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, Self
+
+import numpy.typing as npt
+
+from rigctl.client.connection import Client, NoDaemonError
+from rigctl.client.decoding import Field, layout_of
+from rigctl.client.event_order import EventSource
+from rigctl.client.fast import DEPTH_BLOCKS
+from rigctl.client.liveliness import Liveliness
+from rigctl.client.mailbox import Mailbox
+from rigctl.client.messages import MessageSource
+from rigctl.client.ordering import BlockSource, Count
+from rigctl.client.samples import SampleSource
+from rigctl.client.source import Source
+from rigctl.client.stream import Stream
+
+Message = dict[str, Any]
+_AGAIN_S = 0.1
+_EVENTS, _STATES = 4096, 64
+
+
+class Samples(Stream[npt.NDArray[Any]]):
+    """The fast stream: numpy structured arrays of shape ``(count,)``, each record once and in order.
+
+    Its names, units and meanings are in ``rig.fields``; ``seq`` counts the records without a gap, ``t_ns`` is
+    CLOCK_MONOTONIC of the rig's computer. What the ring still holds is asked for again after an interruption; what it
+    does not is in ``count.lost``.
+    """
+
+    def __init__(self, client: Client, source: SampleSource) -> None:
+        super().__init__(client, source)
+        self._samples = source
+
+    @property
+    def count(self) -> Count:
+        """Records received, lost, recovered so far."""
+        return self._samples.count
+
+
+class Rig:
+    """Connection to one rig's daemon; it comes back by itself when the gateway was restarted. See `connect`."""
+
+    def __init__(self, connection: Client) -> None:
+        """Take over an open connection.
+
+        Raises:
+            SchemaError: the daemon serves a schema this client does not know.
+            NoDaemonError: no answer.
+        """
+        self.connection = connection
+        self._layout = layout_of(connection.schema())
+        self._liveliness = Liveliness(connection.session, connection.keys.daemon)
+        self._open: list[Mailbox] = []
+        self._standing = self.event_source()
+        self._events: Stream[Message] = Stream(connection, self._standing)
+
+    @property
+    def name(self) -> str:
+        """Name of the rig."""
+        return self.connection.rig
+
+    @property
+    def fields(self) -> Mapping[str, Field]:
+        """Fields of a sample by name: ``rig.fields["tension_n"].unit`` is ``"N"``."""
+        return self._layout.fields
+
+    # -- what it says ---------------------------------------------------------------------------------------
+    def state(self) -> Message:
+        """The newest state.
+
+        Raises:
+            NoDaemonError: no answer.
+        """
+        return self.connection.state()
+
+    def config(self) -> Message:
+        """What runs: settings, design with gains, calibration, versions, devices. Raises as `state`."""
+        return self.connection.active()
+
+    def schema(self) -> Message:
+        """What everything means, as served at ``meta/schema``. Raises as `state`."""
+        return self.connection.schema()
+
+    def fast(self, depth: int = DEPTH_BLOCKS) -> Samples:
+        """Every tick from now on; ``depth``: blocks (50 a second) that may wait to be read before the oldest go."""
+        return Samples(self.connection, self.sample_source(depth))
+
+    def states(self) -> Stream[Message]:
+        """States from now on, 50 a second; who is slow misses the oldest."""
+        return Stream(self.connection, MessageSource(self._mailbox(self.connection.keys.state, _STATES)))
+
+    def configs(self) -> Stream[Message]:
+        """Active configurations from now on: one whenever it changes."""
+        return Stream(self.connection, MessageSource(self._mailbox(self.connection.keys.active, _STATES)))
+
+    def events(self, *, past: bool = False) -> Stream[Message]:
+        """Events from now on, or from the oldest still held (``past``); each once, also across a restart."""
+        return Stream(self.connection, self.event_source(past=past))
+
+    def wait_event(
+        self,
+        kind: str | None = None,
+        severity: str | None = None,
+        where: Callable[[Message], bool] | None = None,
+        timeout_s: float | None = None,
+    ) -> Message | None:
+        """The first event of this kind, severity and condition; None after ``timeout_s``.
+
+        Looked at are, once each, the events since the last command given here (or since connecting): what happens
+        between a command and this call is not missed.
+        """
+        until = None if timeout_s is None else time.monotonic() + timeout_s
+        while (event := self._events.read(None if until is None else max(0.0, until - time.monotonic()))) is not None:
+            if fits(event, kind, severity, where):
+                return event
+        return None
+
+    # -- whether it is there --------------------------------------------------------------------------------
+    @property
+    def alive(self) -> bool:
+        """Whether the daemon's gateway is there; ``state()["loop_alive"]`` tells of its loop."""
+        return self._liveliness.alive
+
+    def wait_alive(self, timeout_s: float | None = None) -> bool:
+        """Wait for the daemon; whether it is there within ``timeout_s``."""
+        return self._liveliness.wait(True, timeout_s)
+
+    # -- what it is told ------------------------------------------------------------------------------------
+    def command(
+        self, verb: str, value: float | None = None, *, operator: str, lease: str | None = None, **options: bool | str
+    ) -> Message:
+        """Give a command; the answer says in ``accepted``, ``reason`` and ``text`` what became of it.
+
+        It is given under ``lease``, else under the one a former answer brought; without one the lease is taken if
+        nobody holds it. ``value`` and ``options``: see ``schema()["commands"]``.
+
+        Raises:
+            NoDaemonError: no answer; whether the command was carried out is not known.
+        """
+        self._standing.restart()
+        if lease is not None:
+            self.connection.leases[operator] = lease
+        return self.connection.command(verb, operator, value, **options)
+
+    def take_lease(self, operator: str, reason: str = "") -> Message:
+        """Take or renew the lease, from another only with a ``reason``. The answer's ``lease`` has its ``id``."""
+        return self.connection.take_lease(operator, reason)
+
+    def return_lease(self, operator: str) -> Message:
+        """Give the lease back."""
+        return self.connection.return_lease(operator)
+
+    # -- sources, for plain and asynchronous streams --------------------------------------------------------
+    def sample_source(self, depth: int) -> SampleSource:
+        """Samples, to be driven by a stream."""
+        keys = self.connection.keys
+        return SampleSource(BlockSource(self._mailbox(keys.fast, depth), keys.fast), self._layout, keys.schema)
+
+    def event_source(self, *, past: bool = False) -> EventSource:
+        """Events, to be driven by a stream."""
+        keys = self.connection.keys
+        return EventSource(self._mailbox(keys.event("*"), _EVENTS), keys, past=past)
+
+    def message_source(self, key: str) -> Source[Message]:
+        """States or configurations, to be driven by a stream."""
+        return MessageSource(self._mailbox(key, _STATES))
+
+    def _mailbox(self, key: str, depth: int) -> Mailbox:
+        mailbox = Mailbox(self.connection.session, key, depth)
+        self._open = [*(one for one in self._open if not one.closed), mailbox]
+        return mailbox
+
+    def close(self) -> None:
+        """End every stream and the session."""
+        for mailbox in self._open:
+            mailbox.close()
+        self._liveliness.close()
+        self.connection.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def fits(
+    event: Message, kind: str | None, severity: str | None, where: Callable[[Message], bool] | None = None
+) -> bool:
+    """Whether an event is of a kind and severity, and meets a condition; None stands for any."""
+    return (
+        kind in (None, event.get("kind")) and severity in (None, event.get("severity")) and (not where or where(event))
+    )
+
+
+def connect(endpoint: str | None = None, rig: str | None = None, *, timeout_s: float = 0.0) -> Rig:
+    """Connect to a rig's daemon.
+
+    ``endpoint``: e.g. ``tcp/192.168.1.10:7447``, else ``RIGCTL_CONNECT``, else this computer's. ``rig``: its name, else
+    ``RIGCTL_RIG``, else the only one there is. ``timeout_s``: wait so long for a daemon that is not there yet.
+
+    Raises:
+        NoDaemonError: nobody there, or not allowed.
+        ChoiceError: not an endpoint, not a name, or several rigs and none chosen.
+        SchemaError: the daemon is of a version this client does not know.
+    """
+    until = time.monotonic() + timeout_s
+    while True:
+        try:
+            connection = Client(endpoint, rig)
+            break
+        except NoDaemonError:
+            if time.monotonic() >= until:
+                raise
+        time.sleep(_AGAIN_S)
+    try:
+        return Rig(connection)
+    except Exception:
+        connection.close()
+        raise

@@ -1,0 +1,149 @@
+"""The rig for programs on an event loop. Nothing here blocks it: streams are woken, calls wait in a thread."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable, Mapping
+from typing import Any
+
+import numpy.typing as npt
+
+from rigctl.client.connection import Client
+from rigctl.client.decoding import Field
+from rigctl.client.fast import DEPTH_BLOCKS
+from rigctl.client.ordering import Count
+from rigctl.client.rig import Message, Rig, connect, fits
+from rigctl.client.samples import SampleSource
+from rigctl.client.stream_async import AsyncStream
+
+
+class AsyncSamples(AsyncStream[npt.NDArray[Any]]):
+    """The fast stream, as `rigctl.client.rig.Samples`."""
+
+    def __init__(self, client: Client, source: SampleSource) -> None:
+        super().__init__(client, source)
+        self._samples = source
+
+    @property
+    def count(self) -> Count:
+        """Records received, lost, recovered so far."""
+        return self._samples.count
+
+
+class AsyncRig:
+    """As `rigctl.client.rig.Rig`, whose methods say what these do and raise."""
+
+    def __init__(self, rig: Rig) -> None:
+        """Take over a rig; to be made in the event loop."""
+        self._rig = rig
+        self._standing = rig.event_source()
+        self._events: AsyncStream[Message] = AsyncStream(rig.connection, self._standing)
+
+    @property
+    def name(self) -> str:
+        """Name of the rig."""
+        return self._rig.name
+
+    @property
+    def fields(self) -> Mapping[str, Field]:
+        """Fields of a sample by name."""
+        return self._rig.fields
+
+    @property
+    def alive(self) -> bool:
+        """Whether the daemon's gateway is there."""
+        return self._rig.alive
+
+    async def wait_alive(self, timeout_s: float | None = None) -> bool:
+        """Wait for the daemon; whether it is there within ``timeout_s``."""
+        until = None if timeout_s is None else asyncio.get_running_loop().time() + timeout_s
+        while not self._rig.alive:
+            if until is not None and asyncio.get_running_loop().time() >= until:
+                return False
+            await asyncio.sleep(0.02)
+        return True
+
+    async def state(self) -> Message:
+        """The newest state."""
+        return await asyncio.to_thread(self._rig.state)
+
+    async def config(self) -> Message:
+        """What runs."""
+        return await asyncio.to_thread(self._rig.config)
+
+    async def schema(self) -> Message:
+        """What everything means."""
+        return await asyncio.to_thread(self._rig.schema)
+
+    def fast(self, depth: int = DEPTH_BLOCKS) -> AsyncSamples:
+        """Every tick from now on."""
+        return AsyncSamples(self._rig.connection, self._rig.sample_source(depth))
+
+    def states(self) -> AsyncStream[Message]:
+        """States from now on; who is slow misses the oldest."""
+        return self._follow(self._rig.connection.keys.state)
+
+    def configs(self) -> AsyncStream[Message]:
+        """Active configurations from now on: one whenever it changes."""
+        return self._follow(self._rig.connection.keys.active)
+
+    def _follow(self, key: str) -> AsyncStream[Message]:
+        return AsyncStream(self._rig.connection, self._rig.message_source(key))
+
+    def events(self, *, past: bool = False) -> AsyncStream[Message]:
+        """Events from now on, or from the oldest still held; each once, also across a restart."""
+        return AsyncStream(self._rig.connection, self._rig.event_source(past=past))
+
+    async def wait_event(
+        self,
+        kind: str | None = None,
+        severity: str | None = None,
+        where: Callable[[Message], bool] | None = None,
+        timeout_s: float | None = None,
+    ) -> Message | None:
+        """The first such event since the last command given here, or since connecting; None after ``timeout_s``."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(timeout_s):
+                async for event in self._events:
+                    if fits(event, kind, severity, where):
+                        return event
+        return None
+
+    async def command(
+        self, verb: str, value: float | None = None, *, operator: str, lease: str | None = None, **options: bool | str
+    ) -> Message:
+        """Give a command; a cancelled one may still be carried out."""
+        self._standing.restart()
+        return await asyncio.to_thread(self._rig.command, verb, value, operator=operator, lease=lease, **options)
+
+    async def take_lease(self, operator: str, reason: str = "") -> Message:
+        """Take or renew the lease."""
+        return await asyncio.to_thread(self._rig.take_lease, operator, reason)
+
+    async def return_lease(self, operator: str) -> Message:
+        """Give the lease back."""
+        return await asyncio.to_thread(self._rig.return_lease, operator)
+
+
+@contextlib.asynccontextmanager
+async def connect_async(
+    endpoint: str | None = None, rig: str | None = None, *, timeout_s: float = 0.0
+) -> AsyncIterator[AsyncRig]:
+    """``async with connect_async() as rig``: as `rigctl.client.rig.connect`, and closed at the end."""
+    opening = asyncio.ensure_future(asyncio.to_thread(connect, endpoint, rig, timeout_s=timeout_s))
+    try:
+        found = await asyncio.shield(opening)
+    except asyncio.CancelledError:
+        opening.add_done_callback(_close)
+        raise
+    try:
+        yield AsyncRig(found)
+    finally:
+        await asyncio.to_thread(found.close)
+
+
+def _close(opened: asyncio.Future[Rig]) -> None:
+    """Close what was opened for somebody who has gone."""
+    if not opened.cancelled() and opened.exception() is None:
+        opened.result().close()

@@ -1,0 +1,60 @@
+"""The fast stream as numpy structured arrays, decoded by the schema the daemon serves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy.typing as npt
+
+from rigctl.client.decoding import Layout, SchemaError, layout_of
+from rigctl.client.ordering import BlockSource, Count
+from rigctl.client.source import Question
+from rigctl.telemetry.block import Block
+
+
+class SampleSource:
+    """Every record once, in order. A daemon started anew may be another version: its schema is asked for again."""
+
+    def __init__(self, blocks: BlockSource, layout: Layout, schema_key: str) -> None:
+        self.mailbox = blocks.mailbox
+        self.layout = layout
+        self._blocks, self._schema_key = blocks, schema_key
+        self._stream: int | None = None
+        self._undecoded: Block | None = None  # its schema is being asked for
+
+    @property
+    def count(self) -> Count:
+        """Figures so far."""
+        return self._blocks.count
+
+    def poll(self) -> npt.NDArray[Any] | Question | None:
+        """See `rigctl.client.source.Source`.
+
+        Raises:
+            SchemaError: the daemon was replaced by one whose schema is not known.
+        """
+        if self._undecoded is not None:
+            return Question(self._schema_key)
+        found = self._blocks.poll()
+        if not isinstance(found, Block):
+            return found
+        if self._stream not in (None, found.stream) or found.record_size != self.layout.dtype.itemsize:
+            self._undecoded = found
+            return Question(self._schema_key)
+        self._stream = found.stream
+        return self.layout.decode(found)
+
+    def answer(self, payload: bytes | None) -> None:
+        """See `rigctl.client.source.Source`."""
+        if self._undecoded is None:
+            self._blocks.answer(payload)
+        elif payload is not None:
+            try:
+                schema = msgspec.json.decode(payload, type=dict[str, Any])
+            except msgspec.MsgspecError as error:
+                raise SchemaError(f"meta/schema cannot be used: {' '.join(str(error).split())}") from None
+            self.layout, found = layout_of(schema), self._undecoded
+            self.layout.decode(found)  # refused here if it does not fit
+            self._stream, self._undecoded = found.stream, None
+            self._blocks.put_back(found)

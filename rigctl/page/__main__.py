@@ -1,0 +1,69 @@
+"""Page process of a daemon: ``python -m rigctl.page RUNTIME_DIR``, started by the supervisor. Read-only."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import signal
+import socket
+import sys
+import time
+
+import msgspec
+from pydantic import ValidationError
+
+from rigctl.config import RigSettings
+from rigctl.control.realtime import die_with_parent
+from rigctl.page.address import Address, CannotListenError
+from rigctl.page.guard import Guard
+from rigctl.page.serve import serve
+from rigctl.telemetry.runtime import ACTIVE, Runtime
+
+NICENESS = 10  # a page is what can wait
+RETRY_S = 2.0
+
+
+def _listen(address: Address) -> socket.socket:
+    """A socket there; one that is in use is waited for, with one line."""
+    said = False
+    while True:
+        try:
+            listening = address.listen()
+        except CannotListenError as error:
+            if not said:
+                _say(f"WARNING: page: {error}; it is tried again, the loop is unaffected")
+            said = True
+            time.sleep(RETRY_S)
+            continue
+        _say(f"page: http://{address}/ (read-only)")
+        return listening
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(f"{time.strftime('%H:%M:%S')} {text}\n")
+    sys.stdout.flush()
+
+
+def main(arguments: list[str]) -> int:
+    """Serve the page of the daemon whose runtime folder is named; exit code."""
+    if len(arguments) != 1:
+        sys.stderr.write("usage: python -m rigctl.page RUNTIME_DIR\n")
+        return 2
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    die_with_parent(signal.SIGTERM)
+    os.nice(NICENESS)
+    runtime = Runtime(pathlib.Path(arguments[0]))
+    try:
+        settings = RigSettings.model_validate(runtime.read_json(ACTIVE).get("settings"))
+    except (OSError, ValidationError, msgspec.MsgspecError):
+        sys.stderr.write("page: active.json holds no valid settings\n")
+        return 1
+    if settings.page is None:
+        sys.stderr.write("page: the settings have no page section\n")
+        return 1
+    address = settings.page.address
+    return serve(_listen(address), f"unixsock-stream/{runtime.gateway_socket}", settings.rig, Guard(address))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,92 @@
+"""Where the page listens: ``HOST:PORT``, and the socket there."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+import socket
+from dataclasses import dataclass
+
+_HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?")
+ALLOWED = "HOST:PORT, e.g. 127.0.0.1:8080 or [::1]:8080"
+
+
+class AddressError(ValueError):
+    """Text that is no address; ``str()`` is one line."""
+
+    def __init__(self, found: str) -> None:
+        super().__init__(f"found {found!r}, allowed {ALLOWED}")
+
+
+class CannotListenError(RuntimeError):
+    """Nobody can listen there; ``str()`` is one line."""
+
+
+@dataclass(frozen=True)
+class Address:
+    """A host (name or IP address, IPv6 without brackets) and a TCP port; port 0 takes one that is free."""
+
+    host: str
+    port: int
+
+    @classmethod
+    def parse(cls, text: str) -> Address:
+        """``HOST:PORT``.
+
+        Raises:
+            AddressError: it is not one.
+        """
+        host, colon, port = text.rpartition(":")
+        bracketed = host.startswith("[") and host.endswith("]")
+        host = host[1:-1] if bracketed else host
+        if not colon or not port.isascii() or not port.isdigit() or len(port) > 5 or int(port) > 65535:
+            raise AddressError(text)
+        if bracketed:
+            try:
+                ipaddress.IPv6Address(host)
+            except ValueError:
+                raise AddressError(text) from None
+        elif not _HOST.fullmatch(host) or (re.fullmatch(r"[0-9.]+", host) and not _is_ip(host)):
+            raise AddressError(text)
+        return cls(host, int(port))
+
+    def __str__(self) -> str:
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+
+    @property
+    def is_loopback(self) -> bool:
+        """Whether only this computer can connect."""
+        return self.host == "localhost" or (_is_ip(self.host) and ipaddress.ip_address(self.host).is_loopback)
+
+    def listen(self) -> socket.socket:
+        """A socket that listens here.
+
+        Raises:
+            CannotListenError: the port is in use, may not be used, or the host is not this computer's.
+        """
+        try:
+            family, _, _, _, where = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)[0]
+            return socket.create_server(where[:2], family=family, backlog=64)
+        except OSError as error:
+            reason = "it is in use" if "in use" in str(error) else error.strerror or str(error)
+            raise CannotListenError(f"cannot listen on {self}: {reason}") from None
+
+
+def is_address(text: str) -> bool:
+    """Whether `Address.parse` takes it."""
+    try:
+        Address.parse(text)
+    except AddressError:
+        return False
+    return True
+
+
+def _is_ip(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
+
+
+DEFAULT = Address("127.0.0.1", 8080)

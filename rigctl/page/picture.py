@@ -1,0 +1,78 @@
+"""All the page knows of the rig at this instant. One thread writes it, the server's reads it."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rigctl.operator.passed_limits import PassedLimits
+from rigctl.page.history import History, Ids
+from rigctl.page.lateness import Lateness
+from rigctl.page.signals import values_of
+
+EVENTS_HELD = 200
+SILENT_S = 1.0
+
+
+class Picture:
+    """History, newest state, events, and how the connection is; guarded by ``lock``."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.lock = threading.Lock()
+        self.endpoint = endpoint
+        self.history = History()
+        self.lateness = Lateness()
+        self.limits = PassedLimits()
+        self.state: dict[str, Any] | None = None
+        self.active: dict[str, Any] = {}
+        self.active_serial = 0  # changes with ``active``
+        self.events: deque[dict[str, Any]] = deque(maxlen=EVENTS_HELD)
+        self.events_serial = 0  # changes with ``events``
+        self.samples_lost = 0  # of the fast stream on its way here
+        self.trouble = f"no daemon has answered at {endpoint} yet"  # why nothing comes, while nothing does
+        self._heard: float | None = None
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds since the daemon was last heard; infinite before the first time."""
+        return math.inf if self._heard is None else time.monotonic() - self._heard
+
+    def add_records(self, records: npt.NDArray[Any], wall_offset_ns: int) -> None:
+        """Records of the fast stream; ``wall_offset_ns``: wall clock less the records' clock."""
+        wall_ns: Ids = records["t_ns"].astype(np.int64) + wall_offset_ns
+        values = values_of(records)
+        with self.lock:
+            self.history.add(wall_ns, values)
+            self.lateness.add(wall_ns, records)
+
+    def take_state(self, state: dict[str, Any]) -> None:
+        """The newest state message."""
+        with self.lock:
+            self.state, self._heard = state, time.monotonic()
+
+    def take_active(self, active: dict[str, Any]) -> None:
+        """What runs."""
+        with self.lock:
+            self.active = active
+            self.active_serial += 1
+
+    def add_events(self, events: Iterable[dict[str, Any]], *, anew: bool = False) -> None:
+        """Events, oldest first; ``anew``: these are all there are."""
+        with self.lock:
+            if anew:
+                self.events.clear()
+                self.events_serial += 1
+                self.limits.clear()
+            known = {(event["t_ns"], event["seq"]) for event in self.events}
+            for event in events:
+                if (event["t_ns"], event["seq"]) not in known:
+                    self.events.append(event)
+                    self.limits.note(event)
+                    self.events_serial += 1

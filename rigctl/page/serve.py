@@ -1,0 +1,71 @@
+"""Running the page's server in this process."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Iterator
+from typing import NoReturn
+
+import uvicorn
+
+from rigctl.page.desk import Desk
+from rigctl.page.guard import Guard
+from rigctl.page.picture import Picture
+from rigctl.page.server import Page
+from rigctl.page.source import Source
+
+CLOSE_S = 1  # for browsers to let go
+
+
+class _Server(uvicorn.Server):
+    """uvicorn's server, whose process does its own signal handling."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Leave them alone."""
+        yield
+
+
+def serve(
+    listening: socket.socket, endpoint: str, rig: str | None, guard: Guard, operator: str | None = None
+) -> NoReturn:
+    """Serve until SIGINT or SIGTERM, and end the process. ``operator``: who commands, None for a read-only page."""
+    picture, stop = Picture(endpoint), threading.Event()
+    source = Source(picture, rig, stop)
+    desk = Desk(operator, rig, picture) if operator is not None else None
+    page = Page(picture, guard, desk)
+    config = uvicorn.Config(
+        page.app,
+        lifespan="off",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        ws_per_message_deflate=False,  # costs more than a loopback or a control room's network saves
+        ws_max_size=4096,
+        timeout_graceful_shutdown=CLOSE_S,
+    )
+    server = _Server(config)
+
+    async def until_told() -> None:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, setattr, server, "should_exit", True)
+        await server.serve(sockets=[listening])
+
+    source.start()
+    try:
+        asyncio.run(until_told())
+    finally:
+        stop.set()
+        source.join(CLOSE_S)
+        page.close()
+    # Not the interpreter's way out: it would abort on a thread that is still inside Zenoh, opening a session.
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+    os._exit(0)

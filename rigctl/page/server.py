@@ -1,0 +1,170 @@
+"""The page's HTTP and websocket server: static assets, a stream for each browser, and the commands' desk."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import pathlib
+import secrets
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import msgspec
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocket
+
+from rigctl.page.desk import Answer, Desk, RefusedError
+from rigctl.page.guard import HEADERS, Guard
+from rigctl.page.history import WINDOWS_S
+from rigctl.page.picture import Picture
+from rigctl.page.stream import Stream
+
+STATIC = pathlib.Path(__file__).parent / "static"
+BODY_BYTES = 4096
+_READ_ONLY = "this page is read-only: rigctl page --operator NAME is one that may command"
+_NO_TOKEN = "the token is not this page server's: open the address it printed when it was started"
+
+
+class _Command(msgspec.Struct, forbid_unknown_fields=True):
+    verb: str
+    value: float | None = None
+
+
+class _Confirmation(msgspec.Struct, forbid_unknown_fields=True):
+    confirm: str
+
+
+class _Lease(msgspec.Struct, forbid_unknown_fields=True):
+    act: str
+    reason: str = ""
+
+
+class _Rights(msgspec.Struct, forbid_unknown_fields=True):
+    pass
+
+
+class Headers:
+    """Middleware: every answer carries the security headers; a Host that is not ours gets none of it."""
+
+    def __init__(self, app: ASGIApp, guard: Guard) -> None:
+        self._app, self._guard = app, guard
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        if not self._guard.names_us(Request(scope).headers):
+            await Response("this server does not go by that name\n", 421)(scope, receive, send)
+            return
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] += [(name.encode(), value.encode()) for name, value in HEADERS.items()]
+            await send(message)
+
+        await self._app(scope, receive, with_headers)
+
+
+def assets_digest() -> str:
+    """What a browser compares to see that the page was replaced by another version."""
+    digest = hashlib.sha256()
+    for file in sorted(STATIC.iterdir()):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+class Page:
+    """Routes of one page server."""
+
+    def __init__(self, picture: Picture, guard: Guard, desk: Desk | None = None) -> None:
+        """``desk``: None for a page that is read-only."""
+        self._picture, self._guard, self._desk = picture, guard, desk
+        self._hello = {
+            "kind": "hello", "server": secrets.token_hex(8), "assets": assets_digest(), "windows_s": WINDOWS_S,
+        }  # fmt: skip
+        # HOLD must not wait behind commands that wait for a rig that is slow: more threads than browsers click with.
+        self._threads = ThreadPoolExecutor(32, "desk")
+        acts: dict[str, tuple[type[Any], Callable[[Desk, Any], Answer]]] = {
+            "rights": (_Rights, lambda desk, _: {"accepted": True, "operator": desk.operator}),
+            "lease": (_Lease, lambda desk, asked: desk.lease(asked.act, asked.reason)),
+            "command": (_Command, lambda desk, asked: desk.propose(asked.verb, asked.value)),
+            "confirm": (_Confirmation, lambda desk, asked: desk.confirm(asked.confirm)),
+        }
+        self.app = Starlette(
+            routes=[
+                Route("/", self._index),
+                WebSocketRoute("/stream", self._stream),
+                *(Route(f"/api/{name}", self._post(*act), methods=["POST"]) for name, act in acts.items()),
+                Mount("/static", StaticFiles(directory=STATIC)),
+            ],
+            middleware=[Middleware(Headers, guard=guard)],
+        )
+
+    @staticmethod
+    async def _index(_request: Request) -> Response:
+        return FileResponse(STATIC / "index.html")
+
+    def _post(self, kind: type[Any], act: Callable[[Desk, Any], Answer]) -> Callable[[Request], Awaitable[Response]]:
+        """An endpoint that only this server's own page with the token gets an answer from, and only with a desk."""
+
+        async def endpoint(request: Request) -> Response:
+            desk = self._desk
+            if desk is None:
+                return _refusal(_READ_ONLY, 403)
+            if not self._guard.is_own_page(request.headers):
+                return _refusal("commands are taken from this server's own page alone", 403)
+            if not self._guard.may_command(request.headers):
+                return _refusal(_NO_TOKEN, 403)
+            try:
+                body = msgspec.json.decode(await _body_of(request), type=kind)
+                answer = await asyncio.get_running_loop().run_in_executor(self._threads, act, desk, body)
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+                return _refusal(f"not a command: {error}", 400)
+            except RefusedError as error:
+                return _refusal(str(error), 409)
+            return _json(_told(answer), 200 if answer.get("accepted") else 409)
+
+        return endpoint
+
+    async def _stream(self, socket: WebSocket) -> None:
+        if not self._guard.is_own_page(socket.headers):
+            await socket.close(4403)
+            return
+        await socket.accept()
+        await Stream(socket, self._picture, self._hello, self._desk).run()
+
+    def close(self) -> None:
+        """End what commands are under way with."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        if self._desk is not None:
+            self._desk.close()
+
+
+async def _body_of(request: Request) -> bytes:
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > BODY_BYTES:
+            raise RefusedError(f"found more than {BODY_BYTES} bytes, allowed a command")
+    return body
+
+
+def _told(answer: Answer) -> Answer:
+    """An answer for the browser, which has no business with the lease's id."""
+    return {name: value for name, value in answer.items() if name != "lease"}
+
+
+def _json(message: Any, status: int) -> Response:
+    return Response(msgspec.json.encode(message), status, media_type="application/json")
+
+
+def _refusal(text: str, status: int) -> Response:
+    return _json({"accepted": False, "text": text}, status)

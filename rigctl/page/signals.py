@@ -1,0 +1,63 @@
+"""The signals the charts show, worked out of the records of the fast stream."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rigctl.control.modes import Mode
+from rigctl.telemetry.record import Quality
+
+Values = npt.NDArray[np.float64]
+_NOT_SEEN = int(Quality.STALE | Quality.INVALID | Quality.NEVER)
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One value per record; NaN where there is none."""
+
+    name: str
+    unit: str
+    of: Callable[[npt.NDArray[Any]], Values]
+
+
+def _seen(field: str, device: str, factor: float = 1.0) -> Callable[[npt.NDArray[Any]], Values]:
+    """A field while its device's sample is fresh and valid: an old value drawn on would look like a steady one."""
+
+    def values(records: npt.NDArray[Any]) -> Values:
+        return np.where(records[f"{device}_quality"] & _NOT_SEEN, np.nan, records[field] * factor)
+
+    return values
+
+
+def _error_pct(records: npt.NDArray[Any]) -> Values:
+    """Vertical error in percent of the target, while COMPENSATING."""
+    target = records["target_n"]
+    known = (records["mode"] == Mode.COMPENSATING) & (target > 0)
+    known &= (records["tension_quality"] & _NOT_SEEN) == 0
+    return np.where(known, 100.0 * (records["vertical_n"] - target) / np.where(known, target, 1.0), np.nan)
+
+
+SIGNALS: tuple[Signal, ...] = (
+    Signal("vertical_n", "N", _seen("vertical_n", "tension")),
+    Signal("target_n", "N", lambda records: np.asarray(records["target_n"], np.float64)),
+    Signal("error_pct", "%", _error_pct),
+    Signal("stroke_mm", "mm", _seen("stroke_mm", "drive")),
+    Signal("speed_mm_s", "mm/s", _seen("speed_mm_s", "drive")),
+    Signal("tangential_deg", "deg", _seen("tangential_rad", "inclination", 180.0 / np.pi)),
+    Signal("normal_deg", "deg", _seen("normal_rad", "inclination", 180.0 / np.pi)),
+    Signal("lateness_us", "us", lambda records: records["lateness_ns"] / 1000.0),
+    Signal("mode", "", lambda records: np.asarray(records["mode"], np.float64)),
+)
+
+
+def values_of(records: npt.NDArray[Any]) -> Values:
+    """Records (n) as values (n, signals); whatever is not finite is NaN."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        values = np.stack([signal.of(records) for signal in SIGNALS], axis=1)
+    values[~np.isfinite(values)] = np.nan
+    return values

@@ -1,0 +1,141 @@
+"""The page's Zenoh client: keeps a picture up to date, through restarts of gateway and daemon, and without one."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import zenoh
+
+from rigctl.client.connection import ChoiceError, Client, NoDaemonError
+from rigctl.client.fast import FastReader
+from rigctl.page.picture import EVENTS_HELD, Picture
+from rigctl.telemetry.block import Block, BlockError, decode
+
+PERIOD_S = 0.033
+RETRY_S = 0.5
+_LAST = 200  # an answer with fewer records ends with the newest
+GIVE_UP_S = 6.0  # of silence: Zenoh reconnects by itself, but another daemon may have come in its place
+
+
+class NotOursError(RuntimeError):
+    """The daemon speaks another layout; ``str()`` is one line."""
+
+
+def layout_of(schema: dict[str, Any]) -> np.dtype[Any]:
+    """Layout of a record as ``meta/schema`` has it: the daemon may be older or newer than this page.
+
+    Raises:
+        NotOursError: it cannot be read.
+    """
+    try:
+        record = schema["fast"]["record"]
+        columns = {name: [field[name] for field in record["fields"]] for name in ("name", "type", "offset")}
+        return np.dtype(
+            {"names": columns["name"], "formats": columns["type"], "offsets": columns["offset"],
+             "itemsize": record["size"]}
+        )  # fmt: skip
+    except (KeyError, TypeError, ValueError) as error:
+        raise NotOursError(f"the daemon's schema cannot be read: {error}") from None
+
+
+class Connection:
+    """One client and its subscriptions."""
+
+    def __init__(self, client: Client, picture: Picture) -> None:
+        self.client, self._picture = client, picture
+        self._states = client.follow(client.keys.state)
+        self._events = client.follow(client.keys.event("*"), EVENTS_HELD)
+        self._reader = FastReader(client)
+        self._layout = layout_of(client.schema())
+        self._stream = self._last_seq = 0
+        self._offset_ns: int | None = None
+        self._gateway = 0
+        self._take_history()
+
+    def _take_history(self) -> None:
+        """What the daemon's rings still hold, so that the charts begin before the page did."""
+        self._look_at_clock()
+        last = 0
+        while True:
+            answered, payload = self.client.ask(f"{self.client.keys.fast}?after={last}")
+            block = decode(payload) if answered else None
+            if block is None or not block.count:
+                return
+            self._add(block)
+            if block.count < _LAST:
+                return
+            last = block.last_seq
+
+    def _look_at_clock(self) -> None:
+        state = self.client.state()
+        if "t_ns" in state:
+            self._offset_ns = int(state["wall_ns"]) - int(state["t_ns"])
+
+    def take(self) -> None:
+        """What has come since."""
+        state = self._states.newest()
+        for block in self._reader.read():
+            self._add(block)
+        if state is not None:
+            if state.get("gateway_wall_ns", 0) != self._gateway:
+                self._catch_up(int(state.get("gateway_wall_ns", 0)))
+            self._picture.take_state(state)
+        events = []
+        while (event := self._events.take()) is not None:
+            events.append(event)
+        if events:
+            self._picture.add_events(events)
+        self._picture.samples_lost = self._reader.count.lost
+
+    def _add(self, block: Block) -> None:
+        if block.stream != self._stream or self._offset_ns is None:  # the daemon was started anew
+            self._look_at_clock()
+            self._stream, self._last_seq = block.stream, 0
+        new = block.part(max(block.first_seq, self._last_seq + 1), block.last_seq)
+        if not new.count or self._offset_ns is None:
+            return
+        if new.record_size != self._layout.itemsize:
+            raise NotOursError("the daemon was replaced by one with another schema")
+        records: npt.NDArray[Any] = np.frombuffer(new.data, self._layout)
+        self._picture.add_records(records, self._offset_ns)
+        self._last_seq = new.last_seq
+
+    def _catch_up(self, gateway: int) -> None:
+        """A gateway that has just started: what runs and what has happened, as it knows it."""
+        self._picture.take_active(self.client.active())
+        self._picture.add_events(self.client.past_events(), anew=True)
+        self._gateway = gateway
+
+
+class Source(threading.Thread):
+    """Connects, follows, and connects again until ``stop``."""
+
+    def __init__(self, picture: Picture, rig: str | None, stop: threading.Event) -> None:
+        super().__init__(name="source", daemon=True)
+        self._picture, self._rig, self._ended = picture, rig, stop
+
+    def run(self) -> None:
+        """Until ``stop``; whatever ends a connection is what the page shows meanwhile."""
+        while not self._ended.is_set():
+            try:
+                with Client(self._picture.endpoint, self._rig) as client:
+                    self._follow(Connection(client, self._picture))
+            except (NoDaemonError, ChoiceError, NotOursError, BlockError, zenoh.ZError, msgspec.MsgspecError) as error:
+                self._picture.trouble = str(error).splitlines()[0]
+            self._ended.wait(RETRY_S)
+
+    def _follow(self, connection: Connection) -> None:
+        started = time.monotonic()
+        while not self._ended.is_set():
+            with contextlib.suppress(NoDaemonError):  # the gateway is away; what it was to be asked is asked again
+                connection.take()
+            if min(self._picture.silent_s, time.monotonic() - started) > GIVE_UP_S:
+                raise NoDaemonError(f"no data from {self._picture.endpoint}")
+            self._picture.trouble = f"no data from {self._picture.endpoint}"
+            self._ended.wait(PERIOD_S)

@@ -1,0 +1,46 @@
+// The websocket: opened again whenever it ends, soon at first, then every two seconds.
+const FIRST_MS = 250, LONGEST_MS = 2000, SILENT_MS = 4000;
+
+export class Link {
+  constructor(take) {
+    this.take = take;
+    this.window = 0;
+    this.connected = false;
+    this.opened = 0;
+    this.waitMs = FIRST_MS;
+    this.open();
+    setInterval(() => this.look(), 1000);
+  }
+
+  open() {
+    this.heard = performance.now();
+    const socket = (this.socket = new WebSocket(`ws://${location.host}/stream`));
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => {
+      this.connected = true;
+      this.opened++;
+      this.waitMs = FIRST_MS;
+      this.choose(this.window);
+    };
+    socket.onmessage = (message) => {
+      this.heard = performance.now();
+      this.take(message.data);
+    };
+    socket.onclose = () => {
+      if (socket !== this.socket) return;
+      this.connected = false;
+      setTimeout(() => this.open(), this.waitMs);
+      this.waitMs = Math.min(2 * this.waitMs, LONGEST_MS);
+    };
+  }
+
+  // A connection over which nothing comes (the other computer was switched off) never says that it has ended.
+  look() {
+    if (this.connected && performance.now() - this.heard > SILENT_MS) this.socket.close();
+  }
+
+  choose(window) {
+    this.window = window;
+    if (this.connected) this.socket.send(JSON.stringify({ window }));
+  }
+}

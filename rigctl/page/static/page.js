@@ -1,0 +1,129 @@
+// The live page: one websocket in, charts and words out. `window.rigctl` is for whoever looks into it.
+import { Desk } from "./desk.js";
+import { Histogram } from "./histogram.js";
+import { Link } from "./link.js";
+import { Theme } from "./look.js";
+import { Panel } from "./panel.js";
+import { Polar } from "./polar.js";
+import { Store } from "./store.js";
+import { Strips } from "./strips.js";
+
+const STALE_S = 1;
+const STEP_PX = 0.4; // the charts are drawn again when they have moved by so much ...
+const SHORTEST_MS = 22, LONGEST_MS = 500; // ... within these bounds
+const POLAR_MS = 100;
+const byId = (id) => document.getElementById(id);
+
+const store = new Store(), panel = new Panel(), desk = new Desk();
+const strips = new Strips(byId("strips"), store);
+const polar = new Polar(document.querySelector("#polar canvas"), byId("polar-range"), store);
+const histogram = new Histogram(document.querySelector("#lateness canvas"), byId("lateness-figures"));
+let hello = null, state = null, heard = 0, names = [], windowsS = [60], firstDrawMs = null, drawn = 0, drawnFrames = -1, polarDrawn = 0;
+
+const theme = new Theme(byId("theme"), () => {
+  strips.restyle();
+  polar.restyle();
+  histogram.restyle();
+  drawn = polarDrawn = 0;
+});
+
+function take(data) {
+  if (typeof data !== "string") return store.take(data, performance.now());
+  const message = JSON.parse(data);
+  if (message.kind === "hello") greet(message);
+  else if (message.kind === "state") show(message);
+  else if (message.kind === "events") panel.events(message.events);
+  else if (message.kind === "lateness") histogram.take(message);
+  else if (message.kind === "settings") {
+    strips.settings = polar.settings = message;
+    histogram.periodUs = message.period_us;
+  }
+}
+
+function greet(message) {
+  if (hello && hello.assets !== message.assets) return location.reload();
+  if (!hello || hello.server !== message.server) desk.rights();
+  hello = message;
+  names = message.signals;
+  windowsS = message.windows_s;
+  histogram.edges = message.edges_us;
+  store.clear();
+  const buttons = windowsS.map((seconds, i) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.textContent = seconds < 3600 ? (seconds <= 60 ? `${seconds} s` : `${seconds / 60} min`) : `${seconds / 3600} h`;
+    button.setAttribute("aria-pressed", String(i === link.window));
+    button.addEventListener("click", () => choose(i));
+    return button;
+  });
+  byId("windows").replaceChildren(...buttons);
+}
+
+function choose(window) {
+  link.choose(window);
+  [...byId("windows").children].forEach((button, i) => button.setAttribute("aria-pressed", String(i === window)));
+}
+
+function show(message) {
+  state = message;
+  heard = performance.now();
+  panel.show(state);
+  desk.show(state);
+  if (state.values) strips.title(state.values, typeof state.values.error_n === "number");
+  look();
+}
+
+// Age of what is shown, whoever is to blame: loop, gateway, page server, or the way here.
+function ageS() {
+  if (!state || state.silent_s === null) return Infinity;
+  return (performance.now() - heard) / 1000 + state.silent_s + (state.age_ms ?? 0) / 1000;
+}
+
+// Who is silent: the first on the way from here to the rig of whom most of the age comes.
+function blame() {
+  if (!state) return "connecting";
+  if (performance.now() - heard > 500 * STALE_S) return `the page server at ${location.host} does not answer; reconnecting`;
+  if (state.silent_s === null || state.silent_s > 0.5 * STALE_S) return state.trouble;
+  return state.why || "the loop writes no records";
+}
+
+function look() {
+  const age = ageS(), stale = age > STALE_S;
+  byId("age").textContent = Number.isFinite(age) ? `${age < 10 ? age.toFixed(1) : age.toFixed(0)} s` : "-";
+  document.body.classList.toggle("stale", stale);
+  if (!stale) return;
+  byId("stale-what").textContent = Number.isFinite(age) ? `NO DATA FOR ${Math.floor(age)} s` : "NO DATA";
+  const why = blame();
+  byId("stale-why").textContent = Number.isFinite(age) ? `${why}. What is below is old.` : why;
+}
+
+function animate() {
+  requestAnimationFrame(animate);
+  const now = performance.now(), windowS = windowsS[store.window];
+  if (store.newest < 0 || windowS === undefined) return;
+  const moving = (STEP_PX * 1000 * windowS) / Math.max(300, strips.root.clientWidth);
+  const stepMs = Math.min(Math.max(SHORTEST_MS, moving), LONGEST_MS);
+  const resting = now - heard > 1000 && store.frames === drawnFrames;
+  if (now - drawn < stepMs || (resting && drawn)) return;
+  drawn = Math.max(drawn + stepMs, now - stepMs); // on average so often, whatever the screen's own rate
+  drawnFrames = store.frames;
+  strips.draw(now, windowS, names);
+  if (now - polarDrawn >= POLAR_MS) {
+    polarDrawn = now;
+    polar.draw(names);
+  }
+  firstDrawMs ??= performance.now();
+}
+
+const link = new Link(take);
+setInterval(look, 200);
+requestAnimationFrame(animate);
+
+window.rigctl = {
+  store, strips, link, choose, theme,
+  get state() { return state; },
+  get stale() { return document.body.classList.contains("stale"); },
+  get draws() { return strips.draws; },
+  get firstDrawMs() { return firstDrawMs; },
+  signal: (name) => names.indexOf(name),
+};

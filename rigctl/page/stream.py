@@ -1,0 +1,88 @@
+"""What one browser is sent: charts in binary frames, words in JSON. A browser that is slow gets less, never old."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from typing import Any
+
+import msgspec
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from rigctl.page.desk import Desk
+from rigctl.page.history import WINDOWS_S
+from rigctl.page.lateness import EDGES_US
+from rigctl.page.panel import events_message, settings_message, state_message
+from rigctl.page.picture import Picture
+from rigctl.page.signals import SIGNALS
+from rigctl.page.wire import frame
+
+FRAME_S = 0.04
+WORDS_EVERY = 3  # frames
+LATENESS_EVERY = 12
+_SLOW_S = 10.0  # a browser that takes nothing for so long is gone
+
+
+class Stream:
+    """One websocket. The browser sends ``{"window": N}`` and gets that window from its beginning."""
+
+    def __init__(self, socket: WebSocket, picture: Picture, hello: dict[str, Any], desk: Desk | None) -> None:
+        self._socket, self._picture, self._hello, self._desk = socket, picture, hello, desk
+        self._window = self._since = 0
+        self._newest_ns = -1
+        self._events = self._active = -1
+
+    async def run(self) -> None:
+        """Until the browser goes."""
+        listening = asyncio.create_task(self._listen())
+        try:
+            await self._put(
+                {**self._hello, "signals": [signal.name for signal in SIGNALS], "edges_us": EDGES_US.round(3).tolist()}
+            )
+            count = 0
+            while not listening.done():
+                await self._round(count)
+                count += 1
+                await asyncio.sleep(FRAME_S)
+        except (WebSocketDisconnect, RuntimeError, OSError, TimeoutError):
+            pass  # it went while something was on its way to it
+        finally:
+            listening.cancel()
+            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                await listening
+
+    async def _listen(self) -> None:
+        while True:
+            message = await self._socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            with contextlib.suppress(msgspec.MsgspecError, KeyError, TypeError):
+                wanted = msgspec.json.decode(message.get("text") or b"")["window"]
+                if wanted in range(len(WINDOWS_S)):
+                    self._window, self._since, self._newest_ns = int(wanted), 0, -1
+
+    async def _round(self, count: int) -> None:
+        picture = self._picture
+        if picture.active_serial != self._active:
+            self._active = picture.active_serial
+            await self._put(settings_message(picture.active))
+        if picture.events_serial != self._events:
+            self._events = picture.events_serial
+            await self._put(events_message(picture))
+        if count % WORDS_EVERY == 0:
+            desk = self._desk
+            await self._put(state_message(picture, desk is not None and desk.holds_lease(picture.state)))
+        if count % LATENESS_EVERY == 0:
+            with picture.lock:
+                found = picture.lateness.window(WINDOWS_S[self._window])
+            await self._put({"kind": "lateness", **found})
+        if picture.history.newest_ns != self._newest_ns:
+            self._newest_ns = picture.history.newest_ns
+            with picture.lock:
+                payload, self._since = frame(picture.history, self._window, self._since)
+            async with asyncio.timeout(_SLOW_S):
+                await self._socket.send_bytes(payload)
+
+    async def _put(self, message: dict[str, Any]) -> None:
+        async with asyncio.timeout(_SLOW_S):
+            await self._socket.send_text(msgspec.json.encode(message).decode())

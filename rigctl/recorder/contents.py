@@ -1,0 +1,95 @@
+"""What is in a recording, in figures: for ``rigctl info``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from rigctl.control.modes import Mode
+from rigctl.control.safety import Fault
+from rigctl.recorder.recording import RECORDER, Recording
+
+_NOT_METADATA = ("versions",)
+
+
+def moment(recording: Recording, t_ns: int) -> str:
+    """A time of the recording on the wall clock, UTC."""
+    seconds, rest_ns = divmod(t_ns + recording.wall_offset_ns, 1_000_000_000)
+    try:
+        whole = datetime.fromtimestamp(seconds, UTC)
+    except (ValueError, OverflowError, OSError):
+        return "not a time"
+    return f"{whole:%Y-%m-%dT%H:%M:%S}.{rest_ns // 1_000_000:03d}Z"
+
+
+def mode_name(number: int) -> str:
+    """A mode's name, or its number if it has none here."""
+    return Mode(number).name if number in Mode._value2member_map_ else str(number)
+
+
+def modes(recording: Recording) -> list[dict[str, Any]]:
+    """Modes in their order: name, since when (seconds after the first record), for how long, and the latched fault."""
+    records = recording.records
+    if not len(records):
+        return []
+    starts = np.union1d([0], np.flatnonzero(np.diff(records["mode"].astype(int))) + 1)
+    times = (records["t_ns"] - recording.start_ns) * 1e-9
+    ends = [*starts[1:].tolist(), len(records) - 1]
+    found = []
+    for start, end in zip(starts.tolist(), ends, strict=True):
+        fault = int(records["fault"][min(start + 1, len(records) - 1)])
+        known = fault in Fault._value2member_map_
+        found.append(
+            {
+                "mode": mode_name(int(records["mode"][start])),
+                "t_s": round(float(times[start]), 3),
+                "for_s": round(float(times[end] - times[start]), 3),
+                "fault": None if not fault else Fault(fault).name if known else str(fault),
+            }
+        )
+    return found
+
+
+def figures(recording: Recording) -> dict[str, Any]:
+    """Everything ``rigctl info --json`` prints."""
+    own = recording.metadata.get("rigctl", {})
+    records = recording.records
+    seconds = (recording.end_ns - recording.start_ns) * 1e-9
+    rate_hz = float(1e9 / np.median(np.diff(records["t_ns"]))) if len(records) > 1 else None
+    return {
+        "rig": recording.rig,
+        "run": recording.run,
+        "kind": "trip dump" if "fault" in own else "recording",
+        "complete": recording.complete,
+        "sha256": recording.sha256,
+        "files": [
+            {"file": str(file.path), "bytes": file.size, "sha256": file.sha256, "complete": file.complete,
+             "note": file.note}
+            for file in recording.files
+        ],
+        "start": moment(recording, recording.start_ns) if len(records) else None,
+        "end": moment(recording, recording.end_ns) if len(records) else None,
+        "duration_s": round(seconds, 3),
+        "rate_hz": None if rate_hz is None else round(rate_hz, 3),
+        "records": len(records),
+        "frames": len(recording.frames),
+        "commands": len(recording.commands),
+        "said": {topic: len(items) for topic, items in sorted(recording.said.items()) if topic != RECORDER},
+        "events": dict(Counter(event.what for event in recording.events)),
+        "modes": modes(recording),
+        "control_starts_s": [round((t_ns - recording.start_ns) * 1e-9, 3) for t_ns in recording.control_starts],
+        "gaps": [
+            {"ring": gap.ring, "after": gap.after, "upto": gap.upto, "count": gap.count,
+             "t_s": round((gap.t_ns - recording.start_ns) * 1e-9, 3)}
+            for gap in recording.gaps
+        ],
+        "attachments": [
+            {"name": item.name, "t_s": round((item.t_ns - recording.start_ns) * 1e-9, 3), "bytes": len(item.data)}
+            for item in recording.generations
+        ],
+        "metadata": {name: words for name, words in recording.metadata.items() if name not in _NOT_METADATA},
+        "versions": recording.metadata.get("versions", {}),
+    }  # fmt: skip

@@ -1,0 +1,281 @@
+"""The continuous recording: everything the rings carry, in parts that each can be read alone.
+
+A recorder that was killed is followed by one that goes on where the file ends, in the next part: the rings still hold
+what came meanwhile. The disk is written by a thread of its own; while it takes nothing, what is encoded waits, and then
+the rings, and what they no longer hold is counted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from rigctl import __version__
+from rigctl.config import RigSettings
+from rigctl.recorder import parts
+from rigctl.recorder.appender import Appender
+from rigctl.recorder.audit_log import Item
+from rigctl.recorder.chain import ChainError, read_line
+from rigctl.recorder.part_file import PartFile
+from rigctl.recorder.recording import RecordingError, progress_of
+from rigctl.recorder.sources import Rings
+from rigctl.telemetry.runtime import ACTIVE, Runtime
+from rigctl.telemetry.schema import schema
+
+BATCH_NS = 400_000_000  # a chunk: 200 KB before compression at 1 kHz
+CHECK_NS = 1_000_000_000
+PENDING_MAX = 8 << 20
+STALLED_S = 5.0
+END_LIMIT_S = 4.0
+ROOM_AGAIN = 32 << 20  # so much more must be free before it goes on
+WRITTEN = "written"
+ATTACHED = (ACTIVE, "control.json", "calibration.json")  # of the runtime folder; lease.json holds a secret
+_AUDIT_TAIL = 1 << 20
+
+
+@dataclass(frozen=True)
+class Place:
+    """How far a part goes once ``size`` bytes of it are on the disk."""
+
+    size: int
+    read: dict[str, int]
+
+
+class Continuous:
+    """The recording of one daemon."""
+
+    def __init__(self, runtime: Runtime, settings: RigSettings, run: int, wall_ns: int) -> None:
+        """``run``: wall clock at the daemon's start. Goes on where the last part of this run ends."""
+        self._runtime, self._settings = runtime, settings
+        self._run = run or wall_ns
+        self.folder = settings.file(settings.recording.folder)
+        self._records = runtime.record_reader(from_start=True)
+        self._frames = runtime.frame_reader()
+        self._commands = runtime.command_reader(from_start=True)
+        self._audit: list[tuple[int, int, bytes]] = []
+        self._audit_written = 0
+        self._part: PartFile | None = None
+        self._places: deque[Place] = deque()
+        self._attached: dict[str, tuple[int, int]] = {}
+        self._due_ns = self._check_ns = 0
+        self._failed = 0  # of parts that are closed
+        self.records = self.frames = 0
+        self.why = ""
+        """Why it is not recorded at the moment."""
+        self.deleted: list[str] = []
+        """Old parts that went, for the audit log."""
+        self._number, self._safe = self._left_off(settings.audit_log)
+        self._words = Rings(runtime, self._safe)
+        self._go_back(self._safe)
+
+    # -- where it goes on ---------------------------------------------------------------------------------------
+    def _left_off(self, audit_log: pathlib.Path) -> tuple[int, dict[str, int]]:
+        """Number of the last part of this run, and how far each ring is in it."""
+        stamp = parts.path_of(self.folder, self._settings.rig, self._run, 0).name.rsplit("-", 1)[0]
+        mine = [part for part in parts.parts(self.folder, self._settings.rig) if part.path.name.startswith(stamp)]
+        read: dict[str, int] = {}
+        for part in reversed(mine):
+            with contextlib.suppress(RecordingError):
+                if read := progress_of(part.path):
+                    break
+        if read.get("audit"):
+            self._audit_written = read["audit"]
+            self.audit(_lines_after(audit_log, read["audit"]))
+        return (mine[-1].number if mine else 0), read
+
+    def _go_back(self, read: dict[str, int]) -> None:
+        for name, reader in (("records", self._records), ("frames", self._frames), ("slots", self._commands)):
+            reader.cursor = min(read.get(name, 0), reader.head)
+        self._words.go_back(read)
+
+    def _position(self, audit: int) -> dict[str, int]:
+        return {"records": self._records.cursor, "frames": self._frames.cursor, "slots": self._commands.cursor,
+                "audit": audit, **self._words.position}  # fmt: skip
+
+    # -- what comes in ------------------------------------------------------------------------------------------
+    def audit(self, lines: Sequence[bytes]) -> None:
+        """Lines that were written to the audit log."""
+        for line in lines:
+            with contextlib.suppress(ChainError):
+                entry, _ = read_line(line)
+                self._audit.append((entry.n, entry.t_ns, line.rstrip(b"\n")))
+
+    def poll(self, now_ns: int, wall_ns: int, *, final: bool = False) -> None:
+        """Write what is new, if it is time to."""
+        if not final and now_ns < self._due_ns:
+            return
+        self._due_ns = now_ns + BATCH_NS
+        self._look(now_ns, wall_ns)
+        if self._part is not None and self._part.disk.pending < PENDING_MAX:
+            self._write(self._part, now_ns)
+
+    def close(self, now_ns: int, wall_ns: int) -> None:
+        """The last of everything, and the end of the part."""
+        self.poll(now_ns, wall_ns, final=True)
+        if (part := self._part) is not None:
+            self._finish(part)
+            if not part.disk.join(END_LIMIT_S):
+                self.why = f"{part.disk.path} was not written to its end: {part.disk.error or 'no answer'}"
+
+    # -- the part ----------------------------------------------------------------------------------------------
+    def _look(self, now_ns: int, wall_ns: int) -> None:
+        """Whether the part can be written on, and a new one if there has to be one."""
+        part = self._part
+        if part is not None:
+            disk = part.disk
+            while self._places and self._places[0].size <= disk.synced:
+                self._safe = self._places.popleft().read
+            if disk.torn or not disk.in_place():
+                self.why = f"{disk.path} cannot be written on: {disk.error or 'it is not there any more'}"
+                self._abandon(part)
+            elif disk.error:
+                self.why = f"{disk.path} cannot be written: {disk.error}"
+                return
+            elif disk.stalled_s > STALLED_S:
+                self.why = f"{disk.path} cannot be written: the disk has not answered for {disk.stalled_s:.0f} s"
+                return
+            else:
+                self.why = ""
+                if self._is_over(part, now_ns):
+                    self._finish(part)
+        if now_ns >= self._check_ns or (part is not None and self._part is None):
+            self._check_ns = now_ns + CHECK_NS
+            if self._has_room() and self._part is None:
+                self._open(now_ns, wall_ns)
+
+    def _is_over(self, part: PartFile, now_ns: int) -> bool:
+        own = self._settings.recording
+        return part.size >= own.part_mb * 1_000_000 or now_ns - part.opened_ns >= own.part_s * 1_000_000_000
+
+    def _has_room(self) -> bool:
+        """Whether the disk has room for more. Parts beyond what is kept are deleted."""
+        own, part = self._settings.recording, self._part
+        least = max(own.free_mib, self._settings.preflight.disk_free_mib) << 20
+        if part is None:
+            least += ROOM_AGAIN
+        room = own.part_mb * 1_000_000 if part is None else 0
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            current = part.disk.path if part is not None else None
+            self.deleted += parts.delete_old(self.folder, self._settings.rig, current, own.keep_mb * 1_000_000 - room)
+            free = parts.free_bytes(self.folder)
+        except OSError as error:
+            self.why = f"{self.folder} cannot be written: {error.strerror}"
+            return False
+        if free >= least:
+            return True
+        self.why = f"not recorded: {free >> 20} MiB free for {self.folder}, allowed {least >> 20} or more"
+        if part is not None:
+            self._finish(part)
+        return False
+
+    def _open(self, now_ns: int, wall_ns: int) -> None:
+        rig, number = self._settings.rig, self._number + 1
+        try:
+            disk = Appender(parts.path_of(self.folder, rig, self._run, number))
+        except OSError as error:
+            self._failed += 1
+            self.why = f"{self.folder} cannot be written: {error.strerror}"
+            if isinstance(error, FileExistsError):
+                self._number = number
+            return
+        system = os.uname()
+        words = {"rig": rig, "run": self._run, "part": number, "t_ns": now_ns, "version": __version__,
+                 "host": system.nodename, "kernel": system.release, "machine": system.machine,
+                 "rate_hz": self._settings.loop.rate_hz}  # fmt: skip
+        self._part = PartFile(disk, wall_ns - now_ns, now_ns, words)
+        self._number, self._attached, self.why = number, {}, ""
+        self._part.attach("schema.json", msgspec.json.encode(schema(rig)), now_ns, 0)
+
+    def _finish(self, part: PartFile) -> None:
+        """Nothing more goes into it."""
+        part.finish()
+        self._failed += part.disk.failures
+        self._part = None
+        self._places.clear()
+        self._safe = self._position(self._safe.get("audit", 0))
+
+    def _abandon(self, part: PartFile) -> None:
+        """It is lost from what is on the disk on; that is read again for the next one."""
+        part.disk.end()
+        self._failed += part.disk.failures + 1
+        self._part = None
+        self._places.clear()
+        self._go_back(self._safe)
+        self._audit_written = self._safe.get("audit", 0)
+        self._audit.clear()
+        self.audit(_lines_after(self._settings.audit_log, self._audit_written))
+
+    # -- its content -------------------------------------------------------------------------------------------
+    def _write(self, part: PartFile, now_ns: int) -> None:
+        self._attach(part, now_ns)
+        records, frames, commands = self._records.read(), self._frames.read(), self._commands.read()
+        said = [item for item in self._words.take_all(part.offset_ns) if item.source != "commands"]
+        audit, self._audit = self._audit, []
+        place = self._position(audit[-1][0] if audit else self._audit_written)
+        self._audit_written = place["audit"]
+        lost = {"records": self._records.lost, "frames": self._frames.lost, "slots": self._commands.lost}
+        said.append(Item(now_ns, now_ns + part.offset_ns, WRITTEN, "", details={"read": place, "lost": lost}))
+        part.write(records, frames, commands, said, audit)
+        self._places.append(Place(part.size, place))
+        self.records += len(records)
+        self.frames += len(frames)
+
+    def _attach(self, part: PartFile, now_ns: int) -> None:
+        """What has changed since it was attached last."""
+        found = {name: self._runtime.directory / name for name in ATTACHED}
+        if self._settings.ledger is not None:
+            found["calibration_ledger.json"] = self._settings.ledger
+        for name, path in found.items():
+            with contextlib.suppress(OSError):
+                status = path.stat()
+                if self._attached.get(name) != (status.st_mtime_ns, status.st_ino):
+                    data = path.read_bytes()
+                    part.attach(name, data, now_ns, max(0, time.time_ns() - status.st_mtime_ns))
+                    self._attached[name] = (status.st_mtime_ns, status.st_ino)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For others: where it is written, how much, and what did not get there."""
+        part = self._part
+        return {
+            "folder": str(self.folder),
+            "file": part.disk.path.name if part is not None else None,
+            "part": self._number,
+            "bytes": part.size if part is not None else 0,
+            "pending_bytes": part.disk.pending if part is not None else 0,
+            "records": self.records,
+            "frames": self.frames,
+            "records_lost": self._records.lost,
+            "frames_lost": self._frames.lost,
+            "failures": self.failures,
+        }
+
+    @property
+    def failures(self) -> int:
+        """Attempts to write that failed."""
+        return self._failed + (self._part.disk.failures if self._part is not None else 0)
+
+
+def _lines_after(audit_log: pathlib.Path, number: int) -> list[bytes]:
+    """Lines of the audit log after an entry, as far as they stand near its end."""
+    try:
+        with audit_log.open("rb") as stream:
+            stream.seek(0, os.SEEK_END)
+            stream.seek(max(0, stream.tell() - _AUDIT_TAIL))
+            lines = stream.read().splitlines(keepends=True)
+    except OSError:
+        return []
+    found = []
+    for line in lines:
+        with contextlib.suppress(ChainError):
+            if read_line(line)[0].n > number:
+                found.append(line)
+    return found

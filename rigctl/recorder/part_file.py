@@ -1,0 +1,114 @@
+"""One part of a recording being written: what goes into it, encoded, and its bytes handed to the disk."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterable
+from importlib import metadata
+from typing import IO, Any, cast
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from rigctl import __version__
+from rigctl.recorder import frame_block
+from rigctl.recorder.appender import Appender
+from rigctl.recorder.audit_log import Item
+from rigctl.recorder.mcap_file import McapFile, Message
+from rigctl.recorder.protobuf import Encoding
+from rigctl.telemetry.record import COMMAND, RECORD
+
+FORMAT = "1"
+SLOTS = {"records": Encoding(RECORD, exact={"command_mm_s"}), "commands": Encoding(COMMAND)}
+AUDIT_SCHEMA = {"title": "rigctl.AuditEntry", "type": "object", "description": "a line of the audit log, see its chain"}
+_LIBRARIES = (
+    "numpy", "python-can", "canopen", "cantools", "filterpy", "control", "scipy", "eclipse-zenoh", "msgspec",
+    "pydantic", "mcap", "protobuf", "zstandard",
+)  # fmt: skip
+
+
+def versions() -> dict[str, str]:
+    """Python's and the libraries' versions; those that are not installed are left out."""
+    found = {"rigctl": __version__, "python": platform.python_version()}
+    for name in _LIBRARIES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+class _Taken:
+    """A stream that keeps what is written until it is taken."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._size = 0
+
+    def write(self, data: bytes) -> int:
+        self._parts.append(bytes(data))
+        self._size += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self._size
+
+    def flush(self) -> None:
+        pass
+
+    def take(self) -> bytes:
+        taken = b"".join(self._parts)
+        self._parts.clear()
+        return taken
+
+
+class PartFile:
+    """A part: an MCAP file in the making and the thread that writes it down."""
+
+    def __init__(self, disk: Appender, wall_offset_ns: int, opened_ns: int, words: dict[str, Any]) -> None:
+        """``words``: what this part is, as metadata."""
+        self.disk, self.opened_ns, self.offset_ns = disk, opened_ns, wall_offset_ns
+        self._stream = _Taken()
+        self._file = McapFile(cast("IO[bytes]", self._stream), wall_offset_ns, SLOTS)
+        self._blocks = self._file.channel(
+            "frames", "protobuf", frame_block.NAME, "protobuf", frame_block.descriptor()
+        )  # fmt: skip
+        self._audit = self._file.channel(
+            "audit", "json", "rigctl.AuditEntry", "jsonschema", msgspec.json.encode(AUDIT_SCHEMA)
+        )
+        self._file.describe("rigctl", {**words, "format": FORMAT, "wall_offset_ns": wall_offset_ns})
+        self._file.describe("versions", dict(versions()))
+
+    @property
+    def size(self) -> int:
+        """Bytes so far, those still on their way to the disk included."""
+        return self._stream.tell()
+
+    def attach(self, name: str, data: bytes, now_ns: int, age_ns: int) -> None:
+        """A JSON document, written ``age_ns`` ago."""
+        wall_ns = now_ns + self.offset_ns
+        self._file.attach(name, data, wall_ns, wall_ns - age_ns)
+
+    def write(
+        self, records: npt.NDArray[np.void], frames: npt.NDArray[np.void], commands: npt.NDArray[np.void],
+        said: Iterable[Item], audit: Iterable[tuple[int, int, bytes]],
+    ) -> None:  # fmt: skip
+        """What is new, closed as a chunk and given to the disk. ``audit``: number, time and line of its entries."""
+        file, offset = self._file, self.offset_ns
+        for topic, slots in (("records", records), ("commands", commands)):
+            if len(slots):
+                file.add(file.slots(topic, slots))
+        file.add(
+            Message(t_ns + offset, self._blocks, seq, data) for seq, t_ns, data in frame_block.encode(frames)
+        )  # fmt: skip
+        file.add(Message(t_ns + offset, self._audit, n, line) for n, t_ns, line in audit)
+        file.add(file.said(said))
+        file.flush()
+        self.disk.append(self._stream.take())
+
+    def finish(self) -> None:
+        """Its index; the thread ends when all is written."""
+        self._file.finish()
+        self.disk.append(self._stream.take())
+        self.disk.end()

@@ -1,0 +1,161 @@
+"""A recording as the loop's world: a clock, a bus and a command ring that give it again what it was given then."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import can
+import numpy as np
+import numpy.typing as npt
+
+from rigctl.telemetry.record import Flag, FrameFlag
+
+Slots = npt.NDArray[np.void]
+BATCH_TICKS = 1000
+_STOPPING = Flag.STOPPING.value
+_KIND = FrameFlag.ERROR.value | FrameFlag.REMOTE.value | FrameFlag.EXTENDED.value
+
+
+@dataclass
+class Tick:
+    """What one tick was given, and what it sent: frames as (identifier, data)."""
+
+    t_ns: int
+    woke_ns: int
+    sent_ns: int  # when it sent its frames
+    ended_ns: int
+    skipped: int  # periods missed since the tick before
+    failures: int  # frames of its own that the bus did not take
+    stopping: bool
+    received: list[can.Message]
+    sent: list[tuple[int, bytes]]
+    commands: list[tuple[int, int, int, float]]  # given at, id, verb, value
+
+
+def ticks(records: Slots, frames: Slots, commands: Slots, taken: int) -> Iterator[Tick]:
+    """The ticks of ``records``, which follow one another without a gap.
+
+    Args:
+        records: of one control process, from its first.
+        frames: of the same time and more.
+        commands: slots of the command ring.
+        taken: number of the last one that was there before the first tick.
+    """
+    woke = records["t_ns"] + records["lateness_ns"]
+    # A frame received carries the wake-up of its tick, one that was sent an instant between that and the next wake-up.
+    begins = np.searchsorted(frames["t_ns"], woke).tolist()
+    begins.append(_end_of_last(frames, begins[-1]) if begins else 0)
+    skipped = np.diff(records["skipped"].astype(np.int64), prepend=0).tolist()
+    failures = np.diff(records["send_failures"].astype(np.int64), prepend=0).tolist()
+    ended = (woke[:-1] + records["work_ns"][1:]).tolist() + woke[-1:].tolist()
+    stopping = (records["flags"] & _STOPPING != 0).tolist()
+    upto = records["command_seq"].tolist()
+    orders = deque(commands[commands["seq"] > taken])
+    rows = zip(records["t_ns"].tolist(), woke.tolist(), ended, skipped, failures, stopping, upto, strict=True)
+    for i, (t_ns, woke_ns, ended_ns, missed, failed, stops, last) in enumerate(rows):
+        received, sent, sent_ns = _frames(frames[begins[i] : begins[i + 1]])
+        given = []
+        while orders and orders[0]["seq"] <= last:
+            slot = orders.popleft()
+            given.append((int(slot["t_ns"]), int(slot["id"]), int(slot["verb"]), float(slot["value"])))
+        yield Tick(
+            t_ns, woke_ns, sent_ns or woke_ns, ended_ns, missed, failed, stops, received, sent, given
+        )  # fmt: skip
+
+
+def _end_of_last(frames: Slots, begin: int) -> int:
+    """Where the frames of a tick end that begin at ``begin``: a tick sends all of its own at one instant."""
+    sent = np.flatnonzero(frames["sent"][begin:])
+    if not len(sent):
+        return len(frames)
+    return int(np.searchsorted(frames["t_ns"], frames["t_ns"][begin + sent[0]], side="right"))
+
+
+def _frames(slots: Slots) -> tuple[list[can.Message], list[tuple[int, bytes]], int]:
+    received, sent, sent_ns = [], [], 0
+    for _, t_ns, can_id, is_sent, dlc, data in slots.tolist():
+        content = data.ljust(8, b"\0")[:dlc]
+        if is_sent:
+            sent.append((can_id, content))
+            sent_ns = t_ns
+        else:
+            received.append(_message(can_id, dlc, content))
+    return received, sent, sent_ns
+
+
+def _message(can_id: int, dlc: int, data: bytes) -> can.Message:
+    if not can_id & _KIND:
+        return can.Message(arbitration_id=can_id, is_extended_id=False, dlc=dlc, data=data)
+    remote = bool(can_id & FrameFlag.REMOTE.value)
+    return can.Message(
+        arbitration_id=can_id & 0x1FFFFFFF,
+        is_extended_id=bool(can_id & FrameFlag.EXTENDED.value),
+        is_remote_frame=remote,
+        is_error_frame=bool(can_id & FrameFlag.ERROR.value),
+        dlc=dlc,
+        data=None if remote else data,
+    )
+
+
+class RecordedClock:
+    """`rigctl.control.clock.Clock`: reads what the loop read then."""
+
+    def __init__(self, started_ns: int) -> None:
+        self._tick: Tick | None = None
+        self._now_ns = started_ns
+        self._readings: deque[int] = deque()
+
+    def begin(self, tick: Tick) -> None:
+        """The tick that ``next_tick`` returns next."""
+        self._tick = tick
+        self._readings = deque((tick.woke_ns, tick.sent_ns, tick.ended_ns))
+
+    def now(self) -> int:
+        """The next of the tick's three readings: woken up, about to send, done."""
+        if self._readings:
+            self._now_ns = self._readings.popleft()
+        return self._now_ns
+
+    def next_tick(self) -> tuple[int, int]:
+        """Grid point and periods skipped before it."""
+        assert self._tick is not None
+        return self._tick.t_ns, self._tick.skipped
+
+
+class RecordedBus(can.BusABC):
+    """Gives the frames of a tick; keeps what is sent, and refuses what the bus did not take then."""
+
+    def __init__(self) -> None:
+        self.channel_info = "recording"
+        self._received: deque[can.Message] = deque()
+        self._recorded: deque[tuple[int, bytes]] = deque()
+        self._failures = 0
+        self.sent: list[tuple[int, bytes]] = []
+        super().__init__(channel="recording")
+
+    def begin(self, tick: Tick) -> None:
+        """The frames of the tick that comes."""
+        self._received = deque(tick.received)
+        self._recorded = deque(tick.sent)
+        self._failures = tick.failures
+        self.sent = []
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:  # noqa: ARG002 - never waits
+        """The next frame, or None."""
+        return self._received.popleft() if self._received else None
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 - never waits
+        """Keep a frame.
+
+        Raises:
+            can.CanOperationError: the bus did not take it then.
+        """
+        expected = self._recorded[0][0] if self._recorded else None
+        if self._failures and msg.arbitration_id != expected:
+            self._failures -= 1
+            raise can.CanOperationError("not taken, as recorded")
+        if self._recorded:
+            self._recorded.popleft()
+        self.sent.append((msg.arbitration_id, bytes(msg.data)))

@@ -1,0 +1,169 @@
+"""The loop, run again over a recording: one span for every control process that the recording holds from its start."""
+
+from __future__ import annotations
+
+import pathlib
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+from pydantic import ValidationError
+
+from rigctl.commission.ledger import IN_FORCE, Standing
+from rigctl.config import RigSettings
+from rigctl.control.correction import Correction
+from rigctl.control.logbook import Rings
+from rigctl.control.loop import Loop
+from rigctl.control.safety import Check
+from rigctl.control.tension import Gains
+from rigctl.recorder.recording import Recording
+from rigctl.replay.feed import BATCH_TICKS, RecordedBus, RecordedClock, Slots, Tick, ticks
+from rigctl.telemetry.events import Kind
+from rigctl.telemetry.record import RECORD
+from rigctl.telemetry.runtime import ACTIVE, Runtime
+
+
+class ReplayError(ValueError):
+    """The recording cannot be replayed; ``str()`` is one line."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """One control process: its records without a gap, and what it was started with."""
+
+    records: Slots
+    started_ns: int
+    taken: int  # number of the last command slot before it
+    settings: RigSettings
+    gains: Gains
+    correction: Correction
+    supervised: bool
+    host_checks: int
+    cut_short: str  # why it ends before the process did, "" if it does not
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Ticks as they were and as they are now; ``sent``: frames then and now, by tick."""
+
+    recorded: Slots
+    replayed: Slots
+    sent: list[tuple[list[tuple[int, bytes]], list[tuple[int, bytes]]]]
+
+
+def spans(recording: Recording) -> list[Span]:
+    """The control processes that the recording holds from their start.
+
+    Raises:
+        ReplayError: there is none, or what one was started with is not in it.
+    """
+    records = recording.records
+    if records.dtype != RECORD.dtype:
+        raise ReplayError("the recording is of another version of rigctl: its records are not those of this one's loop")
+    starts = np.flatnonzero(records["tick"] - records["skipped"] == 1).tolist()
+    if not starts:
+        where = f"tick {int(records['tick'][0])}" if len(records) else "nothing"
+        raise ReplayError(f"no start of the loop is in it: it begins with {where} (give the run's first part)")
+    return [
+        _span(recording, records[start:end]) for start, end in zip(starts, [*starts[1:], len(records)], strict=True)
+    ]
+
+
+def _span(recording: Recording, records: Slots) -> Span:
+    first_ns = int(records["t_ns"][0])
+    started = [event for event in recording.events if event.what == Kind.STARTED.name.lower()]
+    started = [event for event in started if event.t_ns <= first_ns]
+    if not started:
+        raise ReplayError("the event of the loop's start is not in it")
+    active = _document(recording, ACTIVE, first_ns)
+    control = _document(recording, "control.json", first_ns)
+    standing = recording.in_force(IN_FORCE, first_ns)
+    try:
+        settings = RigSettings.model_validate(active.get("settings"))
+        gains = msgspec.convert(active.get("design", {}).get("gains"), Gains)
+        correction = (msgspec.json.decode(standing, type=Standing) if standing else Standing()).correction
+    except (ValidationError, msgspec.MsgspecError) as error:
+        reason = str(error).splitlines()[0]
+        raise ReplayError(f"what the loop was started with cannot be read: {reason}") from None
+    whole, cut_short = _without_gap(recording, records)
+    supervised = all(bool(stop.get("ok")) for stop in control.get("supervision", []))
+    taken = int(started[-1].details.get("a", 0))
+    host = int(control.get("host_checks", Check.HOST))
+    return Span(whole, started[-1].t_ns, taken, settings, gains, correction, supervised, host, cut_short)
+
+
+def _document(recording: Recording, name: str, t_ns: int) -> dict[str, Any]:
+    data = recording.in_force(name, t_ns)
+    if data is None:
+        raise ReplayError(f"{name} is not in it: not known what the loop was started with")
+    try:
+        found = msgspec.json.decode(data)
+    except msgspec.MsgspecError:
+        found = None
+    if not isinstance(found, dict):
+        raise ReplayError(f"{name} in it cannot be read")
+    return found
+
+
+def _without_gap(recording: Recording, records: Slots) -> tuple[Slots, str]:
+    """Records up to the first gap in anything the loop is fed from."""
+    holes = np.flatnonzero(np.diff(records["seq"].astype(np.int64)) != 1)
+    end, why = (int(holes[0]) + 1, "records are missing") if len(holes) else (len(records), "")
+    for gap in recording.gaps:
+        if gap.ring in ("frames", "commands"):
+            at = int(np.searchsorted(records["t_ns"], gap.t_ns))
+            if 0 < at < end:
+                end, why = at, f"{gap.ring} are missing"
+    return records[:end], why
+
+
+def play(
+    recording: Recording, span: Span, settings: RigSettings | None = None, gains: Gains | None = None
+) -> Iterator[Batch]:
+    """Run the loop over a span, ``BATCH_TICKS`` at a time.
+
+    Args:
+        recording: where the span is from.
+        span: the process to replay.
+        settings: instead of those recorded.
+        gains: instead of those recorded.
+    """
+    settings, gains = settings or span.settings, gains or span.gains
+    with tempfile.TemporaryDirectory(prefix="rigctl-replay-", dir=_memory()) as folder:
+        runtime = Runtime(pathlib.Path(folder))
+        runtime.make_rings(settings)
+        clock, bus = RecordedClock(span.started_ns), RecordedBus()
+        loop = Loop(
+            settings, gains, bus, clock, Rings.of(runtime),
+            supervised=span.supervised, host_checks=span.host_checks, correction=span.correction,
+        )  # fmt: skip
+        replayed, orders = runtime.record_reader(), runtime.command_writer()
+        batch: list[Tick] = []
+        now: list[list[tuple[int, bytes]]] = []
+        at = 0
+        try:
+            for tick in ticks(span.records, recording.frames, recording.commands, span.taken):
+                for order in tick.commands:
+                    orders.write(*order)
+                loop.stop_requested |= tick.stopping
+                clock.begin(tick)
+                bus.begin(tick)
+                loop.tick()
+                batch.append(tick)
+                now.append(bus.sent)
+                if len(batch) == BATCH_TICKS or at + len(batch) == len(span.records):
+                    sent = [(tick.sent, frames) for tick, frames in zip(batch, now, strict=True)]
+                    yield Batch(span.records[at : at + len(batch)], replayed.read(), sent)
+                    at += len(batch)
+                    batch, now = [], []
+        finally:
+            bus.shutdown()
+
+
+def _memory() -> str | None:
+    """A memory-backed folder, where there is one."""
+    folder = pathlib.Path("/dev/shm")
+    return str(folder) if folder.is_dir() else None

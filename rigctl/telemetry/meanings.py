@@ -1,0 +1,125 @@
+"""What the fields of the JSON messages mean, the kinds of events and the commands: tables for ``meta/schema``.
+
+A row of fields is name, type in JSON, unit ("" for none), meaning. ``number?`` may be null.
+"""
+
+from __future__ import annotations
+
+from rigctl.control.modes import Verb
+from rigctl.telemetry.events import Kind
+from rigctl.telemetry.lease import Act
+from rigctl.telemetry.notes import Note
+
+Rows = tuple[tuple[str, str, str, str], ...]
+
+_EVENT_COMMON: Rows = (
+    ("seq", "integer", "", "its number, from 1, without gaps; each source counts for itself"),
+    ("stream", "integer", "", "as in the header of tele/fast: changes when the daemon is started anew"),
+    ("t_ns", "integer", "ns", "when, CLOCK_MONOTONIC of the rig's computer"),
+    ("wall_ns", "integer", "ns", "the same on the wall clock, since 1970 UTC"),
+    ("severity", "string", "", "info, warning or error, as the key ends"),
+    ("source", "string", "", "loop or gateway"),
+    ("kind", "string", "", "see kinds of its source"),
+    ("text", "string", "", "one line for people"),
+)
+LOOP_EVENT: Rows = (
+    *_EVENT_COMMON,
+    ("a", "integer", "", "see the kind"),
+    ("b", "integer", "", "see the kind"),
+    ("value", "number?", "", "what was found, in the unit its kind or fault has"),
+    ("limit", "number?", "", "what is allowed, in the same unit"),
+)
+GATEWAY_EVENT: Rows = (
+    *_EVENT_COMMON,
+    ("operator", "string", "", "who"),
+    ("other", "string", "", "whom it concerns beside the operator"),
+    ("reason", "string", "", "why, in the operator's words"),
+)
+
+KINDS: dict[Kind, str] = {
+    Kind.MODE: "change of mode; a: from, b: to (see modes), value: why, limit: safe frames sent before it",
+    Kind.TRIP: "a limit trips; a: fault (see faults), b: action, value and limit in the fault's unit",
+    Kind.RESET: "a latched fault was acknowledged; a: fault",
+    Kind.EMERGENCY: "emergency message of a device (CiA 301); a: node, b: code, 0 when it is over",
+    Kind.NODE_STATE: "state of a device changed; a: node, b: NMT state (CiA 301)",
+    Kind.EXCEPTION: "exception in the loop, which holds; text: what and where",
+    Kind.BUS_ERROR: "CAN error frame; a: error class bits, b: details",
+    Kind.SEND_FAILED: "a frame could not be sent; text: why",
+    Kind.STARTED: "the loop runs",
+    Kind.STOPPED: "the loop ended; value: stroke in mm, limit: tension in N",
+    Kind.CLOCK: "the loop could not keep its rate; a: ticks skipped at once",
+    Kind.CORRECTION: "tare or calibration in force; value: zero in N, limit: scale",
+    Kind.GAINS: "gains changed; text: K_T, K_v, K_i now in force",
+    Kind.LIMIT: "a limit of the rig file that only logs is passed; a: fault, b: action, value, limit",
+    Kind.LIMIT_OVER: "such a limit is kept again; as limit",
+    Kind.RECEIVE_FAILED: "the bus could not be read; text: why",
+    Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
+}
+NOTES: dict[Note, str] = {
+    Note.LEASE_TAKEN: "operator takes the lease",
+    Note.LEASE_TAKEN_OVER: "operator takes the lease from other, for reason",
+    Note.LEASE_RETURNED: "operator gives the lease back",
+    Note.LEASE_LAPSED: "the lease of operator has lapsed",
+    Note.HOLD_WITHOUT_LEASE: "operator gives HOLD without the lease, which other holds",
+    Note.LEASE_NOT_BELIEVED: "what was written down about a lease is none; nobody holds it",
+}
+
+PAYLOAD: Rows = (
+    ("operator", "string", "", "who gives it; required"),
+    ("lease", "string", "", "id from an earlier answer; without it the lease nobody holds is taken"),
+    ("value", "number", "N", "the target, or the known weight of calibrate"),
+    ("shunt", "boolean", "", "calibrate against the shunt"),
+    ("adopt", "boolean", "", "calibrate sets the scale"),
+    ("tight", "boolean", "", "identify only a tight rope"),
+    ("near_end", "boolean", "", "arm at an end of the stroke, to drive away from it"),
+    ("gain_file", "string", "", "text of a gain file"),
+    ("name", "string", "", "its name, for the record"),
+)
+LEASE_PAYLOAD: Rows = (
+    ("operator", "string", "", "who asks; required"),
+    ("lease", "string", "", "id from an earlier answer"),
+    ("reason", "string", "", "why it is taken over from another"),
+)
+ANSWER: Rows = (
+    ("accepted", "boolean", "", "whether it was carried out; a refusal comes as an error reply"),
+    ("verb", "string", "", "the command"),
+    ("operator", "string", "", "who gave it"),
+    ("text", "string", "", "one line for people"),
+    ("reason", "string", "", "of a refusal, one word: a name of refusals in lower case, bad_request, no_answer, ..."),
+    ("checks", "array", "", "of a refused arm: what stands against it, in words"),
+    ("waived", "object", "", "of an arm: what does not count, and why"),
+    ("mode", "string", "", "mode after the command"),
+    ("t_ns", "integer", "ns", "when the loop answered, CLOCK_MONOTONIC"),
+    ("value", "number?", "", "what it is about: target, tension or reading in N; identify: s"),
+    ("entry", "object", "", "what the calibration ledger was given"),
+    ("lease", "object?", "", "who holds it: holder, since_ns, until_ns, held_s, left_s, and id for the holder alone"),
+)
+
+VERBS: dict[Verb, tuple[str, tuple[str, ...]]] = {
+    Verb.ARM: ("drive on, stroke held", ("near_end",)),
+    Verb.TENSION: ("ramp to the target, then compensate", ()),
+    Verb.RELEASE: ("ramp to slack, then hold", ()),
+    Verb.HOLD: ("hold the stroke at once; anyone's, always, without a lease", ()),
+    Verb.DISARM: ("drive off, brake closed", ()),
+    Verb.RESET: ("acknowledge a latched fault whose cause is gone", ()),
+    Verb.TARGET: ("set the target of the vertical tension", ("value",)),
+    Verb.TARE: ("the unloaded cell's mean over 1 s becomes its zero", ()),
+    Verb.CALIBRATE: ("compare the cell with a known weight or the shunt", ("value", "shunt", "adopt")),
+    Verb.IDENTIFY: ("excite the plant for some seconds and measure it", ("tight",)),
+    Verb.GAINS: ("put other gains in force, once judged", ("gain_file", "name")),
+}
+ACTS: dict[Act, tuple[str, tuple[str, ...]]] = {
+    Act.TAKE: ("take the lease or renew it; from another only with a reason", ("reason",)),
+    Act.RETURN: ("give the lease back", ()),
+}
+
+ACTIVE_CONFIGURATION: Rows = (
+    ("settings", "object", "", "the rig file, defaults filled in"),
+    ("version", "string", "", "of the daemon"),
+    ("started_wall_ns", "integer", "ns", "when the daemon started, since 1970 UTC"),
+    ("pid", "integer", "", "of the daemon"),
+    ("bus_load", "number", "", "worst-case load of the bus, of 1"),
+    ("design", "object", "", "law in use: gains, margins, where they come from"),
+    ("control", "object", "", "read back by the control process: real time, devices, their own stop settings"),
+    ("calibration", "object", "", "tension cell: zero_n, scale, due, overdue, tared, waiver"),
+)

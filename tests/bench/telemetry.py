@@ -1,0 +1,198 @@
+"""``python -m tests.bench telemetry``: subscribers on a running rig. What it costs the loop, and what they get.
+
+Each round, on one daemon: nobody listens, three clients, all clients with one more stalled (SIGSTOP), nobody again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from rigctl.report import metrics
+from tests import daemons
+from tests.bench.loop import BenchRig, figures
+from tests.bench.subscriber import BIN_US, BINS
+
+RATE_HZ = 1000
+SETTLE_S = 3.0  # interpreters starting are no part of any figure
+LIMITS = {"lateness_p999_ratio": 1.1, "gateway_cpu_pct": 20.0, "age_p50_ms": 30.0, "age_p99_ms": 60.0}
+
+
+class Subscribers:
+    """Subscriber processes, every third of them without our client."""
+
+    def __init__(self, endpoint: str, number: int, stalled: int, stack: contextlib.ExitStack) -> None:
+        self._processes = [self._start(endpoint, index % 3 == 2, stack) for index in range(number)]
+        self._stalled = [self._start(endpoint, False, stack) for _ in range(stalled)]
+        for process in self._processes + self._stalled:
+            assert process.stdout is not None
+            if not process.stdout.readline():
+                raise RuntimeError("a subscriber ended before the first block")
+        for process in self._stalled:
+            process.send_signal(signal.SIGSTOP)
+        time.sleep(SETTLE_S)
+        for process in self._processes:
+            process.send_signal(signal.SIGUSR1)
+
+    @staticmethod
+    def _start(endpoint: str, plain: bool, stack: contextlib.ExitStack) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "tests.bench.subscriber", endpoint, *(["--plain"] if plain else [])]
+        process = subprocess.Popen(command, cwd=daemons.ROOT, stdout=subprocess.PIPE, text=True)
+        stack.callback(process.wait)
+        stack.callback(process.kill)
+        return process
+
+    def end(self) -> dict[str, Any]:
+        """What they say: counts in total, ages in bins, and what the stalled ones say once they run again."""
+        told = [self._told(process) for process in self._processes]
+        for process in self._stalled:
+            process.send_signal(signal.SIGCONT)
+        if self._stalled:
+            time.sleep(SETTLE_S)  # they catch up with what is still held
+        stalled = [self._told(process)["count"] for process in self._stalled]
+        bins = np.zeros(BINS, np.int64)
+        for one in told:
+            for number, count in one["ages"].items():
+                bins[int(number)] += count
+        names = ("received", "lost", "recovered")
+        return {
+            "clients": len(told),
+            **{name: sum(one["count"][name] for one in told) for name in names},
+            "fewest_received": min((one["count"]["received"] for one in told), default=0),
+            "stalled": [{name: count[name] for name in names} for count in stalled],
+            "bins": bins,
+        }
+
+    @staticmethod
+    def _told(process: subprocess.Popen[str]) -> dict[str, Any]:
+        process.send_signal(signal.SIGTERM)
+        assert process.stdout is not None
+        return dict(json.loads(process.stdout.readline()))
+
+
+@dataclass
+class Slice:
+    """One stretch of a round."""
+
+    what: str
+    records: Any
+    gateway_cpu_pct: float
+    said: dict[str, Any] | None
+
+
+def _cpu_s(pid: int) -> float:
+    words = pathlib.Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def measure_slice(rig: BenchRig, what: str, seconds: float, clients: int, stalled: int) -> Slice:
+    """``seconds`` of the loop's records while so many listen."""
+    endpoint, name = daemons.endpoint(rig.file), daemons.name_of(rig.file)
+    with contextlib.ExitStack() as stack:
+        subscribers = Subscribers(endpoint, clients, stalled, stack) if clients else None
+        time.sleep(SETTLE_S)
+        gateway = daemons.process_with("rigctl.telemetry.gateway", f"rigctl-{name}")
+        used, start = _cpu_s(gateway), time.monotonic()
+        records = rig.measure(seconds)
+        pct = 100.0 * (_cpu_s(gateway) - used) / (time.monotonic() - start)
+        return Slice(what, records, pct, subscribers.end() if subscribers is not None else None)
+
+
+def percentile_ms(bins: np.ndarray[Any, np.dtype[np.int64]], q: float) -> float:
+    """Upper edge of the bin that holds the quantile; 0 of nothing."""
+    whole = int(bins.sum())
+    number = int(np.searchsorted(np.cumsum(bins), q * whole)) if whole else -1
+    return (number + 1) * BIN_US / 1000.0
+
+
+def judged(slices: list[Slice]) -> dict[str, Any]:
+    """Figures of all rounds, by what was listening."""
+    result: dict[str, Any] = {}
+    for what in dict.fromkeys(one.what for one in slices):
+        of = [one for one in slices if one.what == what]
+        result[what] = figures([one.records for one in of])
+        result[what]["gateway_cpu_pct"] = round(float(np.mean([one.gateway_cpu_pct for one in of])), 1)
+        said = [one.said for one in of if one.said is not None]
+        if said:
+            bins = sum((one["bins"] for one in said), np.zeros(BINS, np.int64))
+            result[what]["age_ms"] = {n: percentile_ms(bins, q) for n, q in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))}
+            result[what] |= {n: sum(one[n] for one in said) for n in ("received", "lost", "recovered")}
+            result[what]["stalled"] = [count for one in said for count in one["stalled"]]
+    nobody, everybody = (metrics.percentiles_us(_lateness(slices, what))["p999"] for what in ("nobody", "all"))
+    result["lateness_p999_ratio"] = round(everybody / max(nobody, 1.0), 3)
+    return result
+
+
+def _lateness(slices: list[Slice], what: str) -> Any:
+    return np.concatenate([one.records["lateness_ns"] for one in slices if one.what == what])
+
+
+def verdicts(result: dict[str, Any]) -> list[tuple[str, float, float]]:
+    """Name, figure and limit of what was promised."""
+    everybody, three = result["all"], result["three"]
+    return [
+        ("samples lost to healthy clients", everybody["lost"] + three["lost"], 0),
+        ("loop lateness p99.9, all over nobody", result["lateness_p999_ratio"], LIMITS["lateness_p999_ratio"]),
+        ("gateway CPU with three clients, % of a core", three["gateway_cpu_pct"], LIMITS["gateway_cpu_pct"]),
+        ("sample to callback p50, ms", everybody["age_ms"]["p50"], LIMITS["age_p50_ms"]),
+        ("sample to callback p99, ms", everybody["age_ms"]["p99"], LIMITS["age_p99_ms"]),
+    ]
+
+
+def show(result: dict[str, Any], console: Console) -> None:
+    table = Table("listening", "", "p50", "p99", "p99.9", "max", "", box=None)
+    for what in ("nobody", "three", "all"):
+        one, late = result[what], result[what]["lateness_us"]
+        table.add_row(what, "loop lateness us", *(f"{late[name]:.0f}" for name in ("p50", "p99", "p999", "max")),
+                      f"{one['skipped_ticks']} of {one['ticks']} ticks skipped")  # fmt: skip
+        if ages := one.get("age_ms"):
+            p50, p99, most = (f"{ages[name]:.1f}" for name in ("p50", "p99", "max"))
+            lost = f"{one['lost']} of {one['received']} samples lost"
+            table.add_row("", "age at callback ms", p50, p99, "", most, lost)
+        table.add_row("", f"gateway {one['gateway_cpu_pct']:.1f} % of a core")
+    console.print(table, highlight=False)
+    for count in result["all"]["stalled"]:
+        console.print(f"stalled, running again: {', '.join(f'{n} {v}' for n, v in count.items())}", highlight=False)
+    for name, figure, limit in verdicts(result):
+        console.print(
+            f"{name}: {figure:g} (limit {limit:g}) {'met' if figure <= limit else 'NOT MET'}", highlight=False
+        )
+
+
+def main(words: list[str]) -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.bench telemetry", description=__doc__)
+    parser.add_argument("--clients", type=int, default=10, help="healthy ones")
+    parser.add_argument("--stalled", type=int, default=1, help="and so many stopped in the middle")
+    parser.add_argument("--minutes", type=float, default=10.0, help="with all of them, and as much with nobody")
+    parser.add_argument("--rounds", type=int, default=2, help="in which this is done")
+    parser.add_argument("--json", type=pathlib.Path, help="write the figures here")
+    arguments = parser.parse_args(words)
+    seconds = 60.0 * arguments.minutes / arguments.rounds
+    plan = (("nobody", seconds / 2, 0, 0), ("three", seconds / 4, 3, 0),
+            ("all", seconds, arguments.clients, arguments.stalled), ("nobody", seconds / 2, 0, 0))  # fmt: skip
+    console = Console(width=100)
+    slices = []
+    with contextlib.ExitStack() as stack:
+        rig = BenchRig(RATE_HZ, stack)
+        for number in range(arguments.rounds):
+            for what, length, clients, stalled in plan:
+                slices.append(measure_slice(rig, what, length, clients, stalled))
+                print(f"round {number + 1}: {what}, {length:.0f} s", file=sys.stderr)
+    result = judged(slices)
+    show(result, console)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(result, indent=2) + "\n")
+    return 0 if all(figure <= limit for _, figure, limit in verdicts(result)) else 1

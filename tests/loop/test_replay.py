@@ -1,0 +1,179 @@
+"""A recording played through the loop again comes out the same, bit by bit; what is changed in it is found."""
+
+from __future__ import annotations
+
+import dataclasses
+import pathlib
+import time
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from hil.lockstep import Lockstep, lockstep
+from rigctl.commission.ledger import IN_FORCE, Standing
+from rigctl.config import RigSettings
+from rigctl.control.correction import Correction
+from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.control.safety import Check
+from rigctl.control.tension import Gains
+from rigctl.recorder.continuous import Continuous
+from rigctl.recorder.recording import Recording, parts_of, read
+from rigctl.replay.compare import Against, first_difference
+from rigctl.replay.play import ReplayError, Span, play, spans
+from rigctl.telemetry.record import Flag
+from rigctl.telemetry.runtime import ACTIVE
+
+STOP_S = 3.0
+
+
+def recorded(
+    settings: RigSettings, gains: Gains, folder: pathlib.Path, script: Callable[[Lockstep], None]
+) -> Recording:
+    """What the recorder keeps of a loop in simulated time that goes through ``script`` and is then told to stop."""
+    recording = settings.recording.model_copy(update={"folder": str(folder / "kept")})
+    audit = settings.audit.model_copy(update={"file": str(folder / "audit.jsonl")})
+    settings = settings.model_copy(update={"recording": recording, "audit": audit})
+    with lockstep(settings, gains, correction=Correction(0.25, 1.001)) as rig:
+        rig.loop.observer.sight.host_checks = int(Check.HOST)
+        design = {"gains": msgspec.to_builtins(gains)}
+        rig.runtime.write_json(ACTIVE, {"settings": settings.model_dump(mode="json"), "design": design})
+        rig.runtime.write_json("control.json", {"supervision": [{"ok": True}]})
+        rig.runtime.write_json(IN_FORCE, Standing(zero_n=0.25, scale=1.001))
+        keeper = Continuous(rig.runtime, settings, 7, time.time_ns())
+        ticked = rig.loop.tick
+
+        def tick() -> None:
+            ticked()
+            if rig.loop._logbook.tick % 500 == 0:
+                keeper.poll(rig.clock.now(), time.time_ns(), final=True)
+
+        rig.loop.tick = tick  # type: ignore[method-assign]
+        script(rig)
+        rig.loop.stop_requested = True
+        rig.run(STOP_S)
+        assert rig.loop.finished
+        keeper.close(rig.clock.now(), time.time_ns())
+    (first,) = (folder / "kept").glob("*.mcap")
+    return read(*parts_of(first))
+
+
+def drill(rig: Lockstep) -> None:
+    """Every mode, a changed gain, a refused command, a frame lost, late ticks, a trip and its reset."""
+    rig.run(0.3)
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT  # the gateway has not judged the host yet
+    rig.command(Setting.HOST_CHECKS, 0.0)
+    assert rig.command(Verb.ARM) is Refusal.NONE
+    assert rig.command(Verb.TARGET, 5000.0) is Refusal.OUT_OF_RANGE
+    rig.command(Verb.TARGET, 60.0)
+    rig.command(Verb.TENSION)
+    rig.run_until(Mode.COMPENSATING, 20.0)
+    rig.run(0.5)
+    for setting, value in ((Setting.K_TENSION, 1.0), (Setting.K_SPEED, 0.1), (Setting.K_INTEGRAL, 0.5)):
+        rig.command(setting, value)
+    rig.clock.skip = 3
+    rig.run(0.5)
+    rig.inject(frame(0x182, bytes(5)[:4]))
+    rig.run(0.2)
+    rig.inject(frame(0x182, bytes([0, 0, 0, 0, 1])))
+    rig.run(0.5)
+    rig.command(Verb.RESET)
+    rig.command(Verb.RELEASE)
+    rig.run(1.0)
+
+
+def frame(can_id: int, data: bytes) -> bytes:
+    return can_id.to_bytes(4, "little") + bytes([len(data), 0, 0, 0]) + data.ljust(8, b"\0")
+
+
+@pytest.fixture(scope="module")
+def paper(settings: RigSettings, gains: Gains, tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, Span]:
+    found = recorded(settings, gains, tmp_path_factory.mktemp("replay"), drill)
+    (span,) = spans(found)
+    return found, span
+
+
+def replayed(recording: Recording, span: Span) -> Any:
+    return first_difference(play(recording, span), lambda _done, _doing: None)
+
+
+def test_a_recording_comes_out_bit_identical(paper: tuple[Recording, Span]) -> None:
+    recording, span = paper
+    assert set(np.unique(span.records["mode"])) >= {Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.FAULT}
+    assert span.records["skipped"][-1] == 3
+    assert span.records["frames_refused"][-1] >= 1
+    assert span.records["flags"][-1] & Flag.STOPPING
+    assert span.cut_short == ""
+    assert replayed(recording, span) == (len(span.records), None)
+
+
+def test_a_command_that_was_another_is_found_in_its_tick(paper: tuple[Recording, Span]) -> None:
+    recording, span = paper
+    records = span.records.copy()
+    at = int(np.flatnonzero(records["mode"] == Mode.COMPENSATING)[200])
+    records["command_mm_s"][at] = np.nextafter(records["command_mm_s"][at], 9.0)
+    same, found = replayed(recording, dataclasses.replace(span, records=records))
+    assert same == at
+    assert found.tick == records["tick"][at]
+    assert [row.field for row in found.differences] == ["command_mm_s"]
+
+
+def test_a_frame_that_was_another_is_found(paper: tuple[Recording, Span]) -> None:
+    recording, span = paper
+    frames = recording.frames.copy()
+    cell = np.flatnonzero((frames["can_id"] == 0x182) & (frames["sent"] == 0))
+    at = int(cell[len(cell) // 3])
+    frames["data"][at] = bytes([frames["data"][at][0] ^ 0x10]) + bytes(frames["data"][at])[1:]
+    same, found = replayed(dataclasses.replace(recording, frames=frames), span)
+    assert 0 < same < len(span.records)
+    assert abs(found.t_ns - int(frames["t_ns"][at])) <= span.settings.loop.period_ns
+    assert "reading_n" in {row.field for row in found.differences}
+
+
+def test_a_frame_sent_that_was_another_is_found(paper: tuple[Recording, Span]) -> None:
+    recording, span = paper
+    frames = recording.frames.copy()
+    at = int(np.flatnonzero(frames["sent"] == 1)[-500])
+    frames["data"][at] = b"\xff\x01\x02\x03\x04\x05"
+    _, found = replayed(dataclasses.replace(recording, frames=frames), span)
+    assert [row.field for row in found.differences] == ["frames sent"]
+
+
+def test_a_command_the_loop_was_not_given_is_found(paper: tuple[Recording, Span]) -> None:
+    recording, span = paper
+    tension = recording.commands["verb"] == Verb.TENSION
+    same, found = replayed(dataclasses.replace(recording, commands=recording.commands[~tension]), span)
+    assert {"mode"} <= {row.field for row in found.differences}
+    assert span.records["mode"][same] == Mode.TENSIONING
+
+
+def test_a_gap_ends_what_is_replayed(paper: tuple[Recording, Span]) -> None:
+    recording, _ = paper
+    holed = np.delete(recording.records, slice(2000, 2100))
+    (found,) = spans(dataclasses.replace(recording, records=holed))
+    assert len(found.records) == 2000
+    assert found.cut_short == "records are missing"
+    assert replayed(recording, found) == (2000, None)
+
+
+def test_without_a_start_there_is_nothing_to_replay(paper: tuple[Recording, Span]) -> None:
+    recording, _ = paper
+    with pytest.raises(ReplayError, match="no start of the loop is in it: it begins with tick 101"):
+        spans(dataclasses.replace(recording, records=recording.records[100:]))
+
+
+def test_other_gains_command_something_else(paper: tuple[Recording, Span]) -> None:
+    recording, span = paper
+    same, other = Against(), Against()
+    for batch in play(recording, span, gains=span.gains):
+        same.add(batch)
+    stronger = Gains(2.0 * span.gains.k_tension, span.gains.k_speed, span.gains.k_integral)
+    for batch in play(recording, span, gains=stronger):
+        other.add(batch)
+    assert all(row["apart_max_mm_s"] == 0.0 for row in same.rows())
+    assert same.first_other_mode is None
+    rows = {row["mode"]: row for row in other.rows()}
+    assert rows["TENSIONING"]["apart_rms_mm_s"] > 0.0
+    assert rows["HOLD"]["apart_rms_mm_s"] == pytest.approx(0.0, abs=1e-6)
