@@ -1,42 +1,11 @@
-"""The tension cell's systematic errors: what no law can see, and what they come to at the target."""
+"""The tension cell's systematic errors at their full size: as bad as the sensor budget allows."""
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
-
 from rigctl.config import RigSettings
+from rigctl.report.sensor_budget import CREEP_PCT, GAIN_PCT, Error, budget, combined_n
 
-BIAS_OF_RANGE_PCT = 0.03  # zero error between two tares, of a cell of class C3 in a hall
-GAIN_PCT = 0.02  # OIML R 60 class C3: linearity and hysteresis of a cell that was calibrated
-CREEP_PCT = 0.0245  # OIML R 60 class C3: of the load in 30 min
-WARMING_H = 8.0  # a shift without a new tare
-TEMPERATURE_N_H = 0.01  # as in the rig file: 0.02 % of 500 N per 10 K, 1 K an hour
-
-
-class Error(NamedTuple):
-    """One line of the sensor budget."""
-
-    name: str
-    newtons: float
-    """At the target."""
-    source: str
-
-
-def budget(rig: RigSettings) -> list[Error]:
-    """What the cell may be wrong by at the target, each on its own."""
-    target_n, range_n = rig.tension.target_n, rig.tension_cell.range_n
-    return [
-        Error("bias", range_n * BIAS_OF_RANGE_PCT / 100, f"{BIAS_OF_RANGE_PCT:g} % of {range_n:g} N"),
-        Error("gain", target_n * GAIN_PCT / 100, f"{GAIN_PCT:g} % of the load, class C3"),
-        Error("creep", target_n * CREEP_PCT / 100, f"{CREEP_PCT:g} % of the load in 30 min, class C3"),
-        Error("drift", TEMPERATURE_N_H * WARMING_H, f"{TEMPERATURE_N_H:g} N/h for {WARMING_H:g} h without a tare"),
-    ]
-
-
-def combined_n(errors: list[Error]) -> float:
-    """Root of the sum of squares (JCGM 100: independent contributions)."""
-    return math.sqrt(math.fsum(error.newtons**2 for error in errors))
+__all__ = ["Error", "budget", "combined_n", "with_errors"]
 
 
 def with_errors(rig: RigSettings) -> RigSettings:

@@ -9,13 +9,16 @@ import math
 import pathlib
 import random
 import shutil
+import struct
 import tempfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
 import msgspec
+import numpy as np
 import yaml
 
 from hil.lockstep import lockstep
@@ -29,8 +32,12 @@ from rigctl.design import gain_file
 from rigctl.design.gains import DesignError
 from rigctl.design.margins import design_and_check
 from rigctl.devices.remote_node import StartupError
-from rigctl.recorder import audit_log, chain
+from rigctl.recorder import audit_log, chain, mcap_scan, recording
+from rigctl.recorder.contents import figures
+from rigctl.recorder.continuous import Continuous
 from rigctl.telemetry import lease_keeper
+from rigctl.telemetry.record import RECORD
+from rigctl.telemetry.runtime import ACTIVE, Runtime
 from tests.fuzz import mutate
 from tests.fuzz.judge import Tally
 
@@ -105,6 +112,7 @@ def kinds(folder: pathlib.Path) -> list[Kind]:
         _gains(rig),
         _ledger(folder, rig),
         _audit(folder),
+        _recording(folder, rig),
         _lease(),
     ]
 
@@ -235,6 +243,63 @@ def _rehashed(row: Any) -> bytes:
     if not body.endswith(b"}"):
         return body + b"\n"
     return body[:-1] + b',"hash":"' + hashlib.sha256(body).hexdigest().encode() + b'"}\n'
+
+
+def _recording(folder: pathlib.Path, rig: RigSettings) -> Kind:
+    """One with records, frames and documents; a changed chunk fits its checksum all the same."""
+    path = folder / "recording.mcap"
+    path.write_bytes(_recorded(folder, rig))
+
+    def read(text: bytes) -> int:
+        found = recording.read(_written(path, text))
+        figures(found)
+        assert np.all(np.diff(found.records["seq"].astype(np.int64)) > 0)
+        return len(found.records)
+
+    return Kind("recording", [path.read_bytes()], _as_pieces, _as_mcap, read, (recording.RecordingError,))
+
+
+def _recorded(folder: pathlib.Path, rig: RigSettings) -> bytes:
+    kept = rig.recording.model_copy(update={"folder": "kept", "free_mib": 1})
+    settings = rig.model_copy(update={"recording": kept})
+    runtime = Runtime(folder / "runtime")
+    runtime.directory.mkdir()
+    runtime.make_rings(settings)
+    runtime.write_json(ACTIVE, {"settings": settings.model_dump(mode="json")})
+    records, frames, events = runtime.record_writer(), runtime.frame_writer(), runtime.event_writer()
+    kept_by = Continuous(runtime, settings, _NOW_NS, _NOW_NS)
+    for tick in range(1, 4):
+        t_ns = tick * 10**9
+        records.write(t_ns, *(0 for _ in RECORD.fields[1:]))
+        frames.write(t_ns, 0x182, 0, 8, bytes(8))
+        events.write(t_ns, 1, 2, 3, 0.0, 0.0, b"x")
+        kept_by.poll(t_ns, _NOW_NS + t_ns)
+    kept_by.close(4 * 10**9, _NOW_NS + 4 * 10**9)
+    runtime.remove()
+    (file,) = kept_by.folder.iterdir()
+    return file.read_bytes()
+
+
+def _as_pieces(text: bytes) -> list[list[Any]]:
+    """The records of an MCAP file, chunks unpacked."""
+    return [
+        [piece.opcode, (mcap_scan.unpacked(piece.content) if piece.opcode == mcap_scan.CHUNK else bytes(piece.content))
+         .decode("latin-1")]
+        for piece in mcap_scan.Scan(memoryview(text)).pieces()
+    ]  # fmt: skip
+
+
+def _as_mcap(found: Any) -> bytes:
+    parts = [mcap_scan.MAGIC]
+    for row in found if isinstance(found, list) else [found]:
+        opcode, content = row if isinstance(row, list) and len(row) == 2 else (0, row)
+        code = opcode % 256 if isinstance(opcode, int) else 0
+        data = str(content).encode("latin-1", "replace")
+        if code == mcap_scan.CHUNK:
+            head = struct.pack("<QQQI", 0, 0, len(data), zlib.crc32(data))
+            data = head + struct.pack("<IQ", 0, len(data)) + data
+        parts.append(struct.pack("<BQ", code, len(data)) + data)
+    return b"".join([*parts, mcap_scan.MAGIC])
 
 
 def _lease() -> Kind:

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from rigctl.recorder import recording
 from tests import daemons
 
 KEYS = {
@@ -20,7 +21,8 @@ SHORT: dict[str, Any] = {"angle_deg": 2.0}
 def play(tmp_path: pathlib.Path, changes: dict[str, dict[str, Any]], *options: str) -> tuple[int, dict[str, Any], str]:
     figures = tmp_path / "demo.json"
     file = daemons.rig_file(tmp_path, changes)
-    answer = daemons.rigctl("demo", str(file), "--json", str(figures), *options)
+    answer = daemons.rigctl("demo", str(file), "--json", str(figures), *options,
+                            "--recordings", str(tmp_path / "recordings"))  # fmt: skip
     assert "Traceback" not in answer.stderr
     return answer.returncode, json.loads(figures.read_text()), answer.stdout
 
@@ -36,6 +38,9 @@ def test_the_papers_move_in_lockstep_is_within_the_limits(tmp_path: pathlib.Path
     assert figures["frames"]["lost"] == 0
     assert figures["skipped_ticks"] == 0
     assert figures["telemetry"] is None
+    kept = recording.read(figures["recording"])
+    assert figures["recording"] in said
+    assert (len(kept.records), kept.complete, kept.gaps) == (figures["ticks"], True, [])
     assert "passed" in said
 
 
@@ -63,3 +68,6 @@ def test_in_real_time_every_part_runs_in_its_own_process(tmp_path: pathlib.Path)
     assert set(figures["lateness_us"]) == set(figures["work_us"]) == {"p50", "p99", "p999", "max"}
     assert figures["eta_true_max_pct"] <= 0.10
     assert (code, figures["passed"]) == (0, True), said
+    kept = recording.read(*recording.parts_of(figures["recording"]))
+    assert (kept.complete, kept.gaps) == (True, [])
+    assert len(kept.records) >= figures["ticks"]

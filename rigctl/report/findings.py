@@ -1,0 +1,258 @@
+"""Everything a report says, from a recording: worked out once, for the page and for JSON alike."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+from pydantic import ValidationError
+
+from rigctl.commission import ledger
+from rigctl.commission.ledger import IN_FORCE, Standing
+from rigctl.config import RigSettings
+from rigctl.control.tension import Gains
+from rigctl.recorder.recording import Recording
+from rigctl.report import bus, happenings, sensor_budget, spectrum, timing, verdict
+from rigctl.report.error_statistics import ErrorStatistics, error_n, statistics
+from rigctl.report.phases import SETTLE_S, Phase, phases
+from rigctl.telemetry.runtime import ACTIVE
+
+NEEDED = (
+    "seq", "t_ns", "tick", "skipped", "lateness_ns", "work_ns", "mode", "fault", "tension_n", "tension_quality",
+    "tangential_rad", "normal_rad", "inclination_quality", "stroke_mm", "speed_mm_s", "command_mm_s", "target_n",
+    "setpoint_n", "vertical_n", "tangential_estimate_rad", "normal_estimate_rad", "frames_sent", "frames_received",
+    "frames_lost", "frames_refused", "send_failures", "error_frames",
+)  # fmt: skip
+ADVICE = (
+    "The error is that of the tension the cell measured, times the cosines of the measured inclination. It is not the "
+    "true force on the payload: what cell and amplifier have wrong is in no figure of this page but the sensor budget."
+)
+
+
+class ReportError(ValueError):
+    """A recording no report can be made of; ``str()`` is one line."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """The figures of a report."""
+
+    recording: Recording
+    rate_hz: float
+    settings: RigSettings | None
+    active: dict[str, Any]
+    control: dict[str, Any]
+    standing: Standing | None
+    ledger: list[dict[str, Any]]
+    gains: Gains | None
+    phases: list[Phase]
+    by_phase: list[ErrorStatistics]
+    whole: ErrorStatistics | None
+    spectrum: spectrum.Spectrum | None
+    lines: dict[str, float]
+    timing: timing.Timing
+    bus: bus.Bus
+    events: list[happenings.Happening]
+    trips: list[happenings.Trip]
+    modes: list[happenings.ModeSpan]
+    operators: list[str]
+    budget: list[sensor_budget.Error]
+    verdict: verdict.Verdict
+    remarks: list[str]
+    """What a reader must know before believing the rest."""
+
+    @property
+    def shown(self) -> Phase | None:
+        """The phase that is drawn at length: the longest."""
+        return max(self.phases, key=lambda phase: (phase.after - phase.first, -phase.number), default=None)
+
+    def utc(self, t_ns: int) -> str:
+        """A time of CLOCK_MONOTONIC on the wall clock, to the millisecond."""
+        wall_ns = t_ns + self.recording.wall_offset_ns
+        try:
+            return f"{ledger.utc(wall_ns)[:-1]}.{wall_ns // 1_000_000 % 1000:03d}Z"
+        except (ValueError, OverflowError, OSError):  # a clock that was never set, or a file that was damaged
+            return f"{wall_ns} ns"
+
+
+def find(recording: Recording) -> Findings:
+    """Work everything out.
+
+    Raises:
+        ReportError: no records, or none of this kind.
+    """
+    records = recording.records
+    where = recording.files[0].path
+    if not len(records):
+        raise ReportError(f"{where}: found no record, allowed a recording of a loop that ran")
+    if missing := [name for name in NEEDED if name not in (records.dtype.names or ())]:
+        raise ReportError(f"{where}: its records have no {', '.join(missing)}: written by another version of rigctl")
+    found = phases(records)
+    at_ns = found[0].entered_ns if found else recording.end_ns
+    active, control = _document(recording, ACTIVE, at_ns), _document(recording, "control.json", at_ns)
+    settings, gains = _settings(active), _gains(active)
+    rate_hz = _rate(recording, settings)
+    by_phase = [statistics(records, [phase], rate_hz) for phase in found]
+    judged = [phase for phase, figures in zip(found, by_phase, strict=True) if figures is not None]
+    whole = statistics(records, judged, rate_hz)
+    target_n = judged[0].target_n if judged else None
+    parts = [(_seconds(records, phase), error_n(records, phase)) for phase in judged]
+    return Findings(
+        recording=recording,
+        rate_hz=rate_hz,
+        settings=settings,
+        active=active,
+        control=control,
+        standing=_standing(recording, at_ns),
+        ledger=_entries(recording, recording.end_ns),
+        gains=gains,
+        phases=judged,
+        by_phase=[figures for figures in by_phase if figures is not None],
+        whole=whole,
+        spectrum=spectrum.spectrum(parts, rate_hz),
+        lines=spectrum.named_lines(settings, gains) if settings is not None else {},
+        timing=timing.timing(records, rate_hz),
+        bus=bus.bus(records, settings),
+        events=happenings.happenings(recording),
+        trips=happenings.trips(recording),
+        modes=happenings.mode_spans(records),
+        operators=happenings.operators(recording),
+        budget=sensor_budget.budget(settings, target_n) if settings is not None else [],
+        verdict=verdict.judge(records, judged, whole, settings, rate_hz),
+        remarks=_remarks(recording, settings),
+    )
+
+
+def _seconds(records: npt.NDArray[np.void], phase: Phase) -> npt.NDArray[np.float64]:
+    t_ns = records["t_ns"][phase.judged]
+    return np.asarray(t_ns - t_ns[0], np.float64) * 1e-9
+
+
+def _document(recording: Recording, name: str, t_ns: int) -> dict[str, Any]:
+    data = recording.in_force(name, t_ns)
+    try:
+        found = msgspec.json.decode(data) if data is not None else None
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        found = None
+    return found if isinstance(found, dict) else {}
+
+
+def _settings(active: dict[str, Any]) -> RigSettings | None:
+    try:
+        return RigSettings.model_validate(active.get("settings"))
+    except (ValidationError, RecursionError):
+        return None
+
+
+def _gains(active: dict[str, Any]) -> Gains | None:
+    design = active.get("design")
+    try:
+        return msgspec.convert(design.get("gains"), Gains) if isinstance(design, dict) else None
+    except msgspec.MsgspecError:
+        return None
+
+
+def _standing(recording: Recording, t_ns: int) -> Standing | None:
+    data = recording.in_force(IN_FORCE, t_ns)
+    try:
+        return msgspec.json.decode(data, type=Standing) if data is not None else None
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return None
+
+
+def _entries(recording: Recording, t_ns: int) -> list[dict[str, Any]]:
+    """Of the ledger, the oldest first."""
+    found = _document(recording, "calibration_ledger.json", t_ns).get("entries")
+    return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
+
+
+def _rate(recording: Recording, settings: RigSettings | None) -> float:
+    if settings is not None:
+        return float(settings.loop.rate_hz)
+    steps = np.diff(recording.records["t_ns"])
+    step_ns = float(np.median(steps)) if len(steps) else 0.0
+    return 1e9 / step_ns if step_ns > 0.0 else 1000.0
+
+
+def _remarks(recording: Recording, settings: RigSettings | None) -> list[str]:
+    said = [
+        f"{file.path.name} is cut short or damaged ({file.note}); everything up to there is in this report"
+        for file in recording.files
+        if not file.complete
+    ]
+    for gap in recording.gaps:
+        if gap.ring == "records":
+            t_s = (gap.t_ns - recording.start_ns) * 1e-9
+            said.append(f"{gap.count} records are missing after {t_s:.3f} s")
+    others = sum(gap.count for gap in recording.gaps if gap.ring != "records")
+    if others:
+        rings = sorted({gap.ring for gap in recording.gaps if gap.ring != "records"})
+        said.append(f"{others} slots of other rings are missing ({', '.join(rings)})")
+    if unseen := _overwritten(recording):
+        said.append(f"{unseen} CAN frames were overwritten before the recorder had read them: not in the file")
+    if settings is None:
+        said.append("its settings cannot be read by this version of rigctl: the rig's own limits are not judged")
+    return said
+
+
+def _overwritten(recording: Recording) -> int:
+    """Frames that no longer were in their ring when the recorder came to read them; each recorder counts for itself."""
+    total = before = 0
+    for item in recording.said.get("recorder", []):
+        lost = item.details.get("lost")
+        count = lost.get("frames") if isinstance(lost, dict) else None
+        if isinstance(count, int):
+            total += count - before if count >= before else count
+            before = count
+    return total
+
+
+def as_dict(found: Findings) -> dict[str, Any]:
+    """For JSON: what is not finite is null."""
+    recording, peak = found.recording, found.spectrum.largest if found.spectrum else None
+    document = _finite(
+        {
+            "rig": recording.rig,
+            "run": recording.run,
+            "files": [{"file": f.path.name, "bytes": f.size, "sha256": f.sha256, "complete": f.complete, "note": f.note}
+                      for f in recording.files],
+            "sha256": recording.sha256,
+            "complete": recording.complete,
+            "start": found.utc(recording.start_ns),
+            "end": found.utc(recording.end_ns),
+            "duration_s": (recording.end_ns - recording.start_ns) * 1e-9,
+            "operators": found.operators,
+            "basis": "cell",
+            "settle_s": SETTLE_S,
+            "verdict": found.verdict.word,
+            "criteria": [asdict(row) for row in found.verdict.criteria],
+            "error": asdict(found.whole) if found.whole else None,
+            "phases": [
+                {"number": phase.number, "entered": found.utc(phase.entered_ns), "target_n": phase.target_n,
+                 "ended": phase.ended, "faulted": phase.faulted, **asdict(figures)}
+                for phase, figures in zip(found.phases, found.by_phase, strict=True)
+            ],
+            "largest_line": None if peak is None else {"hz": peak[0], "amplitude_n": peak[1]},
+            "lines_hz": found.lines,
+            "sensor_budget_n": {**{error.name: error.newtons for error in found.budget},
+                                "combined": sensor_budget.combined_n(found.budget)} if found.budget else None,
+            "timing": asdict(found.timing),
+            "bus": asdict(found.bus),
+            "trips": [{"t": found.utc(trip.t_ns), "reason": trip.reason, "dump": trip.dump} for trip in found.trips],
+            "remarks": found.remarks,
+        }
+    )  # fmt: skip
+    assert isinstance(document, dict)
+    return document
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

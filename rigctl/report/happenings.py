@@ -1,0 +1,100 @@
+"""What was said and done during a recording: events, commands, leases, trips, and who was there."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rigctl.control.modes import Mode
+from rigctl.recorder.recording import Recording
+
+Array = npt.NDArray[Any]
+TOPICS = ("supervision", "events", "notes", "desk")
+SEVERITIES = ("info", "warning", "error")
+_GRAVE = frozenset({"daemon_refused", "process_ended", "command_refused"})
+_TRIPPED = re.compile(r"trip (\w+)")
+_DUMP_OF_NS = 15_000_000_000  # a dump is written within this time of its trip
+
+
+@dataclass(frozen=True)
+class Happening:
+    """One line of the table of events."""
+
+    t_ns: int
+    severity: str
+    what: str
+    who: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Trip:
+    """A limit that tripped, or an exception: why, and the file that has everything about it."""
+
+    t_ns: int
+    name: str
+    reason: str
+    dump: str
+    """Empty where the recording does not say."""
+
+
+@dataclass(frozen=True)
+class ModeSpan:
+    """A stay in one mode."""
+
+    mode: int
+    name: str
+    start_ns: int
+    end_ns: int
+
+
+def happenings(recording: Recording) -> list[Happening]:
+    """Everything in the order of time, of each ring in its own; a command given is there by its answer."""
+    found = []
+    for topic in TOPICS:
+        for item in recording.said.get(topic, []):
+            if item.what == "command_given":
+                continue
+            severity = item.details.get("severity")
+            if severity not in SEVERITIES:
+                severity = "warning" if item.what in _GRAVE else "info"
+            found.append(Happening(item.t_ns, severity, item.what.replace("_", " "), item.who, item.text))
+    return sorted(found, key=lambda item: item.t_ns)
+
+
+def operators(recording: Recording) -> list[str]:
+    """Who gave commands or held the lease, by name."""
+    names = {item.who for topic in (*TOPICS, "audit") for item in recording.said.get(topic, [])}
+    return sorted(name for name in names if name)
+
+
+def trips(recording: Recording) -> list[Trip]:
+    """Every trip and every exception in the loop, each with its dump."""
+    dumps = [(item.t_ns, str(item.details.get("file", ""))) for item in recording.audit if item.what == "trip_dump"]
+    found = []
+    for item in recording.events:
+        if item.what in ("trip", "exception"):
+            dump = next((name for t_ns, name in dumps if item.t_ns <= t_ns <= item.t_ns + _DUMP_OF_NS), "")
+            name = _TRIPPED.match(item.text)
+            found.append(Trip(item.t_ns, name[1] if name else item.what, item.text, dump))
+    return found
+
+
+def mode_spans(records: Array) -> list[ModeSpan]:
+    """Stays in a mode, in order; a restarted control process begins a new one."""
+    if not len(records):
+        return []
+    modes, t_ns = np.asarray(records["mode"]), records["t_ns"]
+    restarted = np.diff(records["tick"].astype(np.int64)) < 0
+    cuts = [0, *(np.flatnonzero((np.diff(modes.astype(np.int16)) != 0) | restarted) + 1).tolist(), len(records)]
+    spans = []
+    for start, after in itertools.pairwise(cuts):
+        mode = int(modes[start])
+        name = Mode(mode).name if mode in Mode._value2member_map_ else str(mode)
+        spans.append(ModeSpan(mode, name, int(t_ns[start]), int(t_ns[min(after, len(records) - 1)])))
+    return spans

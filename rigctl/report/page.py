@@ -1,0 +1,69 @@
+"""The report as one HTML page that needs nothing else: template, tables, charts."""
+
+from __future__ import annotations
+
+import base64
+import pathlib
+
+import jinja2
+
+from rigctl import __version__
+from rigctl.report import charts, error_charts, tables
+from rigctl.report.drawing import Chart, style
+from rigctl.report.findings import ADVICE, Findings
+from rigctl.report.phases import SETTLE_S
+from rigctl.report.sensor_budget import combined_n
+from rigctl.report.verdict import REQUIREMENT_PCT
+
+TEMPLATE = pathlib.Path(__file__).with_name("template")
+EVENTS_OPEN = 60
+"""A longer table of events comes collapsed."""
+
+
+def render(found: Findings) -> str:
+    """The page. The same recording gives the same text, byte for byte."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATE), autoescape=True, undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+    )  # fmt: skip
+    environment.filters["image"] = _image
+    recording = found.recording
+    return environment.get_template("report.html").render(
+        found=found,
+        recording=recording,
+        version=__version__,
+        charts=_charts(found),
+        tables=tables,
+        advice=ADVICE,
+        settle_s=SETTLE_S,
+        requirement_pct=REQUIREMENT_PCT,
+        events_open=EVENTS_OPEN,
+        duration_s=(recording.end_ns - recording.start_ns) * 1e-9,
+        budget_n=combined_n(found.budget) if found.budget else None,
+        gap_rows=[
+            (gap.ring, gap.count, found.utc(gap.t_ns) if gap.t_ns else "the beginning") for gap in recording.gaps
+        ],
+    )
+
+
+def _charts(found: Findings) -> dict[str, Chart]:
+    """By name; those that need a judged phase only where there is one."""
+    with style():
+        drawn: dict[str, Chart | None] = {
+            "overview": charts.overview(found),
+            "lateness": error_charts.lateness(found),
+        }
+        if (phase := found.shown) is not None:
+            drawn |= {
+                "figure_9": charts.figure_9(found, phase),
+                "error": error_charts.error(found, phase),
+                "histogram": error_charts.histogram(found),
+                "spectrum": error_charts.spectrum(found),
+                "inclination": charts.inclination(found, phase),
+                "motion": charts.motion(found, phase),
+            }
+    return {name: chart for name, chart in drawn.items() if chart is not None}
+
+
+def _image(chart: Chart) -> str:
+    return "data:image/svg+xml;base64," + base64.b64encode(chart.svg.encode()).decode()

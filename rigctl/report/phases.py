@@ -1,0 +1,83 @@
+"""The times a recording is judged by: COMPENSATING on one target, once it has settled."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rigctl.control.modes import Mode
+
+SETTLE_S = 2.0
+"""Left out after COMPENSATING is entered, and after a new target is reached."""
+ON_TARGET = 5e-4
+"""A ramp is over when the set-point is within this fraction of the target: it gets there exactly, recorded as float."""
+
+Array = npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stay in COMPENSATING on one target; ``first`` to ``after`` (exclusive) are the records that are judged."""
+
+    number: int
+    entered_ns: int
+    first: int
+    after: int
+    target_n: float
+    ended: str
+    """What ended it, in words."""
+    faulted: bool
+
+    @property
+    def judged(self) -> slice:
+        """Of the records."""
+        return slice(self.first, self.after)
+
+
+def phases(records: Array, settle_s: float = SETTLE_S) -> list[Phase]:
+    """Every phase long enough to be judged, in order.
+
+    A change of target ends one and begins another, which is judged from when the set-point's ramp is over.
+
+    Args:
+        records: ``RECORD`` slots, sorted.
+        settle_s: left out at the beginning of each.
+    """
+    inside = records["mode"] == Mode.COMPENSATING
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
+    found: list[Phase] = []
+    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        targets = records["target_n"][begin:end]
+        cuts = [begin, *(np.flatnonzero(np.diff(targets)) + begin + 1).tolist(), end]
+        for start, after in itertools.pairwise(cuts):
+            settled = start if start == begin else _on_target(records, start, after)
+            t_ns = records["t_ns"][settled:after]
+            first = settled + int(np.searchsorted(t_ns, int(t_ns[0]) + round(settle_s * 1e9))) if len(t_ns) else after
+            if first >= after - 1 or not records["target_n"][start] > 0.0:
+                continue
+            ended, faulted = _end(records, after, end)
+            entered_ns, target_n = int(records["t_ns"][start]), float(records["target_n"][start])
+            found.append(Phase(len(found) + 1, entered_ns, first, after, target_n, ended, faulted))
+    return found
+
+
+def _on_target(records: Array, start: int, after: int) -> int:
+    """Where the ramp to a new target is over."""
+    there = records[start:after]
+    cosine = np.cos(there["tangential_estimate_rad"]) * np.cos(there["normal_estimate_rad"])
+    close = np.abs(there["setpoint_n"] * cosine / there["target_n"] - 1.0) < ON_TARGET
+    return start + int(np.argmax(close)) if np.any(close) else after
+
+
+def _end(records: Array, after: int, end: int) -> tuple[str, bool]:
+    if after < end:
+        return f"target changed to {records['target_n'][after]:g} N", False
+    if after == len(records):
+        return "end of the recording", False
+    mode = int(records["mode"][after])
+    name = Mode(mode).name if mode in Mode._value2member_map_ else str(mode)
+    return name, mode == Mode.FAULT or bool(records["fault"][after])

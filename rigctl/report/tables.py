@@ -1,0 +1,224 @@
+"""The report's tables as rows of text: sensible digits, units, nothing left to the template."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import yaml
+
+from rigctl.config_wording import unit_of
+from rigctl.report import sensor_budget
+from rigctl.report.error_statistics import ErrorStatistics
+from rigctl.report.findings import Findings
+from rigctl.report.metrics import PERCENTILES
+
+KEY_SETTINGS = (
+    "loop.rate_hz", "loop.priority", "can.interface", "can.bitrate_bit_s", "tension_cell.range_n",
+    "tension_cell.noise_n", "inclinometer.rate_hz", "cylinder.stroke_min_mm", "cylinder.stroke_max_mm",
+    "plant.spring_n_mm", "plant.rope_n_mm", "plant.rope_length_mm", "plant.payload_kg", "plant.cylinder_lag_s",
+    "plant.command_delay_s", "plant.mechanism_n_mm", "tension.target_n", "tension.ramp_n_s", "tension.speed_max_mm_s",
+    "tension.acceleration_max_mm_s2", "safety.tension_high_n", "safety.tension_low_n", "safety.stale_ms",
+    "safety.overrun_ticks",
+)  # fmt: skip
+LEDGER_SHOWN = 8
+_GAIN_UNITS = {"k_tension": "mm/s per N", "k_speed": "", "k_integral": "mm/s per N s"}
+
+
+class Row(NamedTuple):
+    """A quantity with its value and unit."""
+
+    name: str
+    value: str
+    unit: str = ""
+
+
+def number(value: Any, digits: int = 4) -> str:
+    """A figure to significant digits; what is no number as it is, nothing as a dash."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return str(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        return "–"
+    return f"{value:,}".replace(",", " ") if isinstance(value, int) else f"{value:.{digits}g}"
+
+
+def mapping(found: Any) -> dict[str, Any]:
+    """A table of a document in the recording, which another version may have written: empty where it is none."""
+    return found if isinstance(found, dict) else {}
+
+
+def listed(found: Any) -> list[dict[str, Any]]:
+    """The tables in a list, likewise."""
+    return [item for item in found if isinstance(item, dict)] if isinstance(found, list) else []
+
+
+def _peak(value: Any) -> float:
+    """An unstable loop has none in JSON."""
+    return float(value) if isinstance(value, (int, float)) else math.inf
+
+
+def duration(seconds: float) -> str:
+    """As people say it."""
+    if seconds < 120.0:
+        return f"{seconds:.1f} s"
+    whole = round(seconds)
+    hours, rest = divmod(whole, 3600)
+    return (f"{hours} h " if hours else "") + f"{rest // 60} min {rest % 60:02d} s"
+
+
+def error_rows(figures: ErrorStatistics) -> list[Row]:
+    """Statistics of the error."""
+    return [
+        Row("judged time", f"{figures.seconds:.1f}", "s"),
+        Row("samples", number(figures.samples)),
+        Row("largest error", f"{figures.eta_max_pct:.4f}", "%"),
+        Row("99 % of samples within", f"{figures.eta_p99_pct:.4f}", "%"),
+        Row("rms error", f"{figures.eta_rms_pct:.4f}", "%"),
+        Row("mean error", f"{figures.mean_n:+.4f}", "N"),
+        Row("spread (standard deviation)", f"{figures.spread_n:.4f}", "N"),
+        Row("vertical tension, least", f"{figures.vertical_min_n:.2f}", "N"),
+        Row("vertical tension, largest", f"{figures.vertical_max_n:.2f}", "N"),
+        Row("samples of a sensor not good", number(figures.not_good)),
+    ]
+
+
+def timing_rows(found: Findings) -> list[tuple[str, ...]]:
+    """Percentiles of lateness and work, in microseconds."""
+    figures = found.timing
+    return [
+        (name, *(f"{values[key]:.0f}" for key in PERCENTILES))
+        for name, values in (("lateness", figures.lateness_us), ("work", figures.work_us))
+    ]
+
+
+def budget_rows(found: Findings) -> list[tuple[str, str, str, str]]:
+    """The sensor budget: name, N, percent of the target, source."""
+    errors = found.budget
+    if not errors or found.settings is None:
+        return []
+    target_n = found.phases[0].target_n if found.phases else found.settings.tension.target_n
+    rows = [(e.name, f"{e.newtons:.3f}", f"{100 * e.newtons / target_n:.3f}", e.source) for e in errors]
+    for name, total_n, source in (
+        ("root of squares", sensor_budget.combined_n(errors), "independent contributions, JCGM 100"),
+        ("sum", math.fsum(error.newtons for error in errors), "all at once and of one sign"),
+        ("noise, rms", found.settings.tension_cell.noise_n, "of the cell as the rig file has it; random, in the error"),
+    ):
+        rows.append((name, f"{total_n:.3f}", f"{100 * total_n / target_n:.3f}", source))
+    return rows
+
+
+def calibration_rows(found: Findings) -> list[Row]:
+    """Zero, scale and dates in force at the first phase."""
+    standing = found.standing
+    if standing is None:
+        return []
+    return [
+        Row("zero", f"{standing.zero_n:+.4f}", "N"),
+        Row("scale", f"{standing.scale:.6f}"),
+        Row("last tare", standing.tared or "none on record"),
+        Row("calibration due", standing.due or "no check that passed is on record"),
+        Row("overdue", "yes" if standing.overdue else "no"),
+        *([Row("waiver", standing.waiver)] if standing.waiver else []),
+    ]
+
+
+def ledger_rows(found: Findings) -> list[tuple[str, ...]]:
+    """The last entries of the ledger: when, what, who, before and after, result."""
+    rows: list[tuple[str, ...]] = []
+    for entry in found.ledger[-LEDGER_SHOWN:]:
+        before, after = mapping(entry.get("before")), mapping(entry.get("after"))
+        changes = [
+            f"{key} {number(before.get(key))} → {number(after.get(key))}"
+            for key in sorted(after)
+            if before.get(key) != after.get(key)
+        ]
+        figures = mapping(entry.get("figures"))
+        said = [
+            f"{key} {number(value)}" for key, value in sorted(figures.items()) if not isinstance(value, (dict, list))
+        ]
+        passed = entry.get("passed")
+        result = "passed" if passed is True else "FAILED" if passed is False else ""
+        rows.append((str(entry.get("when", "")), str(entry.get("what", "")), str(entry.get("operator", "")), result,
+                     "; ".join(changes) or "nothing changed", ", ".join(said)))  # fmt: skip
+    return rows
+
+
+def settings_rows(found: Findings) -> list[Row]:
+    """The settings a reader asks for first."""
+    settings = mapping(found.active.get("settings"))
+    rows = []
+    for path in KEY_SETTINGS:
+        section, key = path.split(".")
+        values = mapping(settings.get(section))
+        if key in values:
+            rows.append(Row(path, number(values[key], 6), unit_of(key)))
+    return rows
+
+
+def settings_yaml(found: Findings) -> str:
+    """The whole of the settings, as they ran."""
+    settings = mapping(found.active.get("settings"))
+    return yaml.safe_dump(settings, sort_keys=False, allow_unicode=True, width=100)
+
+
+def gain_rows(found: Findings) -> list[Row]:
+    """Gains in force at the first phase."""
+    gains = mapping(mapping(found.active.get("design")).get("gains"))
+    return [Row(name, number(value, 6), _GAIN_UNITS.get(name, "")) for name, value in gains.items()]
+
+
+def margin_rows(found: Findings) -> list[tuple[str, ...]]:
+    """Margins over the family of plants; the last column marks the worst."""
+    members = listed(mapping(found.active.get("design")).get("margins"))
+    peaks = [max(_peak(member.get("ms")), _peak(member.get("ms_output"))) for member in members]
+    rows: list[tuple[str, ...]] = []
+    for member, peak in zip(members, peaks, strict=True):
+        k_m = member.get("k_m")
+        rows.append((
+            "rigid" if k_m is None else number(k_m), number(member.get("k_scale")), number(member.get("delay_scale")),
+            number(member.get("ms")), number(member.get("ms_output")), number(member.get("gm_db"), 3),
+            number(member.get("pm_deg"), 3), number(member.get("dm_ms"), 3), "worst" if peak == max(peaks) else "",
+        ))  # fmt: skip
+    return rows
+
+
+def design_words(found: Findings) -> list[str]:
+    """The verdict on the design, and what was said against it."""
+    design = mapping(found.active.get("design"))
+    warnings = design.get("warnings")
+    said = [design.get("verdict"), *(warnings if isinstance(warnings, list) else [])]
+    return [str(line) for line in said if line]
+
+
+def realtime_rows(found: Findings) -> list[tuple[str, str, str]]:
+    """What was asked of the system: name, what is in force, what is wrong with it ("" for nothing)."""
+    return [
+        (str(item.get("name", "")), str(item.get("in_force", "")),
+         "" if item.get("ok") is True else str(item.get("warning") or "not granted"))
+        for item in listed(found.control.get("realtime"))
+    ]  # fmt: skip
+
+
+def device_rows(found: Findings) -> list[tuple[str, str, str]]:
+    """Devices as they identified themselves: name, node, serial number."""
+    return [
+        (str(item.get("name", "")), f"node {item.get('node', '?')}", f"serial {item.get('serial', '?')}")
+        for item in listed(found.control.get("devices"))
+    ]
+
+
+def bus_rows(found: Findings) -> list[Row]:
+    """Frames, and the load at worst."""
+    figures = found.bus
+    load = "not known" if figures.load is None else f"{100 * figures.load:.1f}"
+    return [
+        Row("frames sent", number(figures.sent)),
+        Row("frames received", number(figures.received)),
+        Row("frames lost", number(figures.lost)),
+        Row("frames refused (length, value)", number(figures.refused)),
+        Row("frames the bus did not take", number(figures.unsent)),
+        Row("CAN error frames", number(figures.error_frames)),
+        Row(f"load at worst (limit {100 * figures.load_limit:.0f} %)", load, "" if figures.load is None else "%"),
+    ]
