@@ -126,11 +126,20 @@ class Desk:
 
     def _ask(self, question: Callable[[Client], Answer]) -> Answer:
         try:
-            with self._opening:
-                client = self._client = self._client or Client(self._picture.endpoint, self._rig)
-            return question(client)
+            return question(self._opened())
         except (NoDaemonError, ChoiceError) as error:
             raise RefusedError(str(error)) from None
+
+    def _opened(self) -> Client:
+        """A client of the very rig the page shows: another may have come in its place at the same endpoint."""
+        shown = (self._picture.state or {}).get("rig") or self._rig
+        with self._opening:
+            if self._client is not None and shown is not None and self._client.rig != shown:
+                self._client.close()
+                self._client = None
+            if self._client is None:
+                self._client = Client(self._picture.endpoint, shown)
+            return self._client
 
     def close(self) -> None:
         """End the session; the lease lapses by itself, and the rig goes on as it is."""

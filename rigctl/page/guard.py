@@ -31,7 +31,7 @@ class Guard:
     def names_us(self, headers: Headers) -> bool:
         """Whether Host is a name of this server: another one is a foreign name that was made to point here."""
         host = _host_of(headers.get("host", ""))
-        if host in ("localhost", self.address.host.lower(), socket.gethostname().lower()):
+        if host in ("localhost", self.address.host.lower()) or host.partition(".")[0] == _this_host():
             return True
         try:
             ip = ipaddress.ip_address(host)
@@ -48,6 +48,11 @@ class Guard:
         """Whether it shows the token this start of the server printed."""
         shown = headers.get(TOKEN_HEADER, "").encode(errors="replace")
         return self.token is not None and secrets.compare_digest(shown, self.token.encode())
+
+
+def _this_host() -> str:
+    """Name of this computer without its domain."""
+    return socket.gethostname().lower().partition(".")[0]
 
 
 def _host_of(header: str) -> str:

@@ -25,7 +25,7 @@ from rigctl.recorder.appender import Appender
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.chain import ChainError, read_line
 from rigctl.recorder.part_file import PartFile
-from rigctl.recorder.recording import RecordingError, progress_of
+from rigctl.recorder.part_reader import RecordingError, progress_of
 from rigctl.recorder.sources import Rings
 from rigctl.telemetry.runtime import ACTIVE, Runtime
 from rigctl.telemetry.schema import schema

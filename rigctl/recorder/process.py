@@ -35,7 +35,6 @@ POLL_S = 0.05
 RETRY_NS = 1_000_000_000
 TELL_NS = 1_000_000_000
 WAITING_MAX = 20_000  # entries kept for a disk that takes none; the rings go on holding what comes after
-NICE = 5  # behind whatever else runs on its processor; the rings wait for seconds
 FAREWELL_S = 6.0  # after SIGTERM, so long for the supervisor to say its last word
 _OVER = frozenset(doing.name.lower() for doing in OVER)
 
@@ -270,7 +269,6 @@ def main(arguments: Sequence[str], stop: Termination) -> int:
         return 2
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
-    os.nice(NICE)
     runtime = Runtime(pathlib.Path(arguments[0]))
     try:
         recorder = Recorder(runtime, _settings(runtime), time.monotonic_ns(), time.time_ns())

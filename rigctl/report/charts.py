@@ -71,7 +71,7 @@ def overview(found: Findings) -> Chart:
         for trip in found.trips:
             axes.axvline((trip.t_ns - start_ns) * 1e-9 / per, color=RED, linewidth=1.0)
     for trip in found.trips[:NAMED]:
-        force.annotate(trip.name, ((trip.t_ns - start_ns) * 1e-9 / per, 0.03), xycoords=("data", "axes fraction"),
+        force.annotate(trip.name, ((trip.t_ns - start_ns) * 1e-9 / per, 0.06), xycoords=("data", "axes fraction"),
                        rotation=90, ha="right", va="bottom", fontsize=6, color=RED)  # fmt: skip
     _missing(found, (force, stroke), start_ns, per)
     return finished(drawn, "The whole recording: vertical tension from the cell, stroke, modes (band), events (ticks: "

@@ -49,10 +49,9 @@ def render(found: Findings) -> str:
 def _charts(found: Findings) -> dict[str, Chart]:
     """By name; those that need a judged phase only where there is one."""
     with style():
-        drawn: dict[str, Chart | None] = {
-            "overview": charts.overview(found),
-            "lateness": error_charts.lateness(found),
-        }
+        drawn: dict[str, Chart | None] = {"overview": charts.overview(found)}
+        if not found.timing.simulated:
+            drawn["lateness"] = error_charts.lateness(found)
         if (phase := found.shown) is not None:
             drawn |= {
                 "figure_9": charts.figure_9(found, phase),

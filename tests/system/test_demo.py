@@ -27,6 +27,14 @@ def play(tmp_path: pathlib.Path, changes: dict[str, dict[str, Any]], *options: s
     return answer.returncode, json.loads(figures.read_text()), answer.stdout
 
 
+def replayed(file: str) -> tuple[int, bool]:
+    """Ticks that a replay finds the same, and whether that is all of them."""
+    answer = daemons.rigctl("replay", file, "--json")
+    assert answer.returncode in (0, 1), answer.stderr
+    found = json.loads(answer.stdout)
+    return sum(row["same"] for row in found["loops"]), found["identical"] and answer.returncode == 0
+
+
 @pytest.mark.simulated_time
 def test_the_papers_move_in_lockstep_is_within_the_limits(tmp_path: pathlib.Path) -> None:
     code, figures, said = play(tmp_path, {"demo": {"angle_deg": 13.0}}, "--lockstep")
@@ -41,6 +49,7 @@ def test_the_papers_move_in_lockstep_is_within_the_limits(tmp_path: pathlib.Path
     kept = recording.read(figures["recording"])
     assert figures["recording"] in said
     assert (len(kept.records), kept.complete, kept.gaps) == (figures["ticks"], True, [])
+    assert replayed(figures["recording"]) == (figures["ticks"], True)
     assert "passed" in said
 
 
@@ -71,3 +80,4 @@ def test_in_real_time_every_part_runs_in_its_own_process(tmp_path: pathlib.Path)
     kept = recording.read(*recording.parts_of(figures["recording"]))
     assert (kept.complete, kept.gaps) == (True, [])
     assert len(kept.records) >= figures["ticks"]
+    assert replayed(figures["recording"]) == (len(kept.records), True)

@@ -18,6 +18,7 @@ export class Desk {
   constructor() {
     this.token = takeToken();
     this.waiting = null;
+    this.mine = false;
     byId("hold").addEventListener("click", () => this.give("hold"));
     byId("take").addEventListener("click", () => this.lease("take"));
     byId("return").addEventListener("click", () => this.lease("return"));
@@ -40,11 +41,12 @@ export class Desk {
   }
 
   show(state) {
-    const mine = Boolean(state.lease?.mine), foreign = !mine && state.lease && !/^nobody/.test(state.lease.text);
+    const mine = (this.mine = Boolean(state.lease?.mine)), foreign = !mine && state.lease && !/^nobody/.test(state.lease.text);
     byId("take").hidden = mine;
     byId("take").textContent = foreign ? "take the lease over" : "take the lease";
     byId("reason").hidden = !foreign;
     byId("return").hidden = !mine;
+    byId("verbs").hidden = !mine || Boolean(this.waiting);
     for (const button of document.querySelectorAll("[data-verb]")) button.disabled = !mine || state.stale;
   }
 
@@ -70,7 +72,7 @@ export class Desk {
     clearTimeout(this.timer);
     this.waiting = proposal;
     byId("confirm").hidden = !proposal;
-    byId("verbs").hidden = Boolean(proposal);
+    byId("verbs").hidden = !this.mine || Boolean(proposal);
     if (!proposal) return;
     byId("confirm-text").textContent = `${proposal.text}?`;
     this.say("", true);

@@ -29,7 +29,7 @@ export class Panel {
     set(byId("vertical"), n === "-0.00" ? "0.00" : n);
     const compensating = typeof values.error_n === "number", inside = compensating && values.error_pct <= 5;
     byId("vertical").closest(".tension").className = `tension ${compensating ? (inside ? "inside" : "outside") : ""}`;
-    set(byId("error"), compensating ? `error ${signed(values.error_n, 3, "N")}  ${fixed(values.error_pct, 3, "%")}` : "not COMPENSATING");
+    set(byId("error"), compensating ? `error ${signed(values.error_n, 3, "N")} (${fixed(values.error_pct, 3, "%")})` : "not COMPENSATING");
     set(byId("target"), fixed(values.target_n, 1, "N"));
     set(byId("stroke"), fixed(values.stroke_mm, 2, "mm"));
     set(byId("speed"), signed(values.speed_mm_s, 2, "mm/s"));

@@ -194,13 +194,11 @@ def test_a_recording_of_hardly_a_tick_has_its_page(ticks: int, tmp_path: pathlib
 
 
 def test_documents_of_another_kind_are_left_out(tmp_path: pathlib.Path, in_process: Command) -> None:
-    for number, document in enumerate(
-        (
-            {},
-            {"settings": [1], "design": {"gains": 3, "margins": [1, {"ms": "x"}], "warnings": "w"}},
-            {"settings": {"loop": 1, "tension": {"target_n": {"a": 1}}}, "design": []},
-        )
-    ):
+    documents: list[dict[str, Any]] = [
+        {"settings": [1], "design": {"gains": 3, "margins": [1, {"ms": "x"}], "warnings": "w"}},
+        {"settings": {"loop": 1, "tension": {"target_n": {"a": 1}}}, "design": []},
+    ]
+    for number, document in enumerate(documents):
         page = tmp_path / f"{number}.html"
         file = write(tmp_path / f"{number}.mcap", compensating(small, 4.0), document=document)
         code, figures, said = report(in_process, file, "-o", page)
