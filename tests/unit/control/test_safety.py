@@ -221,3 +221,30 @@ def test_of_several_rows_the_strongest_acts_and_among_equals_the_first() -> None
     trip = watch.trips(runaway, Mode.HOLD, MS)
     assert trip is not None
     assert (trip.fault, trip.action) == (Fault.DRIVE_NOT_FOLLOWING, Action.POWER_OFF)
+
+
+def test_a_row_whose_persistence_runs_keeps_no_later_one_from_tripping() -> None:
+    watch = Watch(SETTINGS)
+    trip = watch.trips(replace(GOOD, tension_n=400.1, device_restarted=True), Mode.HOLD, 0)
+    assert trip is not None
+    assert trip.fault is Fault.DEVICE_RESTARTED
+
+
+def test_a_row_begins_anew_in_a_mode_that_was_left() -> None:
+    watch = Watch(SETTINGS)
+    low = replace(GOOD, tension_n=19.9)
+    assert all(watch.trips(low, Mode.COMPENSATING, t * MS) is None for t in range(15))
+    assert watch.trips(low, Mode.HOLD, 15 * MS) is None
+    assert all(watch.trips(low, Mode.COMPENSATING, t * MS) is None for t in range(16, 36))
+    trip = watch.trips(low, Mode.COMPENSATING, 36 * MS)
+    assert trip is not None
+    assert trip.fault is Fault.TENSION_LOW
+
+
+def test_a_limit_that_is_logged_is_over_when_its_mode_is_left() -> None:
+    late = LimitSettings(signal="lateness_us", high=500.0, action="log", modes=["HOLD"])
+    watch = Watch(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [late]})))
+    bad = replace(GOOD, lateness_ns=600_000)
+    watch.trips(bad, Mode.HOLD, 0)
+    watch.trips(bad, Mode.TENSIONING, MS)
+    assert [begins for _, begins in watch.crossed] == [True, False]
