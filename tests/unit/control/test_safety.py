@@ -248,3 +248,13 @@ def test_a_limit_that_is_logged_is_over_when_its_mode_is_left() -> None:
     watch.trips(bad, Mode.HOLD, 0)
     watch.trips(bad, Mode.TENSIONING, MS)
     assert [begins for _, begins in watch.crossed] == [True, False]
+
+
+def test_a_weaker_row_never_takes_the_place_of_a_stronger_one_before_it() -> None:
+    trip = Watch(SETTINGS).trips(replace(GOOD, e_stop=True, cell_quality=1), Mode.HOLD, 0)
+    assert trip is not None
+    assert (trip.fault, trip.action) == (Fault.E_STOP, Action.QUICK_STOP)
+
+
+def test_a_rival_that_is_still_heard_keeps_its_fault_from_being_reset() -> None:
+    assert Watch(SETTINGS).present(replace(GOOD, rival_age_ns=10 * MS)) is Fault.RIVAL

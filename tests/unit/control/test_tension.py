@@ -164,3 +164,29 @@ def test_release_ends_slack_with_rope_to_spare() -> None:
         tension = max(0.0, K * (stroke - 2.0))
     assert tension == 0.0
     assert -5.0 < stroke < 2.0
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_a_target_set_just_ahead_of_a_moving_setpoint_is_met_not_passed(direction: float) -> None:
+    subject = law()
+    subject.start_ramp(200.0, 0.0)
+    subject.target_n = 200.0 + 100.0 * direction
+    while abs(subject.setpoint_n - 200.0) < 40.0:
+        before, _ = subject.setpoint_n, subject.compensating(at(subject.setpoint_n), 1.0)
+    step = abs(subject.setpoint_n - before)
+    subject.target_n = subject.setpoint_n + 0.6 * step * direction
+    subject.compensating(at(subject.setpoint_n), 1.0)
+    assert subject.setpoint_n == subject.target_n
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_a_target_set_just_behind_a_moving_setpoint_is_reached_without_a_jump(direction: float) -> None:
+    subject = law()
+    subject.start_ramp(200.0, 0.0)
+    subject.target_n = 200.0 + 100.0 * direction
+    while abs(subject.setpoint_n - 200.0) < 40.0:
+        before, _ = subject.setpoint_n, subject.compensating(at(subject.setpoint_n), 1.0)
+    last, step = subject.setpoint_n, subject.setpoint_n - before
+    subject.target_n = last - 0.6 * step
+    subject.compensating(at(last), 1.0)
+    assert (subject.setpoint_n - last) / step == pytest.approx(1.0, abs=DT / RAMP_EASE_S + 1e-6)
