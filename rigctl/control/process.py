@@ -152,9 +152,9 @@ def run(directory: str) -> int:
         },
     )
     loop.run()
-    realtime.leave()
     if loop.drive_off:
         bus.set_filters(None)
         startup.release(bus, settings)
     bus.shutdown()
+    realtime.leave()  # not before: the drive watches us until it is let go of
     return 0
