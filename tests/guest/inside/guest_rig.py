@@ -39,6 +39,7 @@ SLOW: dict[str, dict[str, Any]] = {
     },
     "estimator": {"tension_walk_n": 30.0},  # calm enough for 100 Hz
     "preflight": {"disk_free_mib": 64},  # the guest's disk is half of its gigabyte of memory
+    "recording": {"enabled": False},  # for which it has no room either
     "telemetry": {"rate_hz": 10},
 }
 STOPPED_TICKS = 20
