@@ -54,7 +54,8 @@ def _nudge(holder: Any, key: Any, chance: random.Random) -> None:
     if isinstance(found, bool):
         holder[key] = not found
     elif isinstance(found, int):
-        holder[key] = chance.choice((found + 1, found - 1, -found, found * 2, found // 2, found * 1000, float(found)))
+        near = float(found) if abs(found) < 1 << 1000 else math.inf  # of an odd number that was there before
+        holder[key] = chance.choice((found + 1, found - 1, -found, found * 2, found // 2, found * 1000, near))
     elif isinstance(found, float):
         factor = chance.choice((-1.0, 0.5, 0.9, 1.1, 2.0, 10.0, 0.01, 1e6, 1e-6))
         holder[key] = chance.choice((found * factor, round(found) if math.isfinite(found) else 0))
