@@ -20,6 +20,7 @@ from rigctl.config_simulation import SimulationSettings
 from rigctl.config_wording import Wording
 from rigctl.devices.objects import SIMULATOR_NODE
 from rigctl.devices.plain import PlainMessage
+from rigctl.one_line import printable
 
 _ADDED = frozenset({"directory", "plain"})  # settings that ``load`` adds to what is in the file
 _ENDPOINT = r"^(tcp|unixsock-stream)/\S+$"
@@ -30,8 +31,8 @@ class ConfigError(ValueError):
     """A rig file that is refused; ``str()`` is one line per finding, each with file, line and key."""
 
     def __init__(self, findings: list[str]) -> None:
-        super().__init__("\n".join(findings))
-        self.findings = findings
+        self.findings = [printable(finding) for finding in findings]
+        super().__init__("\n".join(self.findings))
 
 
 class LoopSettings(Settings):

@@ -20,6 +20,7 @@ import msgspec
 from rigctl import __version__
 from rigctl.config import RigSettings
 from rigctl.control.correction import SCALE_BOUND, Correction, tare_limit_n
+from rigctl.one_line import printable
 from rigctl.telemetry.runtime import Runtime
 
 IN_FORCE = "calibration.json"  # in the runtime folder
@@ -128,7 +129,7 @@ def read(settings: RigSettings) -> list[Entry]:
     except OSError as error:
         raise LedgerError(f"{path}: cannot be read: {error.strerror}") from None
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise LedgerError(f"{path}: no calibration ledger: {' '.join(str(error).split())}") from None
+        raise LedgerError(f"{path}: no calibration ledger: {printable(' '.join(str(error).split()))}") from None
     if found.rig != settings.rig:
         raise LedgerError(f"{path}: found the ledger of {found.rig!r}, allowed that of {settings.rig!r}")
     for number, item in enumerate(found.entries, 1):

@@ -297,3 +297,9 @@ def test_a_damaged_dbc_file_is_read_or_refused_in_one_line(
     except config.ConfigError as error:
         (line,) = error.findings
         assert "\n" not in line
+
+
+def test_what_a_terminal_cannot_show_is_quoted_in_its_escaped_form(write: Write) -> None:
+    line = refusal(write(changed(RIG, "message: Inclination", 'message: "Incli\u2028nation"'), DBC))
+    assert line.isprintable()
+    assert "Incli\\u2028nation" in line
