@@ -19,7 +19,7 @@ from rigctl.telemetry.ring import RingReader
 
 BLOCK_RECORDS = 60_000 // RECORD.dtype.itemsize  # a block fits one Zenoh batch (64 KB)
 HISTORY_RECORDS = 1000  # in one answer
-BACKLOG_SPEED = 32  # a backlog goes out at so many times the rate it was made; at 8, gateways killed in turn lag
+BACKLOG_SPEED = 16  # a backlog goes out at so many times the rate it was made; at 8, gateways killed in turn lag
 PATIENCE_NS = 5_000_000_000  # after a restart, so long for the subscribers to come back
 
 
