@@ -35,8 +35,8 @@ BEFORE_S = 0.05
 NATURAL = {Mode.TENSIONING: {Mode.COMPENSATING}, Mode.RELEASING: {Mode.HOLD}}
 """Modes that end by themselves."""
 
-Blow = Callable[[Live], AbstractContextManager[None]]
-"""What is done to the daemon while the context lasts."""
+Blow = Callable[[Live], AbstractContextManager[int]]
+"""What is done to the daemon while the context lasts; it gives the moment at which it fell, CLOCK_MONOTONIC in ns."""
 
 
 @dataclass(frozen=True)
@@ -75,8 +75,9 @@ def kills(victim: str, number: signal.Signals) -> Blow:
     @contextmanager
     def blow(rig: Live) -> Any:
         pid = rig.pid(victim)
+        at_ns = time.monotonic_ns()
         give(pid, number)
-        yield
+        yield at_ns
         if number is signal.SIGSTOP:
             give(pid, signal.SIGCONT)
 
@@ -87,11 +88,12 @@ def kills(victim: str, number: signal.Signals) -> Blow:
 def disk_full(rig: Live) -> Any:
     """No process of the daemon can write to a file any more (EFBIG, where a full disk says ENOSPC)."""
     with ExitStack() as undo:
+        at_ns = time.monotonic_ns()
         for pid in map(rig.pid, VICTIMS):
             limits = resource.prlimit(pid, resource.RLIMIT_FSIZE)
             resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, limits[1]))
             undo.callback(resource.prlimit, pid, resource.RLIMIT_FSIZE, limits)
-        yield
+        yield at_ns
 
 
 def config_replaced(*, control_killed: bool) -> Blow:
@@ -102,11 +104,13 @@ def config_replaced(*, control_killed: bool) -> Blow:
         good = rig.file.read_text()
         other = yaml.safe_load(good)
         other["plant"]["spring_n_mm"], other["tension_cell"]["node"] = OTHER_SPRING_N_MM, OTHER_NODE
-        rig.file.write_text(yaml.safe_dump(other))
+        text, pid = yaml.safe_dump(other), rig.pid(CONTROL)
+        at_ns = time.monotonic_ns()
+        rig.file.write_text(text)
         try:
             if control_killed:
-                give(rig.pid(CONTROL), signal.SIGKILL)
-            yield
+                give(pid, signal.SIGKILL)
+            yield at_ns
         finally:
             rig.file.write_text(good)
 
@@ -118,8 +122,9 @@ def clock_stepped(seconds: float) -> Blow:
 
     @contextmanager
     def blow(rig: Live) -> Any:
+        at_ns = time.monotonic_ns()
         wall_clock.step(rig.folder, round(seconds * 1e9))
-        yield
+        yield at_ns
         wall_clock.step(rig.folder, 0)
 
     return blow
@@ -210,8 +215,7 @@ def row_of(rig: Live, fault: ProcessFault, mode: Mode) -> Row:
 def strike(rig: Live, blow: Blow, *, comes_back: bool) -> Seen:
     """Do something to the daemon and watch the truth until it ticks again (or for a moment)."""
     records = rig.runtime.record_reader()
-    at_ns = time.monotonic_ns()
-    with blow(rig):
+    with blow(rig) as at_ns:
         time.sleep(WATCHED_S)
     until = time.monotonic() + BACK_S
     while comes_back and not rig.ticking():
