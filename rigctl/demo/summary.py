@@ -15,7 +15,6 @@ from rigctl.control.modes import Mode
 from rigctl.report import metrics
 
 Array = npt.NDArray[Any]
-IN_FLIGHT_TICKS = 200  # answers to the last SYNCs may still be on their way: the least missing of these is lost
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ def summarise(
     target_n = float(records["target_n"][-1])
     true_max, true_rms = metrics.eta_pct(truth["vertical_n"][metrics.within(truth["t_ns"], spans)], target_n)
     cell_max, _ = metrics.eta_pct(records["vertical_n"][metrics.within(records["t_ns"], spans)], target_n)
-    lost = int(np.min(records["frames_lost"][-IN_FLIGHT_TICKS:])) + int(records["send_failures"][-1])
+    lost = int(np.min(records["frames_lost"][-metrics.IN_FLIGHT_TICKS :])) + int(records["send_failures"][-1])
     tripped = bool(np.any(records["mode"] == Mode.FAULT))
     passed = (
         true_max <= demo.eta_max_pct

@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from rigctl.config import RigSettings
 from rigctl.devices import busload
+from rigctl.report import metrics
 from rigctl.report.timing import grown
 
 Array = npt.NDArray[Any]
-IN_FLIGHT_TICKS = 200  # answers to the last SYNCs may still be on their way: the least missing of these is lost
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Bus:
 
 def bus(records: Array, settings: RigSettings | None) -> Bus:
     """Figures of ``RECORD`` slots, at least one."""
-    tail = records["frames_lost"][-IN_FLIGHT_TICKS:].astype(np.int64)
+    tail = records["frames_lost"][-metrics.IN_FLIGHT_TICKS :].astype(np.int64)
     late = int(tail[-1] - np.min(tail)) if int(records["tick"][-1]) >= len(tail) else 0
     try:
         load = busload.bus_load(settings) if settings is not None else None

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from rigctl.control.modes import Mode
 
 Array = npt.NDArray[Any]
+IN_FLIGHT_TICKS = 200  # answers to the last SYNCs may still be on their way: the least missing of these is lost
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
