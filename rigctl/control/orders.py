@@ -61,18 +61,19 @@ class Orders:
 
     def attend(self, t_ns: int) -> None:
         """Show the trial this tick; its answer is due when it is over, or when something has put an end to it."""
-        if t_ns >= self._look_ns and self._machine.mode in (Mode.DISARMED, Mode.FAULT):
+        machine = self._machine
+        if t_ns >= self._look_ns and machine.mode in (Mode.DISARMED, Mode.FAULT) and not machine.arming:
             self._look_ns = t_ns + LOOK_NS
             self._observer.sight.failed_checks = int(self.failed_checks())
         trial = self.trial
         if trial is None:
             return
-        if self._machine.trial is not None:
+        if machine.trial is not None:
             verdict = trial.see(self._observer.inbox, self._observer.sight)
             if verdict is None:
                 return
             self._found = number(trial.value), number(trial.spread)
-            self._machine.end_trial(verdict)
+            machine.end_trial(verdict)
         self.trial = None
 
     def answer(self, t_ns: int) -> None:
@@ -122,10 +123,10 @@ class Orders:
             target_min_n=settings.tension.target_min_n,
             target_max_n=settings.tension.target_max_n,
         )
-        if verb is Verb.ARM:  # what is shown while armed is what was found then
-            observer.sight.failed_checks = situation.failed_checks
-        fault = machine.fault
+        fault, arming = machine.fault, machine.arming
         machine.command(id_, verb, situation, t_ns)
+        if machine.arming and not arming:  # what is shown while armed is what was found then
+            observer.sight.failed_checks = situation.failed_checks
         self.trial = trials.begin(machine.trial, settings, observer.inbox) if machine.trial is not None else None
         if fault is not machine.fault:
             observer.sight.brake_slip_known |= fault is Fault.STROKE_MOVES

@@ -218,6 +218,16 @@ def test_at_an_end_of_the_stroke_only_an_operator_who_says_so_arms(settings: Rig
         assert rig.reply["checks"] == Check.STROKE_RANGE
 
 
+def test_a_refused_arm_near_the_end_hides_nothing_of_what_is_shown(settings: RigSettings, gains: Gains) -> None:
+    near = {"stroke_min_mm": -1.0}
+    with lockstep(settings.model_copy(update={"cylinder": settings.cylinder.model_copy(update=near)}), gains) as rig:
+        assert rig.command(Setting.HOST_CHECKS, float(Check.DISK)) is Refusal.NONE
+        rig.run(1.1)
+        assert rig.command(Verb.ARM, 1.0) is Refusal.PREFLIGHT
+        assert rig.reply["checks"] == Check.DISK
+        assert set(rig.run(0.6)["checks"].tolist()) == {Check.DISK | Check.STROKE_NEAR_END}
+
+
 def test_records_show_what_stands_against_arming_and_what_the_host_says_at_once(rig: Lockstep) -> None:
     assert rig.run(0.6)["checks"][-1] == 0
     rig.rig.drive.press_e_stop(True)
