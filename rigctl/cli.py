@@ -8,6 +8,7 @@ from typing import cast
 import typer
 
 from rigctl import daemon, standard_output
+from rigctl.bench import command as bench
 from rigctl.commission import command as commission
 from rigctl.commission import doctor
 from rigctl.design import command as design
@@ -33,6 +34,7 @@ app.command()(watch.watch)
 app.command()(page.page)
 app.command()(lease.lease)
 app.command()(doctor.doctor)
+app.command()(bench.bench)
 app.command()(audit.audit)
 app.command()(replay.replay)
 app.command()(report.report)

@@ -44,11 +44,12 @@ def doctor(file: File = None, json: Json = False, connect: Connect = None, rig: 
 def examine(settings: RigSettings | None, connect: str | None, rig: str | None) -> list[Finding]:
     """Every finding; the daemon's settings are gone by where no rig file is given."""
     from rigctl.commission import doctor_can, doctor_daemon, doctor_host
+    from rigctl.telemetry.runtime import BASE
 
     state, active, why = _ask(settings, connect, rig)
     own = settings if settings is not None else _settings_of(active)
     findings = doctor_host.host(own)
-    findings.append(doctor_host.other_daemons(own, pathlib.Path("/dev/shm")))
+    findings.append(doctor_host.other_daemons(own, BASE))
     if own is not None:
         findings += doctor_can.link(own.can)
     if active is not None and state is not None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import importlib.metadata
-import os
 import pathlib
 import platform
 import sys
@@ -17,6 +16,7 @@ from enum import Enum
 
 from rigctl import __version__
 from rigctl.config import RigSettings
+from rigctl.telemetry import runtime
 
 ROOT = pathlib.Path("/")
 GOOD_CLOCKS = frozenset({"tsc", "kvm-clock", "arch_sys_counter", "riscv_clocksource", "hyperv_clocksource_tsc_page"})
@@ -213,12 +213,12 @@ def versions() -> Finding:
 def other_daemons(settings: RigSettings | None, base: pathlib.Path) -> Finding:
     """Daemons of other rigs on this computer, by the pid in their locks; one may have the loop's processor."""
     found, clash = [], []
-    for lock in sorted(base.glob("rigctl-*/lock")):
-        rig, pid = lock.parent.name.removeprefix("rigctl-"), _read(lock)
-        if not pid.isdigit() or not _alive(int(pid)) or (settings is not None and rig == settings.rig):
+    for rig, pid in runtime.daemons(base):
+        if settings is not None and rig == settings.rig:
             continue
         found.append(f"{rig} (process {pid})")
-        if settings is not None and settings.loop.cpu is not None and _cpu_of(lock.parent) == settings.loop.cpu:
+        cpu = _cpu_of(base / f"rigctl-{rig}")
+        if cpu is not None and settings is not None and cpu == settings.loop.cpu:
             clash.append(rig)
     if clash:
         wanted = f"cpu {settings.loop.cpu if settings else ''} for this loop alone"
@@ -237,16 +237,6 @@ def _cpu_of(folder: pathlib.Path) -> int | None:
     except (OSError, msgspec.MsgspecError, KeyError, TypeError):
         return None
     return cpu if isinstance(cpu, int) else None
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
 
 
 def _meminfo(root: pathlib.Path) -> dict[str, int]:

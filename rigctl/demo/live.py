@@ -7,7 +7,6 @@ import math
 import pathlib
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -18,33 +17,29 @@ import canopen
 import msgspec
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from hil import truth as truth_log
-from rigctl.client.connection import Client, NoDaemonError
+from rigctl.client.connection import NoDaemonError
 from rigctl.config import DemoSettings, RigSettings
 from rigctl.control.modes import Mode, Verb
 from rigctl.demo.script import DemoError, Moment, Show, play
 from rigctl.demo.summary import Summary, Telemetry, summarise
 from rigctl.devices import objects as od
 from rigctl.recorder import parts
+from rigctl.rehearsal import STOP_LIMIT_S, Rehearsal, RehearsalError, process, rehearse
 from rigctl.telemetry.ring import RingReader
 from rigctl.telemetry.runtime import RECORDED, Runtime
 
-ARM_NS, ARM_AGAIN_S = 3_000_000_000, 0.1
 OPERATOR = "demo"
-START_LIMIT_S = 20.0
-STOP_LIMIT_S = 10.0
 STATE_LIMIT_S = 2.0
-_POLL_S = 0.02
 
 
 class LiveStage:
     """`Stage` on real processes: commands over Zenoh, the move by SDO to the simulator's own node."""
 
-    def __init__(self, client: Client, records: RingReader, simulator: canopen.RemoteNode) -> None:
-        self._client = client
-        self._states = client.follow(client.keys.state)
+    def __init__(self, rehearsal: Rehearsal, records: RingReader, simulator: canopen.RemoteNode) -> None:
+        self._rehearsal, self._client = rehearsal, rehearsal.client
+        self._states = self._client.follow(self._client.keys.state)
         self._reader = records
         self._simulator = simulator
         self._start_ns = time.monotonic_ns()
@@ -54,19 +49,10 @@ class LiveStage:
         self.records: list[npt.NDArray[Any]] = []
 
     def command(self, verb: Verb) -> None:
-        """See `Stage`. A daemon that has just come up has not heard every device yet: arming is tried for a moment."""
-        until_ns = time.monotonic_ns() + ARM_NS
-        while True:
-            try:
-                answer = self._client.command(verb.name.lower(), OPERATOR)
-            except NoDaemonError as error:
-                raise DemoError(str(error)) from None
-            if answer.get("reason") != "preflight" or time.monotonic_ns() > until_ns:
-                break
-            time.sleep(ARM_AGAIN_S)
-        self._check(answer)
+        """See `Stage`."""
+        self._heard(self._rehearsal.command(verb, OPERATOR))
 
-    def _check(self, answer: dict[str, Any]) -> None:
+    def _heard(self, answer: dict[str, Any]) -> None:
         if not answer["accepted"]:
             raise DemoError(answer["text"])
         self._renew_ns = time.monotonic_ns() + round(answer["lease"]["left_s"] / 3 * 1e9)
@@ -111,47 +97,10 @@ class LiveStage:
         time.sleep(seconds)
         if self._renew_ns and time.monotonic_ns() >= self._renew_ns:
             try:
-                self._check(self._client.take_lease(OPERATOR))
+                self._heard(self._client.take_lease(OPERATOR))
             except NoDaemonError as error:
                 raise DemoError(str(error)) from None
         self.records.append(self._reader.read())
-
-
-@contextlib.contextmanager
-def _process(*arguments: str, **options: Any) -> Iterator[subprocess.Popen[bytes]]:
-    """A process that is told to end, and then made to.
-
-    In a session of its own: a Ctrl-C reaches the demo alone, which ends the daemon before the rig.
-    """
-    process = subprocess.Popen([sys.executable, "-m", *arguments], start_new_session=True, **options)
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.send_signal(signal.SIGTERM)
-        try:
-            process.wait(STOP_LIMIT_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-
-
-def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], settings: RigSettings) -> Client:
-    """The operator's connection, once the loop runs."""
-    until = time.monotonic() + START_LIMIT_S
-    while time.monotonic() < until:
-        if rig.poll() is not None:
-            raise DemoError("the simulated rig could not start (see above)")
-        if daemon.poll() is not None:
-            raise DemoError("the daemon could not start (see above)")
-        with contextlib.suppress(NoDaemonError):
-            client = Client(settings.telemetry.listen, settings.rig)
-            with contextlib.suppress(NoDaemonError):
-                if client.state().get("mode") == Mode.DISARMED.name:
-                    return client
-            client.close()
-        time.sleep(_POLL_S)
-    raise DemoError(f"the daemon did not answer within {START_LIMIT_S:.0f} s")
 
 
 @contextlib.contextmanager
@@ -177,18 +126,6 @@ def _count(counter: subprocess.Popen[bytes]) -> Telemetry:
     return Telemetry(int(counted["produced"]), int(counted["received"]))
 
 
-def _rig_file(settings: RigSettings, folder: pathlib.Path) -> pathlib.Path:
-    """The rig file as this demo runs it: a bus socket of its own, device files by their whole path."""
-    data = settings.model_dump(mode="json", exclude={"directory", "plain"}, exclude_none=False)
-    for device in ("tension_cell", "inclinometer", "cylinder"):
-        data[device]["eds"] = str(settings.file(data[device]["eds"]))
-        if data[device].get("dbc"):
-            data[device]["dbc"]["file"] = str(settings.file(data[device]["dbc"]["file"]))
-    file = folder / "rig.yaml"
-    file.write_text(yaml.safe_dump(data))
-    return file
-
-
 def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
     """Play the demo in real time.
 
@@ -201,29 +138,22 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
         )
     with tempfile.TemporaryDirectory(prefix="rigctl-demo-") as folder, contextlib.ExitStack() as stack:
         truth_file = pathlib.Path(folder) / "truth"
-        settings = settings.model_copy(
-            update={"can": settings.can.model_copy(update={"channel": str(pathlib.Path(folder) / "bus.sock")})}
-        )
-        file = str(_rig_file(settings, pathlib.Path(folder)))
-        rig = stack.enter_context(_process("hil", "serve", file, "--truth", str(truth_file), stdout=subprocess.PIPE))
-        assert rig.stdout is not None
-        rig.stdout.readline()  # it serves, or it has ended and said why
-        daemon = stack.enter_context(_process("rigctl", "run", file))
-        client = stack.enter_context(_connect(daemon, rig, settings))
-        where = ("--connect", settings.telemetry.listen, "--rig", settings.rig)
-        counter = stack.enter_context(_process("rigctl.telemetry.counter", *where, stdout=subprocess.PIPE))
-        records = Runtime.of(settings.rig).record_reader(from_start=True)
         try:
-            with _simulator(settings) as simulator:
-                stage = LiveStage(client, records, simulator)
+            rehearsal = stack.enter_context(rehearse(settings, pathlib.Path(folder), "--truth", str(truth_file)))
+            where = ("--connect", settings.telemetry.listen, "--rig", settings.rig)
+            counter = stack.enter_context(process("rigctl.telemetry.counter", *where, stdout=subprocess.PIPE))
+            records = Runtime.of(settings.rig).record_reader(from_start=True)
+            with _simulator(rehearsal.settings) as simulator:
+                stage = LiveStage(rehearsal, records, simulator)
                 play(stage, demo, show)
                 telemetry = _count(counter)
                 stage.pass_time(0.0)
                 recording = _recording(settings)
+        except RehearsalError as error:
+            raise DemoError(str(error)) from None
         except can.CanError as error:
             raise DemoError(f"the simulated rig has gone: {error}") from None
-        _end(daemon)
-        _end(rig)  # closes the truth log
+        rehearsal.end()
         return summarise(np.concatenate(stage.records), truth_log.read(truth_file), telemetry, demo, recording)
 
 
@@ -233,8 +163,3 @@ def _recording(settings: RigSettings) -> pathlib.Path | None:
     if not told or not told.get("file"):
         return None
     return parts.of_same_run(pathlib.Path(told["folder"]) / told["file"])[0]
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    process.send_signal(signal.SIGTERM)
-    process.wait(STOP_LIMIT_S)

@@ -23,7 +23,8 @@ from rigctl.telemetry.ring import RingReader, RingWriter, create
 
 ACTIVE = "active.json"
 RECORDED = "recorder.json"
-_BASE = pathlib.Path("/dev/shm")
+BASE = pathlib.Path("/dev/shm")
+"""Where the folders of all daemons of this computer are."""
 _SMALL_RING = 4096
 _NOTES = 1024
 _SHORTEST_FRAME_BITS = 47  # 11-bit identifier, no data, no stuffing, the gap to the next frame
@@ -48,13 +49,34 @@ def frames_held(settings: RigSettings) -> int:
 def recorded() -> list[dict[str, Any]]:
     """What the recorders of this machine's daemons say; that of one which has ended is left out."""
     found = []
-    for folder in sorted(_BASE.glob("rigctl-*")):
+    for folder in sorted(BASE.glob("rigctl-*")):
         with contextlib.suppress(OSError, msgspec.MsgspecError):  # another user's, or going away
             runtime = Runtime(folder)
             runs = pathlib.Path(f"/proc/{runtime.read_json(ACTIVE).get('pid', 0)}").exists()
             if runs and (told := runtime.read_json(RECORDED)):
                 found.append(told)
     return found
+
+
+def daemons(base: pathlib.Path = BASE) -> list[tuple[str, int]]:
+    """Rig and process of every daemon that runs on this computer, by the pid in its lock."""
+    found = []
+    for lock in sorted(base.glob("rigctl-*/lock")):
+        with contextlib.suppress(OSError, ValueError):  # going away, or not written yet
+            pid = int(lock.read_text())
+            if _alive(pid):
+                found.append((lock.parent.name.removeprefix("rigctl-"), pid))
+    return found
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 class Runtime:
@@ -66,7 +88,7 @@ class Runtime:
     @classmethod
     def of(cls, rig: str) -> Runtime:
         """Where the daemon of ``rig`` keeps its folder."""
-        return cls(_BASE / f"rigctl-{rig}")
+        return cls(BASE / f"rigctl-{rig}")
 
     def claim(self) -> int:
         """Become the only daemon of this rig; returns the lock's file descriptor, held until the process ends.

@@ -21,9 +21,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from rigctl.bench.loop import figures
 from rigctl.report import metrics
 from tests import daemons
-from tests.bench.loop import BenchRig, figures
+from tests.bench.loop import BenchRig
 from tests.bench.subscriber import BIN_US, BINS
 
 RATE_HZ = 1000
@@ -100,11 +101,10 @@ def _cpu_s(pid: int) -> float:
 
 def measure_slice(rig: BenchRig, what: str, seconds: float, clients: int, stalled: int) -> Slice:
     """``seconds`` of the loop's records while so many listen."""
-    endpoint, name = daemons.endpoint(rig.file), daemons.name_of(rig.file)
     with contextlib.ExitStack() as stack:
-        subscribers = Subscribers(endpoint, clients, stalled, stack) if clients else None
+        subscribers = Subscribers(rig.endpoint, clients, stalled, stack) if clients else None
         time.sleep(SETTLE_S)
-        gateway = daemons.process_with("rigctl.telemetry.gateway", f"rigctl-{name}")
+        gateway = daemons.process_with("rigctl.telemetry.gateway", f"rigctl-{rig.rig}")
         used, start = _cpu_s(gateway), time.monotonic()
         records = rig.measure(seconds)
         pct = 100.0 * (_cpu_s(gateway) - used) / (time.monotonic() - start)

@@ -232,7 +232,7 @@ def test_without_a_name_it_is_the_running_daemons_and_of_a_rig_file_its_own(
 ) -> None:
     from rigctl.telemetry import runtime
 
-    monkeypatch.setattr(runtime, "_BASE", tmp_path)
+    monkeypatch.setattr(runtime, "BASE", tmp_path)
     none = in_process("rigctl", "audit", "verify")
     assert (none.returncode, none.stderr.startswith("rigctl: found no daemon on this machine")) == (2, True)
     lines, _ = log([("started", "", {})] * 2)

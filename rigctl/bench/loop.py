@@ -1,0 +1,168 @@
+"""The loop at one rate, in closed loop on the simulated rig, and cyclictest in turn with it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+import socket
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rigctl.bench import cyclictest
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode, Verb
+from rigctl.rehearsal import Rehearsal, RehearsalError, rehearse
+from rigctl.report import metrics
+from rigctl.telemetry.runtime import Runtime
+
+OPERATOR = "bench"
+ROUNDS = 3
+TARGET_N = 60.0
+"""The closed loop works as hard as at 300 N, and is there five times sooner."""
+TENSIONED_LIMIT_S = 60.0
+INCLINOMETER_HZ = 100
+"""At other rates than the rig's own: a divisor of every usual one."""
+_WAIVER = "bench: the loop's timing is measured, nothing hangs there"
+_LOOK_S = 0.5
+
+
+@dataclass(frozen=True)
+class Rate:
+    """What was measured at one rate; ``cyclictest`` is None where that is not installed."""
+
+    rate_hz: int
+    loop: dict[str, Any]
+    cyclictest: dict[str, Any] | None
+
+    @property
+    def period_us(self) -> float:
+        """Of one tick."""
+        return 1e6 / self.rate_hz
+
+    @property
+    def lateness_p999_ratio(self) -> float | None:
+        """Of the loop over cyclictest's."""
+        if self.cyclictest is None:
+            return None
+        return float(self.loop["lateness_us"]["p999"] / max(self.cyclictest["lateness_us"]["p999"], 1.0))
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ``--json`` shows."""
+        ratio = self.lateness_p999_ratio
+        more = {"cyclictest": self.cyclictest, "lateness_p999_ratio": ratio} if self.cyclictest else {}
+        return {"loop": self.loop, **more}
+
+
+def rehearsed(settings: RigSettings, rate_hz: int) -> RigSettings:
+    """The rig's settings for a bench: another name, port and folders than the rig's own, and nothing that asks for it.
+
+    The simulated bus has no bit timing: 4 kHz would be 170 % of 1 Mbit/s. The design is judged at the rig's own rate.
+    """
+
+    def of(section: str, **changes: Any) -> Any:
+        return getattr(settings, section).model_copy(update=changes)
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        listen = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    changes: dict[str, Any] = {}
+    if rate_hz != settings.loop.rate_hz:
+        changes = {"loop": of("loop", rate_hz=rate_hz), "inclinometer": of("inclinometer", rate_hz=INCLINOMETER_HZ)}
+    if settings.calibration is not None:
+        changes["calibration"] = of("calibration", file=None, waiver=_WAIVER)
+    return settings.model_copy(
+        update={
+            **changes,
+            "rig": f"bench_{os.getpid()}",
+            "can": of("can", interface="rigsim", bitrate_bit_s=None),
+            "design": of("design", waiver=_WAIVER, gains_file=None),
+            "telemetry": of("telemetry", listen=listen, join=[]),
+            "audit": of("audit", file=None, trips="trips"),
+            "recording": of("recording", folder="recordings"),
+            "page": None,
+        }
+    )
+
+
+def measure(settings: RigSettings, rate_hz: int, seconds: float, advance: Callable[[float, str], None]) -> Rate:
+    """Loop and cyclictest in turn, so that both see the same machine.
+
+    Args:
+        settings: the rig's.
+        rate_hz: of the loop.
+        seconds: of the loop, and as many of cyclictest.
+        advance: is told the seconds that have passed, and what is done.
+
+    Raises:
+        RehearsalError: the loop did not come to compensating, or did not stay there.
+    """
+    slices, rounds = [], []
+    for _ in range(ROUNDS):
+        slices.append(_loop(settings, rate_hz, seconds / ROUNDS))
+        advance(seconds / ROUNDS, f"{rate_hz} Hz")
+        if cyclictest.available():
+            priority, cpu = settings.loop.priority, settings.loop.cpu
+            rounds.append(cyclictest.measure(1_000_000 // rate_hz, seconds / ROUNDS, priority=priority, cpu=cpu))
+        advance(seconds / ROUNDS, f"{rate_hz} Hz, cyclictest")
+    return Rate(rate_hz, figures(slices), cyclictest.together(rounds) if rounds else None)
+
+
+def _loop(settings: RigSettings, rate_hz: int, seconds: float) -> Any:
+    with contextlib.ExitStack() as stack:
+        folder = pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rigctl-bench-")))
+        rehearsal = stack.enter_context(rehearse(rehearsed(settings, rate_hz), folder, quiet=True))
+        tension(rehearsal)
+        return records_of(rehearsal.settings.rig, seconds)
+
+
+def tension(rehearsal: Rehearsal) -> None:
+    """Take the rig to COMPENSATING.
+
+    Raises:
+        RehearsalError: it did not come there.
+    """
+    rehearsal.command(Verb.ARM, OPERATOR)
+    rehearsal.command(Verb.TARGET, OPERATOR, TARGET_N)
+    answer = rehearsal.command(Verb.TENSION, OPERATOR)
+    until = time.monotonic() + TENSIONED_LIMIT_S
+    mode = Mode.TENSIONING.name
+    while mode == Mode.TENSIONING.name and time.monotonic() < until:
+        time.sleep(_LOOK_S)
+        state = rehearsal.client.state()
+        if state.get("t_ns", 0) >= answer["t_ns"]:  # none from before the command
+            mode = str(state.get("mode"))
+    if mode != Mode.COMPENSATING.name:
+        raise RehearsalError(f"tensioning ended in {mode}: {state.get('fault_text') or 'not in time'}")
+
+
+def records_of(rig: str, seconds: float) -> Any:
+    """Records of the next ``seconds`` of a running loop, shape (ticks,), of dtype `rigctl.telemetry.record.RECORD`."""
+    reader = Runtime.of(rig).record_reader()
+    reader.read()
+    slices = []
+    until = time.monotonic() + seconds
+    while (left := until - time.monotonic()) > 0:
+        time.sleep(min(1.0, left))
+        slices.append(reader.read())
+    return np.concatenate(slices)
+
+
+def figures(slices: list[Any]) -> dict[str, Any]:
+    """Percentiles over the slices of one rate."""
+    records = np.concatenate(slices)
+    skipped = sum(int(part["skipped"][-1] - part["skipped"][0]) for part in slices)
+    missing = sum(int(part["frames_lost"][-1]) - int(part["frames_lost"][0]) for part in slices)
+    return {
+        "ticks": len(records),
+        "skipped_ticks": skipped,
+        "frames_missing": missing,
+        "ticks_not_compensating": int(np.count_nonzero(records["mode"] != Mode.COMPENSATING)),
+        "lateness_us": metrics.percentiles_us(records["lateness_ns"]),
+        "work_us": metrics.percentiles_us(records["work_ns"]),
+    }

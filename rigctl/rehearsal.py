@@ -1,0 +1,142 @@
+"""The simulated rig and a daemon in processes of their own, on a bus of their own: what demo and bench play on."""
+
+from __future__ import annotations
+
+import contextlib
+import pathlib
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+from rigctl.client.connection import Client, NoDaemonError
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode, Verb
+
+START_LIMIT_S = 20.0
+STOP_LIMIT_S = 10.0
+ARM_NS, ARM_AGAIN_S = 3_000_000_000, 0.1
+_POLL_S = 0.02
+
+
+class RehearsalError(RuntimeError):
+    """A process did not start or answer, or a command was refused; ``str()`` is one line."""
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What runs, and the connection to it."""
+
+    settings: RigSettings
+    client: Client
+    rig: subprocess.Popen[bytes]
+    daemon: subprocess.Popen[bytes]
+
+    def command(self, verb: Verb, operator: str, value: float | None = None) -> dict[str, Any]:
+        """Give a command; its answer. A daemon that has just come up has not heard every device yet: it is tried anew.
+
+        Raises:
+            RehearsalError: it was refused, or nobody answered.
+        """
+        until_ns = time.monotonic_ns() + ARM_NS
+        while True:
+            try:
+                answer = self.client.command(verb.name.lower(), operator, value)
+            except NoDaemonError as error:
+                raise RehearsalError(str(error)) from None
+            if answer.get("reason") != "preflight" or time.monotonic_ns() > until_ns:
+                break
+            time.sleep(ARM_AGAIN_S)
+        if not answer["accepted"]:
+            raise RehearsalError(answer["text"])
+        return answer
+
+    def end(self) -> None:
+        """End both, the daemon first: the rig has closed its truth log when this returns."""
+        end(self.daemon)
+        end(self.rig)
+
+
+@contextlib.contextmanager
+def rehearse(settings: RigSettings, folder: pathlib.Path, *options: str, quiet: bool = False) -> Iterator[Rehearsal]:
+    """Run both until the block ends; it begins once the daemon is DISARMED.
+
+    Args:
+        settings: the rig's, as they are to be played; the bus is replaced by a socket in ``folder``.
+        folder: where rig file and bus socket stand meanwhile.
+        options: further ones for ``python -m hil serve``.
+        quiet: what the daemon tells of its way is not shown, its complaints are.
+
+    Raises:
+        RehearsalError: one of them could not start; what it had to say stands on standard error.
+    """
+    bus = settings.can.model_copy(update={"channel": str(folder / "bus.sock")})
+    settings = settings.model_copy(update={"can": bus})
+    file = str(_rig_file(settings, folder))
+    with contextlib.ExitStack() as stack:
+        rig = stack.enter_context(process("hil", "serve", file, *options, stdout=subprocess.PIPE))
+        assert rig.stdout is not None
+        rig.stdout.readline()  # it serves, or it has ended and said why
+        daemon = stack.enter_context(process("rigctl", "run", file, stdout=subprocess.DEVNULL if quiet else None))
+        client = stack.enter_context(_connect(daemon, rig, settings))
+        yield Rehearsal(settings, client, rig, daemon)
+
+
+@contextlib.contextmanager
+def process(*arguments: str, **options: Any) -> Iterator[subprocess.Popen[bytes]]:
+    """``python -m arguments``, told to end with the block, and then made to.
+
+    In a session of its own: a Ctrl-C reaches the command alone, which ends the daemon before the rig.
+    """
+    child = subprocess.Popen([sys.executable, "-m", *arguments], start_new_session=True, **options)
+    try:
+        yield child
+    finally:
+        if child.poll() is None:
+            child.send_signal(signal.SIGTERM)
+        try:
+            child.wait(STOP_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+
+
+def end(child: subprocess.Popen[bytes]) -> None:
+    """End a process and wait for that."""
+    child.send_signal(signal.SIGTERM)
+    child.wait(STOP_LIMIT_S)
+
+
+def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], settings: RigSettings) -> Client:
+    """The operator's connection, once the loop runs."""
+    until = time.monotonic() + START_LIMIT_S
+    while time.monotonic() < until:
+        if rig.poll() is not None:
+            raise RehearsalError("the simulated rig could not start (see above)")
+        if daemon.poll() is not None:
+            raise RehearsalError("the daemon could not start (see above)")
+        with contextlib.suppress(NoDaemonError):
+            client = Client(settings.telemetry.listen, settings.rig)
+            with contextlib.suppress(NoDaemonError):
+                if client.state().get("mode") == Mode.DISARMED.name:
+                    return client
+            client.close()
+        time.sleep(_POLL_S)
+    raise RehearsalError(f"the daemon did not answer within {START_LIMIT_S:.0f} s")
+
+
+def _rig_file(settings: RigSettings, folder: pathlib.Path) -> pathlib.Path:
+    """The rig file as it is played, with device files by their whole path."""
+    data = settings.model_dump(mode="json", exclude={"directory", "plain"}, exclude_none=False)
+    for device in ("tension_cell", "inclinometer", "cylinder"):
+        data[device]["eds"] = str(settings.file(data[device]["eds"]))
+        if data[device].get("dbc"):
+            data[device]["dbc"]["file"] = str(settings.file(data[device]["dbc"]["file"]))
+    file = folder / "rig.yaml"
+    file.write_text(yaml.safe_dump(data))
+    return file
