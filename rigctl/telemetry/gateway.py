@@ -69,7 +69,7 @@ class StateView:
         verdict: Verdict,
         cursor: Cursor,
     ) -> bytes:
-        """Read what is new and encode it; ``cursor``: how far events and notes are published."""
+        """Read what is new and encode it; ``cursor``: how far events and notes are published, once this is shown."""
         self._recent.add(self._records.read())
         self._trip.note(self._events.read())
         if now_ns >= self._look_ns:
@@ -94,8 +94,7 @@ class StateView:
             "event_seq": cursor.event_seq,
             "note_seq": cursor.note_seq,
         }
-        self.newest = msgspec.json.encode({**own, **state})
-        return self.newest
+        return msgspec.json.encode({**own, **state})
 
 
 def _answering(answer: Callable[[zenoh.Query], tuple[str, bytes]]) -> Callable[[zenoh.Query], None]:
@@ -197,16 +196,21 @@ class Gateway:
             self._preflight,
         )
         verdict = self._preflight.verdict(now)
-        self._view.make(now, 0, self._clerk.standing, self._keeper.shown(now), verdict, self._cursor)
+        lease = self._keeper.shown(now)
+        self._view.newest = self._view.make(now, 0, self._clerk.standing, lease, verdict, self._cursor)
         _declare_queryables(self._session, keys, runtime, settings, self._view, self._active, self._cursor.stream)
         self._desk.open(self._command_session)
         self._token = self._session.liveliness().declare_token(keys.daemon)
 
     def publish(self) -> None:
-        """One period's worth of everything."""
+        """One period's worth of everything.
+
+        Who has heard an event and then asks for the state gets one that knows it: that is made first.
+        """
         now = time.monotonic_ns()
         self._fast.publish(self._per_call, now)
-        self._events.publish(time.time_ns() - now, now)
+        record = self._newest.latest()
+        self._events.read(time.time_ns() - now, now, int(record["t_ns"]) if record is not None else 0)
         for setting, value in self._clerk.news(now, time.time_ns()):
             self._desk.tell(setting, value)
         verdict = self._preflight.verdict(now)
@@ -216,7 +220,10 @@ class Gateway:
             self._look_ns = now + _LOOK_NS
             self._tell_active()
         lease = self._keeper.shown(now)
-        self._state.put(self._view.make(now, self._fast.lost, self._clerk.standing, lease, verdict, self._cursor))
+        state = self._view.make(now, self._fast.lost, self._clerk.standing, lease, verdict, self._cursor)
+        self._events.publish()
+        self._view.newest = state
+        self._state.put(state)
 
     def _tell_active(self) -> None:
         if (found := self._active.look()) is not self._active_sent:

@@ -21,6 +21,7 @@ BLOCK_RECORDS = 60_000 // RECORD.dtype.itemsize  # a block fits one Zenoh batch 
 HISTORY_RECORDS = 1000  # in one answer
 BACKLOG_SPEED = 16  # a backlog goes out at so many times the rate it was made; at 8, gateways killed in turn lag
 PATIENCE_NS = 5_000_000_000  # after a restart, so long for the subscribers to come back
+UNRECORDED_NS = 100_000_000  # an event waits no longer than this for the record of its tick
 
 
 def blocks_of(records: npt.NDArray[Any], reader: RingReader, lost: int, stream: int) -> list[bytes]:
@@ -128,19 +129,36 @@ class EventStream:
     ) -> None:
         self._publishers, self._reader, self._notes, self._cursor = publishers, reader, notes, cursor
         self._resumption = Resumption(cursor.events_listened, now_ns)
+        self._worded: list[tuple[str, dict[str, Any]]] | None = None
         if cursor.resumed:
             reader.cursor, notes.cursor = cursor.event_seq, cursor.note_seq
 
-    def publish(self, wall_offset_ns: int, now_ns: int) -> None:
-        """Publish what is new."""
+    def read(self, wall_offset_ns: int, now_ns: int, recorded_ns: int) -> None:
+        """Take what is new from the rings, for `publish`.
+
+        ``recorded_ns``: of the newest record. An event of a tick whose record is not written yet is left for the next
+        time, so that nobody who has heard it is then shown a state from before it; a loop that died records no more.
+        """
         if self._resumption.waits(list(self._publishers.values()), now_ns):
             return
-        self._cursor.events_listened = any(map(has_subscriber, self._publishers.values()))
-        worded = [event_message(event, wall_offset_ns) for event in self._reader.read()]
-        worded += [note_message(note, wall_offset_ns) for note in self._notes.read()]
-        for severity, message in worded:
-            self._publishers[severity].put(msgspec.json.encode(message | {"stream": self._cursor.stream}))
+        events = self._reader.read()
+        late = (events["t_ns"] > recorded_ns) & (events["t_ns"] > now_ns - UNRECORDED_NS)
+        if late.any():
+            first = int(late.argmax())
+            self._reader.cursor = int(events["seq"][first]) - 1
+            events = events[:first]
+        self._worded = [event_message(event, wall_offset_ns) for event in events]
+        self._worded += [note_message(note, wall_offset_ns) for note in self._notes.read()]
         self._cursor.event_seq, self._cursor.note_seq = self._reader.cursor, self._notes.cursor
+
+    def publish(self) -> None:
+        """Publish what `read` took, if it took anything."""
+        if self._worded is None:
+            return
+        self._cursor.events_listened = any(map(has_subscriber, self._publishers.values()))
+        for severity, message in self._worded:
+            self._publishers[severity].put(msgspec.json.encode(message | {"stream": self._cursor.stream}))
+        self._worded = None
         self._cursor.save()
 
 
