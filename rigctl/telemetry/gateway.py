@@ -70,6 +70,7 @@ class StateView:
         cursor: Cursor,
     ) -> bytes:
         """Read what is new and encode it; ``cursor``: how far events and notes are published, once this is shown."""
+        record = self._records.latest()  # before the events: the loop tells why it tripped before a record shows it
         self._recent.add(self._records.read())
         self._trip.note(self._events.read())
         if now_ns >= self._look_ns:
@@ -78,7 +79,6 @@ class StateView:
             self._recorder.look()
             self._kept, of_recorder = kept_of(self._recorder.value, now_ns)
             self._warnings = [*of_design, *warnings_of(self._active.control), *of_recorder]
-        record = self._records.latest()
         state = state_of(record, self._trip, self._recent, now_ns, time.time_ns())
         own = {
             "rig": self._rig,

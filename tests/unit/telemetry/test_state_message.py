@@ -8,20 +8,28 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigctl import config
+from rigctl.commission.ledger import Standing
+from rigctl.commission.preflight import Verdict
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Fault
+from rigctl.control.safety import Action, Fault
+from rigctl.telemetry.active import Active
 from rigctl.telemetry.cursor import Cursor
 from rigctl.telemetry.events import Kind
+from rigctl.telemetry.gateway import StateView
 from rigctl.telemetry.messages import event_message
 from rigctl.telemetry.record import EVENT, RECORD, Flag, Quality
 from rigctl.telemetry.ring import RingReader, create
+from rigctl.telemetry.runtime import Runtime
 from rigctl.telemetry.state import ALIVE_NS, Recent, Trip, percentiles_us, quality_words, state_of, warnings_of
 from rigctl.telemetry.streams import BLOCK_RECORDS, blocks_of
 
+ROOT = pathlib.Path(__file__).parents[3]
 NOW, WALL = 10_000_000_000, 1_700_000_000_000_000_000
 
 
@@ -85,6 +93,33 @@ def test_the_trip_is_worded_with_its_figures() -> None:
     assert trip.text(Fault.CELL_STALE) == "no tension sample for 20 ms (limit 15 ms)"
     assert trip.text(Fault.TENSION_HIGH) == "tension high"  # its event is gone
     assert trip.text(Fault.NONE) == ""
+
+
+def test_a_state_with_a_fault_says_why_however_the_trip_falls_between_what_is_read(tmp_path: pathlib.Path) -> None:
+    settings, runtime = config.load(ROOT / "config/paper_rig.yaml"), Runtime(tmp_path)
+    runtime.make_rings(settings)
+    records, events = runtime.record_writer(), runtime.event_writer()
+    nothing = dict.fromkeys((field.name for field in RECORD.fields), 0)
+    records.write(*nothing.values())
+
+    class Tripping(RingReader):
+        """The loop trips right after a read."""
+
+        def read(self, limit: int | None = None) -> npt.NDArray[Any]:
+            found = super().read(limit)
+            events.write(NOW, int(Kind.TRIP), Fault.TENSION_HIGH, Action.HOLD, 412.0, 400.0, b"")
+            records.write(*(nothing | {"fault": int(Fault.TENSION_HIGH)}).values())
+            return found
+
+    for torn in ("_events", "_records"):
+        view = StateView(runtime, settings, Active(runtime))
+        path, dtype = (runtime.events, EVENT.dtype) if torn == "_events" else (runtime.records, RECORD.dtype)
+        setattr(view, torn, Tripping(path, dtype, from_start=True))
+        cursor = Cursor(tmp_path / "cursor", runtime.records, 0)
+        for _ in range(2):
+            made = msgspec.json.decode(view.make(NOW, 0, Standing(), None, Verdict(), cursor))
+            assert made["fault"] is None or made["fault_text"] == "tension 412.0 N above 400.0 N", torn
+        assert made["fault"] == "TENSION_HIGH"
 
 
 def test_quality_in_words() -> None:
