@@ -6,6 +6,7 @@ Tests that run real processes in real time (``real_time``) have the machine for 
 from __future__ import annotations
 
 import pathlib
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -20,6 +21,12 @@ REAL_TIME = frozenset({"guest", "system", "telemetry"})
 
 settings.register_profile("rigctl", deadline=None)
 settings.load_profile("rigctl")
+
+
+def pytest_sessionstart() -> None:
+    """A shell's background job ignores SIGINT, and so would every process started here."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -16,6 +16,9 @@ from typing import Any
 
 import yaml
 
+from rigctl.report.metrics import IN_FLIGHT_TICKS
+from rigctl.telemetry.runtime import Runtime
+
 ROOT = pathlib.Path(__file__).parents[1]
 PAPER = ROOT / "config/paper_rig.yaml"
 START_LIMIT_S = 120.0  # a guest kernel is slow; nothing is judged by it
@@ -137,6 +140,12 @@ def state(file: pathlib.Path) -> dict[str, Any]:
     """The daemon's state, as ``rigctl status --json`` prints it; empty while nobody answers."""
     answer = rigctl("status", "--json", file=file)
     return dict(json.loads(answer.stdout)) if answer.returncode == 0 else {}
+
+
+def frames_lost(file: pathlib.Path) -> int:
+    """Device frames the loop has missed so far; one that is only on its way is not lost."""
+    records = Runtime.of(name_of(file)).record_reader(from_start=True).read()
+    return int(records["frames_lost"][-IN_FLIGHT_TICKS:].min())
 
 
 def mode(file: pathlib.Path) -> str:

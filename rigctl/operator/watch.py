@@ -125,7 +125,7 @@ def _print_lines(follower: Follower) -> None:
     due = time.monotonic() + 0.2
     while not standard_output.nobody_reads():
         follower.update()
-        if time.monotonic() >= due:
+        if time.monotonic() >= due and (follower.view.state is not None or follower.view.silent_s):
             due += 1.0
             say(line(follower.view))
         time.sleep(REFRESH_S)

@@ -1,7 +1,7 @@
 """``python -m rigctl.telemetry.counter``: an independent subscriber that counts the fast stream.
 
-Says ``{"ready": true}`` with the first block, and its figures in one JSON line when it is told to end (SIGTERM,
-SIGINT) or has received ``--records``.
+Says ``{"ready": true}`` with the first block. Told to end (SIGTERM, SIGINT), or once it has received ``--records``, it
+counts on to the record that is the newest then, and gives its figures in one JSON line.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rigctl.client.fast import FastReader
 from rigctl.termination import Termination
 
 _PERIOD_S = 0.02
-_LAST_S = 0.1  # blocks on their way when told to end
+_LAST_S = 5.0  # after it was told to end, so long for what is on its way, or for a gateway that is just coming back
 
 
 def _say(message: dict[str, Any]) -> None:
@@ -28,18 +28,29 @@ def _say(message: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
+def _newest(client: Client) -> int | None:
+    """Number of the newest record, 0 without any; None without an answer."""
+    try:
+        return int(client.state().get("seq", 0))
+    except NoDaemonError:
+        return None
+
+
 def count(client: Client, stop: Termination, records: int | None) -> dict[str, Any]:
-    """Count until ``stop`` or until ``records`` were received."""
+    """Count until ``stop`` or until ``records`` were received, and what had been recorded by then."""
     reader = FastReader(client)
     ready = False
-    ends = None
-    while ends is None or time.monotonic() < ends:
+    ends: float | None = None
+    newest: int | None = None
+    while ends is None or (time.monotonic() < ends and (newest is None or reader.count.last_seq < newest)):
         for _ in reader.read():
             if not ready:
                 ready = True
                 _say({"ready": True, "first_seq": reader.count.first_seq})
         if ends is None and (stop.requested or (records is not None and reader.count.received >= records)):
             ends = time.monotonic() + _LAST_S
+        if ends is not None and newest is None:
+            newest = _newest(client)
         reader.wait(_PERIOD_S)
     for _ in reader.finish():
         pass

@@ -59,6 +59,10 @@ def said(seen: Sight, words: str) -> None:
     seen.until(f"document.querySelector('#said').textContent.includes({words!r})")
 
 
+def listed(seen: Sight, words: str) -> None:
+    seen.until(f"document.querySelector('#event-list').textContent.includes({words!r})")
+
+
 def give(seen: Sight, verb: str) -> None:
     """Click, read, confirm."""
     seen.until(f"!document.querySelector('[data-verb={verb}]').disabled")
@@ -110,7 +114,7 @@ def test_commands_go_through_lease_and_confirmation(seen: Sight, running: Runnin
     seen.page.click("#return")
     said(seen, "given back")
     seen.until("rigctl.state.lease.text === 'nobody holds it'")
-    assert "HOLD -> DISARMED" in seen.text("#event-list")
+    listed(seen, "HOLD -> DISARMED")
     errors = [error for error in seen.errors if "409" not in error]  # the browser notes each refusal
     assert not errors
     assert running.server.process.poll() is None
@@ -129,12 +133,12 @@ def test_hold_is_taken_from_the_page_whoever_holds_the_lease(seen: Sight, runnin
         seen.page.click("#take")
         said(seen, "kim holds the lease")
         seen.until("rigctl.state.lease.mine")
-        assert "kim takes the lease over from anna: she has gone home" in seen.text("#event-list")
+        listed(seen, "kim takes the lease over from anna: she has gone home")
     finally:
         daemons.rigctl("lease", "return", "--operator", "anna", file=running.file)
 
 
-def test_a_confirmation_holds_for_the_rig_as_it_was(running: Running) -> None:
+def test_a_confirmation_holds_for_the_rig_as_it_was(seen: Sight, running: Running) -> None:
     server = running.server
     assert server.command("lease", {"act": "take"})[0] == 200
     try:
@@ -153,14 +157,12 @@ def test_a_confirmation_holds_for_the_rig_as_it_was(running: Running) -> None:
         _, arming = server.command("command", {"verb": "arm"})
         _, done = server.command("confirm", {"confirm": arming["confirm"]})
         assert done["accepted"], done
-        until(lambda: daemons.mode(running.file) == "HOLD", "HOLD")
-        time.sleep(0.2)  # the page has heard of it too
+        mode(seen, "HOLD")  # what the browser shows the page's server has heard of
         _, waiting = server.command("command", {"verb": "tension"})
         take = daemons.rigctl("lease", "take", "--reason", "test", "--operator", "anna", file=running.file)
         assert take.returncode == 0, take.stderr
         assert daemons.rigctl("disarm", "--operator", "anna", file=running.file).returncode == 0
-        until(lambda: daemons.mode(running.file) == "DISARMED", "DISARMED")
-        time.sleep(0.2)
+        mode(seen, "DISARMED")
         status, answer = server.command("confirm", {"confirm": waiting["confirm"]})
         assert status == 409
         assert answer["text"] == "TENSION not given: it was HOLD, now it is DISARMED"
@@ -177,16 +179,16 @@ def test_the_daemons_own_page_is_read_only_and_comes_back(chromium: Browser, run
     seen = look(chromium, address)
     seen.live()
     assert seen.text("#rights") == "read-only"
-    before = daemons.state(running.file)
+    before, lost = daemons.state(running.file), daemons.frames_lost(running.file)
     os.kill(own_page(running), signal.SIGKILL)
-    seen.until("!rigctl.stale && rigctl.link.opened === 2")  # it may be back before the page has called itself stale
+    seen.until("!rigctl.stale && rigctl.link.opened > 1")  # it may be back before the page has called itself stale
     os.kill(daemons.process_with("rigctl.telemetry.gateway", daemons.name_of(running.file)), signal.SIGKILL)
     newest = seen.run("rigctl.store.newestMs")
     seen.until(f"!rigctl.stale && rigctl.store.newestMs > {newest} + 3000")
     seen.page.close()
     after = daemons.state(running.file)
     assert after["tick"] > before["tick"]
-    assert after["frames_lost"] == before["frames_lost"]
+    assert daemons.frames_lost(running.file) == lost
     assert "page process killed by signal 9; comes back, the loop is unaffected" in running.log.read_text()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import pathlib
 import signal
@@ -15,6 +16,7 @@ import msgspec
 import pytest
 
 from rigctl import config
+from rigctl.client.connection import Client
 from rigctl.commission import ledger
 from rigctl.commission.ledger import Entry
 from rigctl.telemetry.runtime import Runtime
@@ -58,6 +60,14 @@ def running(file: pathlib.Path) -> Iterator[Running]:
     log = file.with_name("daemon.log")
     with daemons.simulated_rig(file, file.with_name("rig.log")) as rig, daemons.daemon(file, log) as daemon:
         yield Running(file, daemon, rig, log)
+
+
+@contextlib.contextmanager
+def moving(file: pathlib.Path) -> Iterator[Client]:
+    """A client, once the stroke is told to move: steps of an identification last a quarter of a second."""
+    with Client(daemons.endpoint(file), daemons.name_of(file)) as client:
+        daemons.wait_for(lambda: client.state()["command_mm_s"] != 0.0)
+        yield client
 
 
 def test_an_operator_commissions_the_rig(running: Running, tmp_path: pathlib.Path) -> None:
@@ -104,8 +114,8 @@ def test_hold_cuts_an_identification_short(running: Running) -> None:
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=daemons.ROOT,
         env=daemons.environment(running.file),
     )  # fmt: skip
-    daemons.wait_for(lambda: daemons.state(running.file)["command_mm_s"] != 0.0)
-    running.do("hold")
+    with moving(running.file) as client:
+        assert client.command("hold", "kim")["accepted"]
     said, complained = child.communicate(timeout=20)
     assert (child.returncode, said) == (1, "")
     assert complained.startswith("rigctl: IDENTIFY refused: cut short")
@@ -121,8 +131,8 @@ def test_the_operator_who_interrupts_an_identification_ends_it(running: Running)
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=daemons.ROOT,
         env=daemons.environment(running.file),
     )  # fmt: skip
-    daemons.wait_for(lambda: daemons.state(running.file)["command_mm_s"] != 0.0)
-    child.send_signal(signal.SIGINT)
+    with moving(running.file):
+        child.send_signal(signal.SIGINT)
     said, complained = child.communicate(timeout=20)
     assert (child.returncode, said) == (1, "")
     assert complained == "rigctl: interrupted; identify was ended, the stroke is held\n"

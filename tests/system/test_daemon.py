@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import canopen
+import numpy as np
 import pytest
 
 from rigctl.devices import objects as od
@@ -28,6 +29,13 @@ PATIENT: dict[str, dict[str, Any]] = {
     "safety": {"stale_ms": 100, "bus_silent_ms": 100, "inclination_stale_ms": 500, "overrun_ticks": 900},
     "cylinder": {"command_deadline_ms": 150, "heartbeat_timeout_ms": 200},
     "loop": {"cpu": None},
+}
+
+
+# A loop without real time waits for a processor like everybody else.
+UNPRIVILEGED: dict[str, dict[str, Any]] = {
+    "safety": {"stale_ms": 500, "bus_silent_ms": 500, "inclination_stale_ms": 2000, "overrun_ticks": 1000},
+    "cylinder": {"heartbeat_timeout_ms": 1000, "command_deadline_ms": 1000},
 }
 
 
@@ -92,13 +100,15 @@ def test_an_operators_session(running: Running) -> None:
     shown = running.do("status")
     assert "COMPENSATING" in shown
     assert "120" in shown
-    watched = subprocess.run(
-        ["timeout", "-s", "INT", "3", sys.executable, "-m", "rigctl", "watch",
-         "--connect", daemons.endpoint(running.file)],
-        capture_output=True, text=True, check=False, cwd=daemons.ROOT,
+    watching = subprocess.Popen(
+        [sys.executable, "-m", "rigctl", "watch", "--connect", daemons.endpoint(running.file)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=daemons.ROOT,
     )  # fmt: skip
-    assert watched.stdout.count("COMPENSATING") >= 1
-    assert watched.stderr == ""
+    assert watching.stdout is not None
+    assert "COMPENSATING" in watching.stdout.readline()
+    watching.send_signal(signal.SIGINT)
+    assert watching.communicate(timeout=daemons.START_LIMIT_S)[1] == ""
+    assert watching.returncode == 0
     answer = json.loads(running.do("hold", "--json"))
     assert (answer["accepted"], answer["mode"]) == (True, "HOLD")
     assert "HOLD" in running.do("release", "--wait")
@@ -146,12 +156,18 @@ def test_the_gateway_is_killed_and_comes_back_and_the_loop_does_not_notice(runni
     running.do("target", "100")
     running.do("tension", "--wait")
     records = Runtime.of(daemons.name_of(running.file)).record_reader()
+    parts: list[np.ndarray[Any, Any]] = []
+
+    def compensates() -> bool:
+        parts.append(records.read())  # before the ring is written over
+        return daemons.mode(running.file) == "COMPENSATING"
+
     for _ in range(2):
         os.kill(
             daemons.process_with("rigctl.telemetry.gateway", f"rigctl-{daemons.name_of(running.file)}"), signal.SIGKILL
         )
-        daemons.wait_for(lambda: daemons.mode(running.file) == "COMPENSATING", log=running.log)
-    slots = records.read()
+        daemons.wait_for(compensates, log=running.log)
+    slots = np.concatenate([*parts, records.read()])
     assert records.lost == 0
     assert len(slots) > 1000
     assert set(slots["mode"]) == {3}
@@ -254,7 +270,7 @@ def test_a_design_that_is_not_robust_is_refused(tmp_path: pathlib.Path) -> None:
 
 @pytest.mark.skipif(os.getuid() != 0 or shutil.which("setpriv") is None, reason="needs root, to give it up")
 def test_without_privileges_it_runs_and_says_what_is_missing(tmp_path: pathlib.Path) -> None:
-    file = daemons.rig_file(tmp_path, {**PATIENT, "loop": {"cpu": 1023}})
+    file = daemons.rig_file(tmp_path, {**UNPRIVILEGED, "loop": {"cpu": 1023}})
     log = tmp_path / "daemon.log"
     plain = ["setpriv", "--bounding-set", "-all", "--inh-caps", "-all", "--ambient-caps", "-all"]
     with daemons.simulated_rig(file, tmp_path / "rig.log"):

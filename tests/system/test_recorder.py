@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,22 +63,27 @@ def test_a_session_with_a_trip_is_on_record_and_the_recorders_death_changes_noth
     running.do("tension", "--wait", "--operator", "anna")
     assert "anna holds the lease" in running.refused("disarm", "--operator", "kim")
     records = runtime.record_reader()
+    parts: list[np.ndarray[Any, Any]] = []
+
+    def state() -> dict[str, Any]:
+        parts.append(records.read())  # before the ring is written over
+        return daemons.state(file)
+
     os.kill(recorder_of(file), signal.SIGKILL)
     daemons.wait_for(lambda: "recorder process killed by signal 9; comes back, the loop is unaffected"
                      in running.log.read_text(), log=running.log)  # fmt: skip
     running.rig.send_signal(signal.SIGSTOP)
-    daemons.wait_for(lambda: daemons.mode(file) == "FAULT", log=running.log)
+    daemons.wait_for(lambda: state().get("mode") == "FAULT", log=running.log)
     running.rig.send_signal(signal.SIGCONT)
-    state = daemons.wait_for(lambda: (s := daemons.state(file)).get("trip_dump") and s, log=running.log)
-    assert state["trip_dump"] in running.do("status")
-    slots = records.read()
+    told = daemons.wait_for(lambda: (s := state()).get("trip_dump") and s, log=running.log)
+    assert told["trip_dump"] in running.do("status")
+    slots = np.concatenate([*parts, records.read()])
     assert (records.lost, int(slots["seq"][-1] - slots["seq"][0])) == (0, len(slots) - 1)
-    head = state["audit"]["head"]
+    head = told["audit"]["head"]
     answer = daemons.rigctl("audit", "verify", str(file), "--head", head)
     assert (answer.returncode, answer.stderr) == (0, "")
+    assert runtime.read_json(RECORDED)["failures"] == 0
     running.daemon.send_signal(signal.SIGTERM)
-    before_end = daemons.wait_for(lambda: runtime.read_json(RECORDED), log=running.log)
-    assert before_end["failures"] == 0
     assert running.daemon.wait(20) == 0
 
     found = entries(file)
@@ -104,7 +110,7 @@ def test_a_session_with_a_trip_is_on_record_and_the_recorders_death_changes_noth
         assert seen == list(range(1, len(seen) + 1)), source
 
     (dump,) = (file.parent / "trips").iterdir()
-    assert dump.name == state["trip_dump"]
+    assert dump.name == told["trip_dump"]
     with dump.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         records_kept = [item.decoded_message for item in reader.iter_decoded_messages(topics=["/records"])]

@@ -39,6 +39,20 @@ def until(true: Callable[[], Any], what: str) -> Any:
     return value
 
 
+def stop(process: subprocess.Popen[Any]) -> None:
+    """SIGSTOP, and wait until every thread stands: one that waits for a processor has not heard of it yet."""
+    process.send_signal(signal.SIGSTOP)
+    threads = pathlib.Path(f"/proc/{process.pid}/task")
+
+    def standing() -> bool:
+        with contextlib.suppress(FileNotFoundError):  # a thread may end instead
+            states = [(thread / "stat").read_text().rpartition(")")[2].split()[0] for thread in threads.iterdir()]
+            return set(states) == {"T"}
+        return False
+
+    until(standing, "the process to stand")
+
+
 DESIGN = {"ms": 1, "accepted": True, "waiver": None, "verdict": "Ms 1"}
 
 
@@ -56,9 +70,11 @@ class Daemon:
         self.processes: list[subprocess.Popen[str]] = []
         self.gateway: subprocess.Popen[str] | None = None
 
-    def spawn(self, *arguments: str, stderr: int | IO[str] | None = None) -> subprocess.Popen[str]:
+    def spawn(
+        self, *arguments: str, stderr: int | IO[str] | None = None, env: dict[str, str] | None = None
+    ) -> subprocess.Popen[str]:
         command = [sys.executable, *arguments]
-        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=stderr, text=True)
+        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=stderr, text=True, env=env)
         self.processes.append(process)
         return process
 
@@ -82,6 +98,11 @@ class Daemon:
 
     def rig(self) -> Rig:
         return connect(self.endpoint, self.settings.rig, timeout_s=PATIENCE_S)
+
+    def state(self, client: Client) -> dict[str, Any]:
+        """A state made after this call: the newest that was published may be from before what was done last."""
+        now_ns = time.monotonic_ns()
+        return dict(until(lambda: (state := client.state())["t_ns"] > now_ns and state, "a state of now"))
 
     @contextlib.contextmanager
     def replaced_gateway(self) -> Iterator[Rig]:

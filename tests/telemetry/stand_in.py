@@ -1,7 +1,7 @@
 """A stand-in for the control process: writes records at 1 kHz and events, answers commands. Not the real loop.
 
 ``python stand_in.py RUNTIME_DIR`` runs until SIGTERM. ``arm`` takes 0.3 s, like a drive.
-A target of 111 N is never answered, one of 222 N trips.
+A target of 111 N is never answered, one of 222 N trips. Ramps take half a second, with ``--slow`` for ever.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ class StandIn:
         self.mode, self.fault, self.target, self.tension, self.stroke = Mode.DISARMED, Fault.NONE, 300.0, 0.0, 0.0
         self.arming: tuple[int, int] | None = None
         self.own, self.host = 0, int(Check.HOST)
+        self.step = 0.6  # N a tick
 
     @property
     def failed(self) -> int:
@@ -102,7 +103,7 @@ class StandIn:
             self.move(now, Event.ENABLED)
             self.reply(now, self.arming[0], Decision())
             self.arming = None
-        step = {Mode.TENSIONING: 0.6, Mode.RELEASING: -0.6}.get(self.mode, 0.0)
+        step = {Mode.TENSIONING: self.step, Mode.RELEASING: -self.step}.get(self.mode, 0.0)
         self.tension = max(0.0, self.tension + step)
         self.stroke = self.tension / 6.0
         if self.mode is Mode.TENSIONING and self.tension >= self.target:
@@ -128,6 +129,8 @@ def main() -> None:
     loop = StandIn(runtime)
     if "--fail-preflight" in sys.argv:
         loop.own = int(Check.CELL_STALE | Check.STROKE_RANGE)
+    if "--slow" in sys.argv:
+        loop.step = 0.0
     runtime.write_json("control.json", {"warnings": ["SCHED_FIFO 80 refused: not permitted"], "realtime": []})
     start = due = time.monotonic_ns()
     loop.event(start, Kind.STARTED)

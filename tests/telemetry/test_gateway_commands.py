@@ -151,5 +151,6 @@ def test_every_arm_comes_right_after_what_the_host_says(own: Daemon) -> None:
         given = own.runtime.command_reader(from_start=True).read()
         arm = given["verb"].tolist().index(Verb.ARM)
         assert (given["verb"][arm - 1], given["value"][arm - 1]) == (Setting.HOST_CHECKS, 0.0)
-        assert client.state()["preflight"]["failing"] == {}
-        assert set(client.state()["preflight"]["waived"]) == {"CALIBRATION", "TARE"}
+        preflight = own.state(client)["preflight"]
+        assert preflight["failing"] == {}
+        assert set(preflight["waived"]) == {"CALIBRATION", "TARE"}

@@ -90,7 +90,7 @@ def test_a_second_operator_is_refused_by_name_and_may_hold(own: Daemon) -> None:
         assert (event["severity"], event["source"]) == ("warning", "gateway")
         assert event["text"] == "HOLD given by kim without the lease, which anna holds"
         assert anna.command("tension", "anna")["accepted"]  # hers all along
-        state = kim.state()
+        state = own.state(kim)
         assert state["lease"]["holder"] == "anna"
         assert "id" not in state["lease"]  # everyone may see this
         assert lease["id"] not in msgspec.json.encode([state, kim.active(), kim.past_events()]).decode()
@@ -122,7 +122,7 @@ def test_a_takeover_needs_a_reason_and_is_told(own: Daemon) -> None:
         event = until(of_kind(events, "LEASE_TAKEN_OVER"), "the note")
         assert event["text"] == "kim takes the lease over from anna: anna has gone home"
         assert (event["operator"], event["other"]) == ("kim", "anna")
-        assert (commands(own), kim.state()["mode"]) == (given, "HOLD")
+        assert (commands(own), own.state(kim)["mode"]) == (given, "HOLD")
         lost = anna.command("tension", "anna")
         assert (lost["reason"], lost["lease"]["holder"]) == ("lease_held", "kim")
         assert kim.command("tension", "kim")["accepted"]
@@ -147,8 +147,8 @@ def test_a_lapse_is_told_and_moves_nothing(own: Daemon) -> None:
         (event,) = until(lambda: [e for e in client.past_events() if e["kind"] == "LEASE_LAPSED"], "the lapse")
         assert event["severity"] == "warning"
         assert event["text"] == "the lease of anna has lapsed; the rig goes on as it is"
-        state = until(lambda: (s := client.state())["mode"] == "COMPENSATING" and s, "the end of the ramp")
-        assert state["lease"] is None
+        until(lambda: client.state()["mode"] == "COMPENSATING", "the end of the ramp")
+        assert own.state(client)["lease"] is None
         assert commands(own) == given
         assert client.command("release", "anna")["reason"] == "lease_lapsed"
         with own.client() as kim:
@@ -162,13 +162,15 @@ def test_a_dead_terminal_leaves_the_rig_as_it_is_and_the_lease_to_the_next(own: 
     with own.client() as client:
         command = [sys.executable, "-m", "rigctl.cli", "target", "111", "--operator", "anna"]
         waiting = subprocess.Popen(command, cwd=ROOT, env=own.environment())  # the loop does not answer this one
-        until(lambda: client.state()["lease"], "the lease to be taken")
+        given_to_loop = own.runtime.command_reader(from_start=True)
+        until(lambda: 111.0 in given_to_loop.read()["value"], "the lease to be taken, kept, and the command given")
         waiting.kill()
         waiting.wait()
         assert own.cli("arm", "--operator", "anna").returncode == 0
         command = [sys.executable, "-m", "rigctl.cli", "tension", "--wait", "--operator", "anna"]
         waiting = subprocess.Popen(command, cwd=ROOT, env=own.environment(), stdout=subprocess.PIPE)
-        until(lambda: client.state()["mode"] == "TENSIONING", "the ramp")
+        assert waiting.stdout is not None
+        assert b"ramping" in waiting.stdout.readline()
         given = commands(own)
         waiting.kill()
         waiting.communicate()
@@ -232,7 +234,7 @@ def test_of_any_sequence_the_loop_hears_the_holder_and_every_hold_and_nothing_el
             given += heard
             assert (answer.get("reason", "").startswith("lease_"), commands(own)) == (not passes, given), (what, answer)
             assert (answer["lease"] or {"holder": None})["holder"] == holder
-        assert client.state()["mode"] == "HOLD"
+        assert own.state(client)["mode"] == "HOLD"
 
 
 @pytest.mark.parametrize("forged", ["garbage", "another's", "folder"])

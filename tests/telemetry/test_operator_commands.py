@@ -10,10 +10,11 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 
 import pytest
 
-from tests.telemetry.miniature import PATIENCE_S, ROOT, Daemon, free_port, until
+from tests.telemetry.miniature import PATIENCE_S, ROOT, Daemon, free_port, running
 
 WAIVED = "waived: calibration, tare (simulated cell: there is no weight to hang on it)"
 
@@ -50,16 +51,23 @@ def test_a_session_typed(own: Daemon) -> None:
     assert json.loads(refused.stdout)["reason"] == "wrong_mode"
 
 
-def test_wait_ends_when_the_rig_trips(own: Daemon) -> None:
-    with own.client() as client:
-        own.cli("arm")
-        command = [sys.executable, "-m", "rigctl.cli", "tension", "--wait"]
-        waiting = subprocess.Popen(command, cwd=ROOT, text=True, env=own.environment(), stderr=subprocess.PIPE)
-        until(lambda: client.state()["mode"] == "TENSIONING", "the ramp")
-        own.cli("target", "222")  # the stand-in trips
-        _, complaint = waiting.communicate(timeout=PATIENCE_S)
+def test_wait_ends_when_the_rig_trips(slow: Daemon) -> None:
+    slow.client().close()
+    slow.cli("arm")
+    waiting = slow.spawn("-m", "rigctl.cli", "tension", "--wait", stderr=subprocess.PIPE, env=slow.environment())
+    assert waiting.stdout is not None
+    assert waiting.stdout.readline() == "TENSION: ramping to 300 N, TENSIONING\n"
+    slow.cli("target", "222")  # the stand-in trips
+    said, complaint = waiting.communicate(timeout=PATIENCE_S)
+    assert said == ""
     assert waiting.returncode == 1
     assert complaint == "rigctl: TENSION failed: ended in FAULT TENSION_HIGH: tension 412.0 N above 400.0 N\n"
+
+
+@pytest.fixture
+def slow() -> Iterator[Daemon]:
+    """A daemon whose ramps never end."""
+    yield from running("--slow")
 
 
 @pytest.mark.parametrize(

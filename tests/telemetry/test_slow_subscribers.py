@@ -15,7 +15,7 @@ import pytest
 
 from rigctl.telemetry.record import RECORD
 from rigctl.telemetry.ring import RingReader
-from tests.telemetry.miniature import PATIENCE_S, Daemon, until
+from tests.telemetry.miniature import PATIENCE_S, Daemon, stop, until
 
 HEALTHY = 3
 _SLOW = """
@@ -89,12 +89,11 @@ def nothing_missing(figures: dict[str, Any]) -> bool:
 def test_one_that_is_stopped_costs_the_others_no_sample_and_itself_none_the_ring_holds(own: Daemon) -> None:
     own.rig().close()
     stalled, *healthy = counters(own, HEALTHY + 1)
-    stalled.send_signal(signal.SIGSTOP)
+    stop(stalled)
     start = own.runtime.record_reader().head
     until(lambda: own.runtime.record_reader().head > start + 8000, "eight seconds: more than any queue takes")
     figures = [told(process) for process in healthy]
     stalled.send_signal(signal.SIGCONT)
-    time.sleep(1.0)
     its = told(stalled)
     for one in figures:
         assert nothing_missing(one)
@@ -112,12 +111,11 @@ def test_one_stopped_for_longer_than_the_ring_holds_counts_just_what_is_gone(sil
         silent.rig().close()
         stalled, healthy = counters(silent, 2)
         held = silent.settings.loop.rate_hz * silent.settings.telemetry.history_s
-        stalled.send_signal(signal.SIGSTOP)
+        stop(stalled)
         start = records.head
         until(lambda: records.head > start + 3 * held, "the ring to be written over, and TCP's buffers")
         assert told(healthy)["lost"] == 0
         stalled.send_signal(signal.SIGCONT)
-        time.sleep(1.0)
         its = told(stalled)
     assert its["lost"] > 0
     assert its["received"] + its["lost"] == its["produced"] == its["last_seq"] - its["first_seq"] + 1
@@ -150,7 +148,7 @@ def test_clients_of_all_kinds_come_back_by_themselves_after_a_restart(own: Daemo
     slow = own.spawn("-c", _SLOW, own.endpoint, "50", "0.03")
     assert slow.stdout is not None
     slow.stdout.readline()
-    stopped.send_signal(signal.SIGSTOP)
+    stop(stopped)
     for _ in range(2):
         own.kill_gateway()
         time.sleep(0.5)
@@ -160,7 +158,6 @@ def test_clients_of_all_kinds_come_back_by_themselves_after_a_restart(own: Daemo
     stopped.send_signal(signal.SIGCONT)
     its = json.loads(slow.stdout.readline())
     assert (its["missing"], its["lost"]) == (0, 0)
-    time.sleep(1.0)
     for process in (stopped, *others):
         figures = told(process)
         assert nothing_missing(figures)

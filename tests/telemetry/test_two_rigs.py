@@ -74,7 +74,7 @@ def test_a_client_of_either_router_chooses_by_name(two: tuple[Daemon, Daemon]) -
 
 
 def test_a_command_reaches_only_the_rig_it_names(two: tuple[Daemon, Daemon]) -> None:
-    first, _ = two
+    first, second = two
     with connect(first.endpoint, "north_rig") as north, connect(first.endpoint, "south_rig") as south:
         told = commands(first)
         heard = north.events()
@@ -83,9 +83,10 @@ def test_a_command_reaches_only_the_rig_it_names(two: tuple[Daemon, Daemon]) -> 
         assert south.command("target", 222.0, operator="kim")["accepted"]  # the stand-in trips
         trip = south.wait_event(kind="TRIP", timeout_s=PATIENCE_S)
         assert trip is not None
-        assert north.state()["mode"] == "DISARMED"
-        assert south.state()["mode"] == "FAULT"
-        assert (north.state()["lease"], north.state()["target_n"]) == (None, 300.0)
+        there, here = second.state(south.connection), first.state(north.connection)
+        assert (there["rig"], there["mode"]) == ("south_rig", "FAULT")
+        assert (here["rig"], here["mode"]) == ("north_rig", "DISARMED")
+        assert (here["lease"], here["target_n"]) == (None, 300.0)
         assert commands(first) == told
         assert heard.read(0.3) is None
         assert north.take_lease("lee")["lease"]["holder"] == "lee"  # each rig has a lease of its own
