@@ -44,20 +44,21 @@ class Plausibility:
         self._stroke_mm = self._tension_n = self._smooth_n = self._repeated_n = math.nan
         self._largest_n = LARGEST_STEP_NOISES * settings.tension_cell.noise_n + plant.stiffness_n_mm
         self._unrest_share = dt / UNREST_S
-        self._unheard = 0  # ticks since the drive's newest word
+        self._unheard, self._modelled_mm = 0, 0.0  # ticks since the drive's newest word, and the model's way in them
 
     def look(self, inbox: Inbox, sight: Sight, command_mm_s: float, *, ticks: int, slack: bool) -> None:
         """One tick, ``ticks`` after the last; ``command_mm_s`` is what was sent in the last one."""
         if inbox.cell_fresh:
             self._look_at_cell(inbox, sight)
-        modelled_mm = self._model(command_mm_s, ticks)
+        self._modelled_mm += self._model(command_mm_s, ticks)
         self._unheard += ticks
-        moved_mm = said_mm = 0.0
+        moved_mm = said_mm = modelled_mm = 0.0
         if inbox.drive_fresh:
             if math.isfinite(self._stroke_mm):
                 moved_mm = inbox.stroke_mm - self._stroke_mm
                 said_mm = inbox.speed_mm_s * self._unheard * self._dt
-            self._stroke_mm, self._unheard = inbox.stroke_mm, 0
+                modelled_mm = self._modelled_mm
+            self._stroke_mm, self._unheard, self._modelled_mm = inbox.stroke_mm, 0, 0.0
         if sight.drive_enabled:
             sight.speed_error_mm_s = abs(inbox.speed_mm_s - self._model_mm_s)
             sight.stroke_error_mm = self._stroke_keep * sight.stroke_error_mm + moved_mm - modelled_mm
@@ -74,11 +75,16 @@ class Plausibility:
     def _model(self, command_mm_s: float, ticks: int) -> float:
         """Let the modelled drive go on; how far it moves, in mm."""
         sent, travel_mm = self._sent, 0.0
-        for _ in range(min(ticks, 2 * len(sent))):
+        delays = min(ticks, len(sent))
+        for _ in range(delays):
             delayed, sent[self._at] = sent[self._at], command_mm_s
             self._at = (self._at + 1) % len(sent)
             self._model_mm_s += (delayed - self._model_mm_s) * self._share
             travel_mm += self._model_mm_s * self._dt
+        if rest := ticks - delays:  # under one and the same command, at once however long the loop was stopped
+            left_mm_s, keep = self._model_mm_s - command_mm_s, (1.0 - self._share) ** rest
+            self._model_mm_s = command_mm_s + left_mm_s * keep
+            travel_mm += (rest * command_mm_s + left_mm_s * (1.0 - keep) * (1.0 - self._share) / self._share) * self._dt
         return travel_mm
 
     def _look_at_cell(self, inbox: Inbox, sight: Sight) -> None:

@@ -178,3 +178,23 @@ def test_ticks_that_were_skipped_are_caught_up() -> None:
         stand.subject.look(stand.inbox, stand.sight, command(t - DT), ticks=3, slack=False)
         assert stand.sight.speed_error_mm_s < 1.6
         assert abs(stand.sight.stroke_error_mm) < 0.1
+
+
+@pytest.mark.parametrize("late", [0, 2])
+@pytest.mark.parametrize("stopped_ticks", [10, 60, 400])
+@pytest.mark.parametrize("at", [110, 130, 300])
+def test_a_loop_that_was_stopped_does_not_blame_the_drive_that_went_on(at: int, stopped_ticks: int, late: int) -> None:
+    """The tick after the stop reads what was latched at its end, or does so ``late`` ticks later."""
+    stroke, speed, command = as_commanded()
+    stand = Stand()
+    silent = 0
+    for n in [*range(at), *range(at + stopped_ticks, at + stopped_ticks + 300)]:
+        ticks = 1 + stopped_ticks if n == at + stopped_ticks else 1
+        silent = late if ticks > 1 else silent - 1
+        stand.inbox.cell_fresh = stand.inbox.drive_fresh = silent <= 0
+        if silent <= 0:
+            stand.inbox.reading_n = stand.inbox.tension_n = follow(stroke)(n * DT) + next(DITHER)
+            stand.inbox.stroke_mm, stand.inbox.speed_mm_s = stroke(n * DT), speed(n * DT)
+        stand.subject.look(stand.inbox, stand.sight, command((n - 1) * DT), ticks=ticks, slack=False)
+        assert abs(stand.sight.stroke_error_mm) < 0.05
+        assert silent > 0 or stand.sight.speed_error_mm_s < 0.6
