@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from hil.nodes.cylinder_drive import CylinderDrive
 from hil.nodes.inclinometer import Inclinometer
+from hil.nodes.io_node import IoNode
 from hil.nodes.network import RigNetwork
 from hil.nodes.node import Node
 from hil.nodes.plain_sensors import PlainInclinometer, PlainTensionCell
@@ -62,9 +63,11 @@ class SimulatedRig:
         self._network = network = RigNetwork(send)
         self.cell, self.inclinometer = self._sensors(settings, simulation)
         self.drive = CylinderDrive(network, settings, simulation, self.plant)
-        self._devices = (self.cell, self.drive, self.inclinometer)
+        self.io = IoNode(network, settings, self.plant) if settings.io else None
+        io = (self.io,) if self.io else ()
+        self._devices = (self.cell, self.drive, self.inclinometer, *io)
         eds = settings.file(settings.cylinder.eds).with_name("simulator.eds")
-        self.simulator = Simulator(network, eds, self.plant, self.start_motion, self.drive)
+        self.simulator = Simulator(network, eds, self.plant, self.start_motion, self.drive, self.io)
         self.rail_encoder = RailEncoder(network, settings, self.plant) if settings.rail_encoder else None
         encoders = (self.rail_encoder,) if self.rail_encoder else ()
         self.nodes = (*(device for device in self._devices if isinstance(device, Node)), *encoders, self.simulator)

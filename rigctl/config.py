@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from rigctl import strict_yaml
 from rigctl.config_base import Settings, require
+from rigctl.config_io import IoSettings
 from rigctl.config_limits import LimitSettings
 from rigctl.config_page import PageSettings
 from rigctl.config_recording import RecordingSettings
@@ -346,6 +347,7 @@ class RigSettings(Settings):
     inclinometer: InclinometerSettings
     rail_encoder: RailEncoderSettings | None = None
     cylinder: CylinderSettings
+    io: IoSettings | None = None
     plant: PlantSettings
     tension: TensionSettings
     estimator: EstimatorSettings
@@ -401,6 +403,11 @@ class RigSettings(Settings):
         period_ms = 1000 / rate
         stale = min(self.safety.stale_ms, self.safety.bus_silent_ms)
         require(stale >= 2 * period_ms, "safety.stale_ms", stale, f"two loop periods ({2 * period_ms:g} ms) or more")
+        if (io := self.io) is not None:
+            least = io.event_ms + 2 * period_ms
+            require(
+                io.stale_ms >= least, "io.stale_ms", io.stale_ms, f"event_ms and two loop periods ({least:g}) or more"
+            )
         return self
 
     @property
@@ -421,6 +428,7 @@ class RigSettings(Settings):
         nodes = {"tension_cell": cell.node} if cell.dbc is None else {}
         nodes |= {"inclinometer": slope.node} if slope.dbc is None else {}
         nodes |= {"rail_encoder": self.rail_encoder.node} if self.rail_encoder is not None else {}
+        nodes |= {"io": self.io.node} if self.io is not None else {}
         return {**nodes, "cylinder": self.cylinder.node}
 
     @property

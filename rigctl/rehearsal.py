@@ -133,7 +133,9 @@ def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], sett
 def _rig_file(settings: RigSettings, folder: pathlib.Path) -> pathlib.Path:
     """The rig file as it is played, with device files by their whole path."""
     data = settings.model_dump(mode="json", exclude={"directory", "plain"}, exclude_none=False)
-    for device in ("tension_cell", "inclinometer", "cylinder"):
+    for device in ("tension_cell", "inclinometer", "cylinder", "rail_encoder", "io"):
+        if not data[device]:
+            continue
         data[device]["eds"] = str(settings.file(data[device]["eds"]))
         if data[device].get("dbc"):
             data[device]["dbc"]["file"] = str(settings.file(data[device]["dbc"]["file"]))

@@ -13,7 +13,7 @@ import canopen
 from hil.nodes.clock import DeviceClock
 from hil.nodes.dictionary import STRUCT_CODES, Abort, check_range, number, refuse
 from hil.nodes.network import RigNetwork
-from hil.nodes.pdo import Address, TransmitPdo, check_cob_id_write, check_mapping_write
+from hil.nodes.pdo import Address, TransmitPdo, check_cob_id_write, check_inhibit_write, check_mapping_write
 from hil.plant import Plant
 from rigctl.devices import objects
 from rigctl.devices.objects import NmtState
@@ -27,6 +27,7 @@ _SDO_SIZE = 8
 _SEGMENT_REQUESTS = frozenset({0x00, 0x60})  # client command specifiers that continue a transfer
 _BLOCK_DOWNLOAD = 0xC0
 _MULTIPLEXER = struct.Struct("<HB")
+_INHIBIT_TIME = 3  # sub-index
 _COMMUNICATION_AREA = range(0x1000, 0x2000)
 _MAPPINGS = frozenset({objects.RPDO1_MAPPING, objects.TPDO1_MAPPING, objects.TPDO2_MAPPING})
 _COMMUNICATIONS = frozenset({objects.RPDO1_COMMUNICATION, objects.TPDO1_COMMUNICATION, objects.TPDO2_COMMUNICATION})
@@ -176,14 +177,19 @@ class Node:
 
     # -- SYNC and PDO ------------------------------------------------------------------------------------------
 
+    @property
+    def tpdos(self) -> list[TransmitPdo]:
+        """As they are configured now."""
+        if not self._tpdos:
+            self._tpdos = [TransmitPdo(self.device, self.readers, place) for place in self._tpdo_places]
+        return self._tpdos
+
     def on_sync(self) -> None:
         """Send the TPDOs whose turn is at this SYNC."""
         if self.nmt_state is not NmtState.OPERATIONAL or not self._tpdo_places:
             return
-        if not self._tpdos:
-            self._tpdos = [TransmitPdo(self.device, self.readers, place) for place in self._tpdo_places]
         self.on_sample()
-        for tpdo in self._tpdos:
+        for tpdo in self.tpdos:
             frame = tpdo.frame()
             if frame is not None:
                 self.network.send_frame(frame)
@@ -217,6 +223,8 @@ class Node:
             check_mapping_write(self.device, index, subindex, value)
         elif index in _COMMUNICATIONS and subindex == 1:
             check_cob_id_write(self.device, index, value)
+        elif index in _COMMUNICATIONS and subindex == _INHIBIT_TIME:
+            check_inhibit_write(self.device, index)
         writer = self.writers.get((index, subindex))
         if writer is not None:
             writer(value)

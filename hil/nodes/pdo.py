@@ -12,6 +12,7 @@ from rigctl.devices import objects
 
 INVALID_PDO = 0x80000000
 MOST_ENTRIES = 8
+_MOST_SYNCS, _EVENT_DRIVEN = 240, 254  # transmission types
 _DUMMY_LAST = 0x0007  # objects 0001 to 0007 fill gaps in an RPDO
 _ENTRY_BITS = 0xFF
 
@@ -19,7 +20,7 @@ Address = tuple[int, int]
 
 
 class TransmitPdo:
-    """A SYNC-driven TPDO; ``frame()`` at each SYNC gives the frame that is due, or None.
+    """A TPDO; ``frame()`` at each SYNC gives the frame that is due, or None; ``now()`` is for those no SYNC drives.
 
     Args:
         device: ``canopen.LocalNode`` whose 0x1800 + n and 0x1A00 + n are compiled.
@@ -27,14 +28,16 @@ class TransmitPdo:
         place: n, 0 for the first TPDO.
     """
 
-    __slots__ = ("_cob_id", "_count", "_every", "_pack", "_size", "_sources")
+    __slots__ = ("_cob_id", "_count", "_every", "_pack", "_size", "_sources", "event_driven")
 
     def __init__(self, device: Any, live: Mapping[Address, Callable[[], int]], place: int = 0) -> None:
         communication = objects.TPDO1_COMMUNICATION + place
         cob_id = number(device, communication, 1)
         addresses, layout = _layout(device, objects.TPDO1_MAPPING + place)
         self._cob_id = cob_id & STANDARD_MASK
-        self._every = 0 if cob_id & INVALID_PDO else number(device, communication, 2)
+        kind = 0 if cob_id & INVALID_PDO else number(device, communication, 2)
+        self.event_driven = kind >= _EVENT_DRIVEN
+        self._every = kind if kind <= _MOST_SYNCS else 0
         self._count = 0
         self._pack = layout.pack
         self._size = layout.size
@@ -46,6 +49,10 @@ class TransmitPdo:
         if self._count != self._every:
             return None
         self._count = 0
+        return self.now()
+
+    def now(self) -> bytes:
+        """The frame with the values as they are."""
         payload = self._pack(*[source() for source in self._sources])
         return FRAME.pack(self._cob_id, self._size, payload)
 
@@ -88,6 +95,12 @@ def check_cob_id_write(device: Any, index: int, value: int) -> None:
         raise refuse(Abort.VALUE_RANGE)
     if not (before | value) & INVALID_PDO and (before ^ value) & STANDARD_MASK:
         raise refuse(Abort.VALUE_RANGE)
+
+
+def check_inhibit_write(device: Any, index: int) -> None:
+    """Refuse another inhibit time while the TPDO is in use (bit 31 clear)."""
+    if index >= objects.TPDO1_COMMUNICATION and not number(device, index, 1) & INVALID_PDO:
+        raise refuse(Abort.UNSUPPORTED_ACCESS)
 
 
 def _check_mapping(device: Any, index: int, count: int) -> None:

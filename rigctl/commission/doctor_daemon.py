@@ -30,6 +30,8 @@ TITLES: dict[Check, str] = {
     Check.RIVAL: "bus: no other controller",
     Check.E_STOP: "emergency stop: released",
     Check.E_STOP_UNSEEN: "emergency stop: seen",
+    Check.E_STOP_IO: "emergency stop, I/O node: released",
+    Check.E_STOP_IO_UNSEEN: "emergency stop, I/O node: seen",
     Check.TENSION_HIGH: "tension: below its limit",
     Check.STROKE_RANGE: "stroke: within its limits",
     Check.STROKE_NEAR_END: "stroke: away from its ends",
@@ -42,6 +44,7 @@ TITLES: dict[Check, str] = {
     Check.HOST: "host: looked at by the gateway",
 }
 """Every check, in the order in which it is shown."""
+_OF_IO = Check.E_STOP_IO | Check.E_STOP_IO_UNSEEN
 WITHOUT_DAEMON = (Check.CALIBRATION, Check.TARE, Check.DISK, Check.MARGINS)
 
 
@@ -52,7 +55,8 @@ def running(state: Mapping[str, Any], active: Mapping[str, Any], settings: RigSe
     if not isinstance(told, dict):
         return [*findings, fails("preflight", "the daemon says nothing of it", "a verdict", "start the daemon anew")]
     failing, waived = told.get("failing", {}), told.get("waived", {})
-    return findings + [_check(check, failing, waived) for check in TITLES]
+    fitted = (active.get("settings") or {}).get("io") is not None
+    return findings + [_check(check, failing, waived) for check in TITLES if fitted or not check & _OF_IO]
 
 
 def without(settings: RigSettings) -> list[Finding]:

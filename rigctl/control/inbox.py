@@ -55,6 +55,7 @@ class Inbox:
         self._handlers = self._handlers_of(settings)
         e_stop = settings.cylinder.e_stop_input
         self._e_stop_bit = 1 << e_stop if e_stop is not None else 0
+        self._io_mask = settings.io.mask if settings.io is not None else 0
         self._rated_current_a = settings.cylinder.rated_current_a or math.nan
         self._rail_node = rail.node if rail is not None else 0
         self._counts_per_turn = rail.counts_per_turn if rail is not None else 1
@@ -76,15 +77,15 @@ class Inbox:
         self.drive_t_ns = NEVER_NS
         self.drive_current_a = self.drive_temperature_c = math.nan
         self.drive_status_t_ns = NEVER_NS
-        self.e_stop = False  # by the newest of the drive's input and its emergency message
-        self.bus_t_ns = NEVER_NS
-        self.rival_t_ns = NEVER_NS
+        # By the newest of the drive's input and its emergency message; by the I/O node's input.
+        self.e_stop = self.io_e_stop = False
+        self.bus_t_ns = self.rival_t_ns = self.io_t_ns = self._io_opened_ns = NEVER_NS
         self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
         self.received = self.refused = self.error_frames = self.receive_failures = 0
         self.failure_text = ""  # of the last receive that failed
         self._drive_node = settings.cylinder.node
         self._in_error: set[int] = set()
-        self.sensors_in_error = 0  # cell and inclinometer with an emergency that stands
+        self.sensors_in_error = 0  # cell, inclinometer and I/O node with an emergency that stands
         self.drive_in_error = False
         self.emergencies: list[tuple[int, int]] = []  # (node, code) since last taken
         self.node_states: list[tuple[int, int]] = []  # (node, NMT state) changes since last taken
@@ -106,6 +107,7 @@ class Inbox:
             ("inclinometer", od.SLOPE_TPDO.cob_base, self._on_slope),
             ("cylinder", od.DRIVE_TPDO.cob_base, self._on_drive),
             ("rail_encoder", od.ENCODER_TPDO.cob_base, self._on_rail),
+            ("io", od.TPDO1_BASE, self._on_inputs),
         ):
             if device in nodes:
                 handlers[base + nodes[device]] = on_frame
@@ -222,6 +224,13 @@ class Inbox:
             self.e_stop = not inputs & self._e_stop_bit
         self.drive_status_t_ns = now_ns
         self._count(4)
+
+    def _on_inputs(self, data: bytes | bytearray, now_ns: int) -> None:
+        """Open in any of the frames that came together: a contact that bounces is one that was pressed."""
+        if not codecs.decode_inputs(data) & self._io_mask:
+            self._io_opened_ns = now_ns
+        self.io_e_stop = self._io_opened_ns == now_ns
+        self.io_t_ns = now_ns
 
     def _on_rail(self, data: bytes | bytearray, now_ns: int) -> None:
         """Newest angle of the rail; invalid while its encoder reports an error, or runs unverified after a restart."""

@@ -11,11 +11,12 @@ from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.inbox import Inbox
 from rigctl.control.inclination import InclinationFilter, Stretch
 from rigctl.control.run_out import RunOutTable, stale_ns
-from rigctl.control.safety import Sight
+from rigctl.control.safety import EStop, Sight
 from rigctl.control.tension import Estimate
 from rigctl.devices.objects import OFF_STATES, STATUS_WARNING, DriveState, drive_state
 
 _SECOND_NS = 1_000_000_000
+IO_NODE = EStop.IO_NODE.value
 STATUS_PERIODS = 3  # the drive's status is stale when this many have not come
 UNLOADED_REJECTS = 3  # with the drive off, a rope that is loaded or let go by hand is believed after so many
 LEAST_COSINE = 0.5  # a rope at 60 deg: nothing beyond it is believed
@@ -44,6 +45,7 @@ class Observer:
         self.rail_stale_ns = stale_ns(rail) if rail is not None else 0
         status_ns = settings.status_divisor * settings.loop.period_ns
         self._status_stale_ns = STATUS_PERIODS * status_ns  # 0 where it is not asked for
+        self._io_fitted = settings.io is not None
         self._e_stop_fitted = settings.cylinder.e_stop_input is not None
         self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
 
@@ -77,6 +79,9 @@ class Observer:
         sight.drive_off = state in OFF_STATES
         sight.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
         self._look_at_drive_status(now_ns)
+        if self._io_fitted:
+            sight.io_age_ns = now_ns - inbox.io_t_ns
+            sight.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
         sight.drive_warning = bool(inbox.statusword & STATUS_WARNING)
         sight.rival_age_ns = now_ns - inbox.rival_t_ns
         sight.bus_age_ns = now_ns - inbox.bus_t_ns

@@ -79,12 +79,14 @@ def warm_up(settings: RigSettings, gains: Gains, directory: Runtime) -> None:
 
 
 def _answer(bus: can.BusABC, settings: RigSettings) -> None:
-    samples = {
+    samples: dict[str, tuple[od.PdoLayout, tuple[int, ...]]] = {
         "tension_cell": (od.CELL_TPDO, (300_000, 0)),
         "inclinometer": (od.SLOPE_TPDO, (10, 0)),
         "rail_encoder": (od.ENCODER_TPDO, (0,)),
         "cylinder": (od.DRIVE_TPDO, (0x0237, 50_000, 1)),
     }
+    if settings.io is not None:
+        samples["io"] = (od.inputs_tpdo(settings.io.block), (od.EVERY_INPUT_8,))
     frames = {}
     for device, node in settings.canopen_nodes.items():
         layout, values = samples[device]

@@ -55,9 +55,17 @@ class Fault(IntEnum):
     E_STOP = 23  # the emergency stop is seen pressed
     CELL_NOISY = 24  # far more than the cell's noise, and no payload moves like that
     CELL_NEGATIVE = 25  # a rope cannot push
-    SENSOR_EMERGENCY = 26  # cell or inclinometer has sent an emergency message, and not taken it back
+    SENSOR_EMERGENCY = 26  # cell, inclinometer or I/O node has sent an emergency message, and not taken it back
     DRIVE_EMERGENCY = 27  # the drive has
     RIVAL = 28  # another controller commands this bus
+    E_STOP_UNSEEN = 29  # the I/O node that mirrors the emergency stop is silent
+
+
+class EStop(IntFlag):
+    """Where the emergency stop is seen pressed; the value of its trip."""
+
+    DRIVE = 1
+    IO_NODE = 2
 
 
 class Check(IntFlag):
@@ -73,17 +81,19 @@ class Check(IntFlag):
     STROKE_RANGE = 128
     DRIVE_SUPERVISION = 256  # the drive's own stop was not verified (0x1016, 0x6007, 0x605E, deadline)
     CALIBRATION = 512  # the cell's calibration is missing or overdue, and not waived
-    E_STOP = 1024  # the emergency stop is pressed
+    E_STOP = 1024  # the emergency stop is pressed: the drive's input
     CELL_IMPLAUSIBLE = 2048  # stuck, noisy or negative
     EMERGENCY = 4096  # a device's emergency message stands
     LIMIT = 8192  # a limit of the rig file, with an action, is passed now
-    E_STOP_UNSEEN = 1 << 14  # an emergency stop is fitted, and its input is not seen
+    E_STOP_UNSEEN = 1 << 14  # an emergency stop is fitted, and the drive's input is not seen
     STROKE_NEAR_END = 1 << 15  # within the margin of an end; ``arm --near-end`` is for that
     TARE = 1 << 16  # no tare on record that still holds, and not waived
     MARGINS = 1 << 17  # of the law in use there are none, or they are refused
     REALTIME = 1 << 18  # the system refused what was asked of it, and not waived
     DISK = 1 << 19  # hardly any room where the rig writes things down
     RIVAL = 1 << 21  # another controller commands this bus
+    E_STOP_IO = 1 << 22  # the emergency stop is pressed: the I/O node's input
+    E_STOP_IO_UNSEEN = 1 << 23  # an I/O node is fitted, and its input is not seen
     HOST = 1 << 20  # these four are not known: the gateway has not judged them within the last seconds
 
 
@@ -115,8 +125,9 @@ class Sight:
     drive_warning: bool = False
     drive_temperature_c: float = math.nan
     drive_current_a: float = math.nan
-    e_stop: bool = False
-    e_stop_unseen: bool = False  # one is fitted, and what it says is not known
+    e_stop: int = 0  # where it is seen pressed, bits of EStop
+    e_stop_unseen: bool = False  # the drive has one, and what it says is not known
+    io_age_ns: int = 1 << 62  # since the I/O node's inputs came, where one is fitted
     bus_age_ns: int = 1 << 62
     error_frames: int = 0  # in the last second
     skipped_in_window: int = 0
@@ -221,6 +232,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.DRIVE_STALE, lambda x: x.drive_age_ns, stale, 0, _ARMED, "ns"),
         Row(Fault.CELL_STALE, lambda x: x.cell_age_ns, stale, 0, _ARMED, "ns"),
         Row(Fault.INCLINATION_STALE, lambda x: x.inclination_age_ns, slope, 0, _ARMED, "ns"),
+        *_io_rows(settings),
         Row(Fault.DRIVE_FAULT, lambda x: x.drive_faulted, 0, 0, _ARMED, ""),
         Row(Fault.DRIVE_NOT_FOLLOWING, _dropped_out, 0, DRIVE_GRACE_NS, _ON, ""),
         Row(Fault.SIGN_DRIVE, lambda x: x.drive_reversed, 0, 0, _TENSIONING, ""),
@@ -249,6 +261,13 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.DEVICE_RESTARTED, lambda x: x.device_restarted, 0, 0, _ARMED, ""),
         Row(Fault.OVERRUN, lambda x: x.skipped_in_window, s.overrun_ticks - 1, 0, _ARMED, "ticks"),
     )  # fmt: skip
+
+
+def _io_rows(settings: RigSettings) -> tuple[Row, ...]:
+    """What the I/O node does not say, nobody knows: the drive's input is seen apart from it, or not fitted at all."""
+    if settings.io is None:
+        return ()
+    return (Row(Fault.E_STOP_UNSEEN, lambda x: x.io_age_ns, settings.io.stale_ms * _MS, 0, _ARMED, "ns"),)
 
 
 def _unbraked_mm_s(sight: Sight) -> float:
@@ -349,7 +368,7 @@ def _trip(row: Row, value: float) -> Trip:
 _BLOCK_RESET = frozenset(
     {Fault.BUS_SILENT, Fault.DRIVE_STALE, Fault.CELL_STALE, Fault.CELL_INVALID, Fault.INCLINATION_STALE,
      Fault.INCLINATION_INVALID, Fault.TENSION_HIGH, Fault.OVERRUN, Fault.DEVICE_RESTARTED, Fault.CELL_STUCK,
-     Fault.E_STOP, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SENSOR_EMERGENCY,
+     Fault.E_STOP, Fault.E_STOP_UNSEEN, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SENSOR_EMERGENCY,
      Fault.RIVAL}
 )  # fmt: skip
 
@@ -382,12 +401,14 @@ def preflight(
         Check.STROKE_NEAR_END: in_range and not inside and not near_end,
         Check.DRIVE_SUPERVISION: not supervision_verified,
         Check.CALIBRATION: sight.calibration_overdue,
-        Check.E_STOP: sight.e_stop,
+        Check.E_STOP: sight.e_stop & EStop.DRIVE,
+        Check.E_STOP_IO: sight.e_stop & EStop.IO_NODE,
         Check.CELL_IMPLAUSIBLE: not beyond.isdisjoint(_IMPLAUSIBLE),
         Check.EMERGENCY: not beyond.isdisjoint(_EMERGENCY),
         Check.LIMIT: Fault.LIMIT in beyond,
         Check.RIVAL: Fault.RIVAL in beyond,
         Check.E_STOP_UNSEEN: sight.e_stop_unseen,
+        Check.E_STOP_IO_UNSEEN: Fault.E_STOP_UNSEEN in beyond,
     }
     result = Check(sight.host_checks)
     for check, fails in failing.items():

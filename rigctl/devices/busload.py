@@ -31,7 +31,7 @@ def traffic(settings: RigSettings) -> list[Traffic]:
     rate = float(settings.loop.rate_hz)
     plain = settings.plain_messages
     cell, slope = plain.get("tension_cell"), plain.get("inclinometer")
-    rail, status = settings.rail_encoder, settings.cylinder.status_rate_hz
+    rail, status, io = settings.rail_encoder, settings.cylinder.status_rate_hz, settings.io
     return [
         Traffic("SYNC", 0, rate),
         Traffic("command", od.DRIVE_RPDO.size, rate),
@@ -42,6 +42,7 @@ def traffic(settings: RigSettings) -> list[Traffic]:
         else Traffic("inclination", od.SLOPE_TPDO.size, float(settings.inclinometer.rate_hz)),
         *([Traffic("drive inputs", od.DRIVE_TPDO2.size, float(status))] if status else []),
         *([Traffic("rail angle", od.ENCODER_TPDO.size, float(rail.rate_hz))] if rail else []),
+        *([Traffic("I/O inputs", od.inputs_tpdo(io.block).size, 1000.0 / io.inhibit_ms)] if io else []),
         Traffic("heartbeat, controller", 1, 1000.0 / settings.can.heartbeat_ms),
         Traffic("heartbeats, devices", 1, len(settings.canopen_nodes) * 1000.0 / DEVICE_HEARTBEAT_MS),
     ]

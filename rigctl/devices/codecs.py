@@ -1,4 +1,4 @@
-"""Process data of the three devices: payload bytes <-> engineering units. No I/O; one precompiled struct each.
+"""Process data of the devices: payload bytes <-> engineering units. No I/O; one precompiled struct each.
 
 A decoder returns the values and why they are not good (``Quality`` bits, 0 good); a payload of the wrong length is a
 ``ValueError``. The EDS files and `canopen`'s own PDO decoder are the oracle in the tests.
@@ -70,6 +70,13 @@ def decode_drive_status(data: bytes | bytearray) -> tuple[float, float, int]:
         raise ValueError("length")
     current, temperature, inputs = _DRIVE_2.unpack(data)
     return current * od.PER_CURRENT_UNIT, temperature * od.C_PER_TEMPERATURE_UNIT, inputs
+
+
+def decode_inputs(data: bytes | bytearray) -> int:
+    """Eight digital inputs, one bit each (CiA 401: 0x6000)."""
+    if len(data) != 1:
+        raise ValueError("length")
+    return data[0]
 
 
 def encode_command(controlword: int, speed_mm_s: float) -> bytes:

@@ -29,7 +29,7 @@ PRODUCER_HEARTBEAT = 0x1017
 IDENTITY = 0x1018
 RPDO1_COMMUNICATION = 0x1400  # :05 event timer = deadline in ms
 RPDO1_MAPPING = 0x1600
-TPDO1_COMMUNICATION = 0x1800  # :02 transmission type = every n-th SYNC
+TPDO1_COMMUNICATION = 0x1800  # :02 transmission type = every n-th SYNC; :03 inhibit time, 0.1 ms; :05 event timer, ms
 TPDO1_MAPPING = 0x1A00
 TPDO2_COMMUNICATION = 0x1801
 TPDO2_MAPPING = 0x1A01
@@ -75,6 +75,16 @@ DEVICE_TYPE_406 = 0x00010196  # absolute rotary encoder, single turn, profile 40
 ENCODER_COUNTS_PER_TURN = 0x6001  # UNSIGNED32
 ENCODER_TOTAL_RANGE = 0x6002  # UNSIGNED32, counts after which the position begins at 0 again
 ENCODER_POSITION = 0x6004  # UNSIGNED32, counts
+
+# -- CiA 401: generic I/O node ------------------------------------------------------------------------------------
+DEVICE_TYPE_401 = 0x00010191  # digital inputs, profile 401
+DIGITAL_INPUTS_FITTED = 1 << 16  # of the device type
+INPUTS_8 = 0x6000  # :01 on, UNSIGNED8: eight digital inputs each
+INPUT_POLARITY_8 = 0x6002  # :01 on, UNSIGNED8: 1 = the input is inverted
+INPUT_EVENTS = 0x6005  # BOOLEAN: a change of an input sends the TPDO
+INPUT_EVENT_MASK_8 = 0x6006  # :01 on, UNSIGNED8: of these inputs
+EVERY_INPUT_8 = 0xFF
+EVENT_DRIVEN = 255  # transmission type: by the device profile, here on a change and by the event timer
 
 # -- CiA 402: cylinder drive ------------------------------------------------------------------------------------
 DEVICE_TYPE_402 = 0x00020192  # servo drive of profile 402
@@ -181,7 +191,8 @@ class EmcyCode(IntEnum):
 SIMULATOR_NODE = 112
 SIM_MOTION_START = 0x2000  # UNSIGNED8: 1 starts the move of the rig file's demo section
 SIM_MOTION_STATE = 0x2001  # UNSIGNED8: 1 while the mechanism moves
-SIM_E_STOP = 0x2002  # UNSIGNED8: 1 = the emergency stop is pressed
+SIM_E_STOP = 0x2002  # UNSIGNED8: 1 = the emergency stop is pressed: both of its contacts open
+SIM_IO_E_STOP = 0x2003  # UNSIGNED8: 1 = the contact that the I/O node sees is open
 SIM_TRUE_VERTICAL_MN = 0x2100  # INTEGER32, mN: the plant's true vertical tension
 SIM_TRUE_STROKE_UM = 0x2101  # INTEGER32, um
 
@@ -215,6 +226,11 @@ ENCODER_TPDO = PdoLayout(TPDO1_BASE, ((ENCODER_POSITION, 0, "I"),))
 DRIVE_TPDO = PdoLayout(TPDO1_BASE, ((STATUSWORD, 0, "H"), (POSITION_ACTUAL, 0, "i"), (VELOCITY_ACTUAL_16, 0, "h")))
 DRIVE_TPDO2 = PdoLayout(TPDO2_BASE, ((CURRENT_ACTUAL, 0, "h"), (DRIVE_TEMPERATURE, 0, "h"), (DIGITAL_INPUTS, 0, "I")))
 DRIVE_RPDO = PdoLayout(RPDO1_BASE, ((CONTROLWORD, 0, "H"), (TARGET_VELOCITY, 0, "i")))
+
+
+def inputs_tpdo(block: int) -> PdoLayout:
+    """The I/O node's TPDO with eight inputs, those of sub-index ``block`` of 0x6000."""
+    return PdoLayout(TPDO1_BASE, ((INPUTS_8, block, "B"),))
 
 
 def frame_bits(size: int) -> int:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import canopen
@@ -64,6 +66,14 @@ class RemoteNode:
     def _variable(self, index: int, sub: int) -> Any:
         entry = self.remote.sdo[index]
         return entry[sub] if hasattr(entry, "__getitem__") and not hasattr(entry, "raw") else entry
+
+    def has(self, index: int, sub: int = 0) -> bool:
+        """An object that is optional in its profile is in its EDS file."""
+        try:
+            self._variable(index, sub)
+        except KeyError:
+            return False
+        return True
 
     def read(self, index: int, sub: int = 0) -> int:
         """Value of an object."""
@@ -152,11 +162,23 @@ class RemoteNode:
         numbers = (self.read(od.IDENTITY, sub) for sub in (1, 2, 3, 4))
         return Device(self.name, self.id, device_type, *numbers)
 
-    def map_pdo(self, layout: od.PdoLayout, communication: int, mapping: int, transmission: int) -> None:
-        """Map ``layout`` onto a PDO, CiA 301 order: disable, clear, write, count, enable."""
+    def map_pdo(
+        self,
+        layout: od.PdoLayout,
+        communication: int,
+        mapping: int,
+        transmission: int,
+        timers: Mapping[int, int] = MappingProxyType({}),
+    ) -> None:
+        """Map ``layout`` onto a PDO, CiA 301 order: disable, clear, write, count, enable.
+
+        ``timers``: inhibit time and event timer of one that is not driven by SYNC, by sub-index.
+        """
         cob_id = layout.cob_base + self.id
         self.write(cob_id | _NOT_VALID, communication, 1, verify=False)
         self.write(transmission, communication, 2)
+        for sub, value in timers.items():
+            self.write(value, communication, sub)
         self.write(0, mapping, 0)
         for sub, entry in enumerate(layout.mapping, 1):
             self.write(entry, mapping, sub)

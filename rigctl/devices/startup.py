@@ -14,6 +14,7 @@ import can
 import canopen
 
 from rigctl.config import RigSettings
+from rigctl.config_io import INPUTS_PER_BLOCK, IoSettings
 from rigctl.devices import objects as od
 from rigctl.devices.remote_node import Device, RemoteNode, StartupError, StopSetting
 
@@ -21,10 +22,12 @@ __all__ = ["Device", "StartupError", "bring_up", "refuse_rival", "release"]
 
 DEVICE_HEARTBEAT_MS = 100
 _LISTENED_HEARTBEATS = 2.5
+_INHIBIT_UNITS_PER_MS = 10
 _DEVICES = {
     "tension_cell": ("tension cell", od.DEVICE_TYPE_404),
     "inclinometer": ("inclinometer", od.DEVICE_TYPE_410),
     "rail_encoder": ("rail encoder", od.DEVICE_TYPE_406),
+    "io": ("I/O node", od.DEVICE_TYPE_401),
     "cylinder": ("cylinder drive", od.DEVICE_TYPE_402),
 }
 
@@ -117,6 +120,8 @@ def _configure(network: canopen.Network, settings: RigSettings) -> Report:
         slope.map_pdo(od.SLOPE_TPDO, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, settings.inclinometer_divisor)
     if encoder := nodes.get("rail_encoder"):
         _check_encoder(encoder, settings)
+    if settings.io is not None:
+        _ask_for_inputs(nodes["io"], settings.io)
     drive = nodes["cylinder"]
     drive.expect(od.SI_MICROMETRE, od.SI_UNIT_POSITION)
     drive.expect(od.SI_MICROMETRE_PER_SECOND, od.SI_UNIT_VELOCITY)
@@ -145,6 +150,28 @@ def _check_encoder(encoder: RemoteNode, settings: RigSettings) -> None:
         )
     divisor = settings.loop.rate_hz // rail.rate_hz
     encoder.map_pdo(od.ENCODER_TPDO, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, divisor)
+
+
+def _ask_for_inputs(node: RemoteNode, io: IoSettings) -> None:
+    """The emergency stop's input by the node's own events and timer: inverted by nobody, kept back by no mask."""
+    device_type = node.read(od.DEVICE_TYPE)
+    if not device_type & od.DIGITAL_INPUTS_FITTED:
+        raise StartupError(f"{node.where(od.DEVICE_TYPE, 0)}: found {device_type:#x}, allowed one with digital inputs")
+    blocks = node.read(od.INPUTS_8)
+    if blocks < io.block:
+        raise StartupError(
+            f"{node.where(od.INPUTS_8, 0)}: found {blocks * INPUTS_PER_BLOCK} inputs, "
+            f"allowed more than io.e_stop_input ({io.e_stop_input})"
+        )
+    if node.has(od.INPUT_POLARITY_8, io.block):
+        node.expect(0, od.INPUT_POLARITY_8, io.block)
+    if node.has(od.INPUT_EVENTS):
+        node.write(1, od.INPUT_EVENTS)
+    if node.has(od.INPUT_EVENT_MASK_8, io.block):
+        node.write(od.EVERY_INPUT_8, od.INPUT_EVENT_MASK_8, io.block)
+    timers = {3: io.inhibit_ms * _INHIBIT_UNITS_PER_MS, 5: io.event_ms}
+    layout = od.inputs_tpdo(io.block)
+    node.map_pdo(layout, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, od.EVENT_DRIVEN, timers)
 
 
 def _plain_devices(settings: RigSettings) -> list[PlainDevice]:

@@ -111,6 +111,13 @@ def checks(state: dict[str, Any]) -> list[tuple[str, str]]:
     return failing + [(f"waived {name.lower()}: {words}", "") for name, words in found.get("waived", {}).items()]
 
 
+def e_stop(state: dict[str, Any]) -> list[str]:
+    """Inputs of the emergency stop that are pressed or not seen, in words; looked at while not armed."""
+    failing = (state.get("preflight") or {}).get("failing", {})
+    looked_at = state.get("mode") in ("DISARMED", "FAULT")
+    return [words for name, words in failing.items() if looked_at and name.startswith("E_STOP")]
+
+
 def recorder(state: dict[str, Any]) -> tuple[str, str]:
     """What is kept, and where, with a style."""
     audit = state.get("audit")

@@ -28,6 +28,7 @@ def rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
         result.append(("fault" if state.get("fault") else "loop", why, "bold red"))
     if why and state.get("fault") and state.get("trip_dump"):
         result.append(("trip dump", state["trip_dump"], ""))
+    result += [("e-stop", words, "bold red") for words in figures.e_stop(state)]
     if state.get("mode") is not None:
         flaws, n = figures.flaws(state), figures.number
         tension = f"{n(state['tension_n'], 2, 'N')} (vertical {n(state['vertical_n'], 2, 'N')})"

@@ -9,7 +9,7 @@ from enum import IntEnum
 from types import MappingProxyType
 
 from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
-from rigctl.control.safety import Action, Check, Fault
+from rigctl.control.safety import Action, Check, EStop, Fault
 from rigctl.telemetry import can_errors
 
 
@@ -68,7 +68,9 @@ FAULT_TEXT: dict[Fault, str] = {
     "reset, then arm: the motor carries",
     Fault.STRETCH_UNEXPLAINED: "tension and stroke contradict each other by {value:.1f} mm of stretch "
     "(limit {limit:.1f} mm): rope, cell or payload",
-    Fault.E_STOP: "emergency stop pressed",
+    Fault.E_STOP: "emergency stop pressed ({seen})",
+    Fault.E_STOP_UNSEEN: "the I/O node that mirrors the emergency stop has sent nothing for {value:.0f} ms "
+    "(limit {limit:.0f} ms)",
     Fault.RIVAL: "another controller commands this bus: find it and stop it",
     Fault.CELL_NOISY: "tension cell jumps by {value:.1f} N from sample to sample (limit {limit:.1f} N)",
     Fault.CELL_NEGATIVE: "tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
@@ -79,7 +81,14 @@ FAULT_TEXT: dict[Fault, str] = {
 
 _SCALE: dict[Fault, float] = {
     Fault.CELL_STALE: 1e-6, Fault.INCLINATION_STALE: 1e-6, Fault.DRIVE_STALE: 1e-6, Fault.BUS_SILENT: 1e-6,
+    Fault.E_STOP_UNSEEN: 1e-6,
 }  # fmt: skip
+
+_SEEN: dict[float, str] = {
+    EStop.DRIVE: "drive's input",
+    EStop.IO_NODE: "I/O node's input",
+    EStop.DRIVE | EStop.IO_NODE: "inputs of drive and I/O node",
+}
 
 CHECK_TEXT: dict[Check, str] = {
     Check.CELL_STALE: "no fresh tension sample: check the cell's power and cable",
@@ -98,8 +107,10 @@ CHECK_TEXT: dict[Check, str] = {
     Check.EMERGENCY: "a device's emergency message stands (see the events)",
     Check.RIVAL: "another controller commands this bus: find it and stop it",
     Check.LIMIT: "a limit of the rig file is passed (rigctl watch shows the signals)",
-    Check.E_STOP: "emergency stop is pressed: release it, then rigctl reset",
+    Check.E_STOP: "emergency stop is pressed (drive's input): release it, then rigctl reset",
+    Check.E_STOP_IO: "emergency stop is pressed (I/O node's input): release it, then rigctl reset",
     Check.E_STOP_UNSEEN: "emergency stop's input is not seen: check the drive's second TPDO (cylinder.e_stop_input)",
+    Check.E_STOP_IO_UNSEEN: "emergency stop's input on the I/O node is not seen: check the node's power and cable",
     Check.TARE: "no tare on record that still holds: rigctl tare (or calibration.waiver)",
     Check.MARGINS: "no accepted margins of the law in use: rigctl tune",
     Check.REALTIME: "real-time settings are not in force: rigctl doctor (or loop.realtime_waiver)",
@@ -129,7 +140,8 @@ _NMT = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
 def fault_text(fault: Fault, value: float, limit: float, text: str = "") -> str:
     """One line for a fault; ``text``: what is beyond its limit, where the rig file says so."""
     scale = _SCALE.get(fault, 1.0)
-    return FAULT_TEXT[fault].format(value=value * scale, limit=limit * scale, text=text)
+    seen = _SEEN.get(value, "input not known") if fault is Fault.E_STOP else ""
+    return FAULT_TEXT[fault].format(value=value * scale, limit=limit * scale, text=text, seen=seen)
 
 
 def _trip(a: int, b: int, value: float, limit: float, text: str) -> Worded:
@@ -196,9 +208,12 @@ _TRIAL_TEXT = {
     Refusal.STRAYED: "tension or stroke left the bounds of the excitation, or would have; the stroke is held",
 }
 _SILENT = frozenset(
-    {Fault.DEVICE_RESTARTED, Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE}
+    {Fault.DEVICE_RESTARTED, Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE,
+     Fault.E_STOP_UNSEEN}
+)  # fmt: skip
+_UNSEEN = (
+    Check.DRIVE_SUPERVISION | Check.CELL_STALE | Check.INCLINATION_STALE | Check.DRIVE_STALE | Check.E_STOP_IO_UNSEEN
 )
-_UNSEEN = Check.DRIVE_SUPERVISION | Check.CELL_STALE | Check.INCLINATION_STALE | Check.DRIVE_STALE
 _SILENT_HINT = " (a device that was switched off or a CAN interface that was unplugged needs the daemon started anew)"
 _HINT: dict[tuple[Mode, Verb], str] = {
     **{(Mode.FAULT, verb): ": reset first" for verb in (Verb.ARM, Verb.TENSION, Verb.RELEASE, Verb.HOLD, *TRIED_IN)},

@@ -15,6 +15,7 @@ from rigctl.commission import doctor, doctor_can, doctor_daemon, doctor_host
 from rigctl.commission.doctor_host import Finding, Severity
 from rigctl.config import CanSettings
 from rigctl.control.safety import Check
+from rigctl.telemetry import events
 from tests.conftest import Command
 
 ROOT = pathlib.Path(__file__).parents[3]
@@ -197,7 +198,23 @@ def test_a_running_daemons_preflight_is_shown_line_by_line() -> None:
     assert found["daemon"].severity is WARNING  # of another version
     assert found["rig file"].found == "differs from what runs in safety"
     others = [finding for name, finding in found.items() if name in doctor_daemon.TITLES.values()]
-    assert sum(finding.severity is OK for finding in others) == len(Check) - 2
+    of_io = {Check.E_STOP_IO, Check.E_STOP_IO_UNSEEN}
+    assert sum(finding.severity is OK for finding in others) == len(set(Check) - of_io) - 2
+
+
+def test_a_rigs_io_node_has_lines_of_its_own_and_only_where_one_is_fitted() -> None:
+    words = events.CHECK_TEXT[Check.E_STOP_IO_UNSEEN]
+    state = {"loop_alive": True, "mode": "DISARMED", "preflight": {"failing": {"E_STOP_IO_UNSEEN": words}}}
+    plain = RIG.model_dump(mode="json")
+    titles = [doctor_daemon.TITLES[check] for check in (Check.E_STOP_IO, Check.E_STOP_IO_UNSEEN)]
+    for io, shown in ((None, []), ({"e_stop_input": 0}, titles)):
+        active = {"version": "0", "settings": {**plain, "io": io}}
+        found = {finding.name: finding for finding in doctor_daemon.running(state, active, None)}
+        assert [name for name in found if name in titles] == shown
+    released, seen = (found[title] for title in titles)
+    assert released.severity is OK
+    assert (seen.severity, seen.found) == (FAILS, "emergency stop's input on the I/O node is not seen")
+    assert seen.fix == "check the node's power and cable"
     silent = doctor_daemon.running({"loop_alive": False}, active, None)
     assert [finding.name for finding in silent if finding.severity is FAILS] == ["loop", "preflight"]
 

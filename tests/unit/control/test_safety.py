@@ -8,12 +8,14 @@ from dataclasses import replace
 import pytest
 
 from rigctl import config
+from rigctl.config_io import IoSettings
 from rigctl.config_limits import LimitSettings
 from rigctl.control import limits
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Action, Check, Fault, Row, Sight, Watch, preflight, table
+from rigctl.control.safety import Action, Check, EStop, Fault, Row, Sight, Watch, preflight, table
 
-SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+PAPER = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+SETTINGS = PAPER.model_copy(update={"io": IoSettings(e_stop_input=0)})
 ROWS = table(SETTINGS)
 MS = 1_000_000
 
@@ -26,6 +28,7 @@ GOOD = Sight(
     drive_enabled=True,
     bus_age_ns=MS,
     drive_wanted=True,
+    io_age_ns=MS,
 )
 
 BAD: dict[tuple[Fault, str], dict[str, object]] = {
@@ -48,6 +51,7 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.CELL_STUCK, "samples"): {"cell_repeats": 20},
     (Fault.RIVAL, ""): {"rival_age_ns": 10 * MS},
     (Fault.E_STOP, ""): {"e_stop": True},
+    (Fault.E_STOP_UNSEEN, "ns"): {"io_age_ns": 101 * MS},
     (Fault.INNOVATION, "slopes"): {"slope_rejects": 50},
     (Fault.CELL_INVALID, ""): {"cell_quality": 4},
     (Fault.INCLINATION_INVALID, ""): {"inclination_quality": 2},
@@ -133,6 +137,8 @@ def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -
         ({"reading_n": 401.0}, Check.TENSION_HIGH),
         ({"calibration_overdue": True}, Check.CALIBRATION),
         ({"e_stop": True}, Check.E_STOP),
+        ({"e_stop": int(EStop.IO_NODE)}, Check.E_STOP_IO),
+        ({"e_stop": int(EStop.DRIVE | EStop.IO_NODE)}, Check.E_STOP | Check.E_STOP_IO),
         ({"tension_n": float("nan")}, Check.TENSION_HIGH),
         ({"stroke_mm": 123.0}, Check.STROKE_RANGE),
         ({"stroke_mm": float("nan")}, Check.STROKE_RANGE),
@@ -180,6 +186,7 @@ def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> Non
         ({"sensor_emergency": True}, Check.EMERGENCY),
         ({"rival_age_ns": MS}, Check.RIVAL),
         ({"drive_emergency": True}, Check.EMERGENCY),
+        ({"io_age_ns": 101 * MS}, Check.E_STOP_IO_UNSEEN),
         ({"tangential_rad": 0.2}, Check.LIMIT),
         ({"tangential_rad": -0.2}, Check.LIMIT),
     ],
@@ -258,3 +265,21 @@ def test_a_weaker_row_never_takes_the_place_of_a_stronger_one_before_it() -> Non
 
 def test_a_rival_that_is_still_heard_keeps_its_fault_from_being_reset() -> None:
     assert Watch(SETTINGS).present(replace(GOOD, rival_age_ns=10 * MS)) is Fault.RIVAL
+
+
+def test_a_rig_without_an_io_node_watches_for_none() -> None:
+    watch = Watch(PAPER)
+    never = replace(GOOD, io_age_ns=1 << 62)
+    assert {row.fault for row in ROWS} - {row.fault for row in table(PAPER)} == {Fault.E_STOP_UNSEEN}
+    assert watch.trips(never, Mode.COMPENSATING, 0) is None
+    assert watch.present(never) is Fault.NONE
+
+
+@pytest.mark.parametrize("pressed", [EStop.DRIVE, EStop.IO_NODE, EStop.DRIVE | EStop.IO_NODE])
+@pytest.mark.parametrize("mode", Mode)
+def test_a_press_trips_wherever_it_is_seen_and_its_value_says_where(mode: Mode, pressed: EStop) -> None:
+    sight = replace(GOOD, e_stop=int(pressed))
+    trip = Watch(SETTINGS).trips(sight, mode, 0)
+    assert trip is not None
+    assert (trip.fault, trip.value, trip.action) == (Fault.E_STOP, float(pressed), Action.QUICK_STOP)
+    assert Watch(SETTINGS).present(sight) is Fault.E_STOP

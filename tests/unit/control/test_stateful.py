@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from rigctl import config
+from rigctl.config_io import IoSettings
 from rigctl.config_limits import LimitSettings
 from rigctl.control import limits
 from rigctl.control.machine import ARM_LIMIT_NS, Machine
@@ -26,15 +27,16 @@ LIMITS = [
     LimitSettings(signal="lateness_us", high=500.0, persistence_ms=2, action="log", modes=ARMED),
 ]
 SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml").model_copy(
-    update={"limits": LIMITS}
+    update={"limits": LIMITS, "io": IoSettings(e_stop_input=0)}
 )
 GOOD = Sight(
     tension_n=300.0, cell_age_ns=MS, inclination_age_ns=9 * MS, stroke_mm=50.0, drive_age_ns=MS, bus_age_ns=MS,
-    drive_temperature_c=40.0, drive_current_a=1.0,
+    drive_temperature_c=40.0, drive_current_a=1.0, io_age_ns=MS,
 )  # fmt: skip
 BAD: dict[str, object] = {
     "cell_age_ns": 16 * MS, "inclination_age_ns": 101 * MS, "drive_age_ns": 16 * MS, "bus_age_ns": 16 * MS,
     "cell_quality": 1, "tension_n": 401.0, "e_stop": True, "cell_repeats": 20, "stroke_error_mm": 1.0,
+    "io_age_ns": 101 * MS,
     "drive_temperature_c": 90.0, "drive_current_a": 10.0, "lateness_ns": 600_000, "stroke_limited": True,
     "unexplained_mm": 11.0, "rejects": 20, "skipped_in_window": 50, "device_restarted": True, "drive_emergency": True,
 }  # fmt: skip

@@ -9,6 +9,7 @@ from enum import IntEnum, IntFlag
 import pytest
 
 from rigctl import config
+from rigctl.config_io import IoSettings
 from rigctl.config_limits import LimitSettings
 from rigctl.control import limits
 from rigctl.control.modes import (
@@ -29,7 +30,9 @@ from rigctl.control.modes import (
 from rigctl.control.safety import HOST_CHECKS, Action, Check, Fault, Row, Sight, Trip, Watch, preflight, table
 
 MS = 1_000_000
-SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml").model_copy(
+    update={"io": IoSettings(e_stop_input=0)}
+)
 ALIVE = "HOLD TENSIONING COMPENSATING RELEASING"
 ARMED = f"{ALIVE} FAULT"
 MOVING = "TENSIONING COMPENSATING RELEASING"
@@ -37,7 +40,7 @@ EVERY = f"DISARMED {ARMED}"
 REST = "HOLD FAULT"
 GOOD = Sight(
     tension_n=300.0, cell_age_ns=MS, inclination_age_ns=9 * MS, stroke_mm=50.0, drive_age_ns=MS, drive_enabled=True,
-    bus_age_ns=MS, drive_wanted=True,
+    bus_age_ns=MS, drive_wanted=True, io_age_ns=MS,
 )  # fmt: skip
 
 # fault, unit: the signal of the sight, its highest value that is none, what acts, after how many ms, in which modes
@@ -47,6 +50,7 @@ ROWS: dict[tuple[str, str], tuple[str, float, str, int, str]] = {
     ("DRIVE_STALE", "ns"): ("drive_age_ns", 15e6, "HOLD", 0, ARMED),
     ("CELL_STALE", "ns"): ("cell_age_ns", 15e6, "HOLD", 0, ARMED),
     ("INCLINATION_STALE", "ns"): ("inclination_age_ns", 100e6, "HOLD", 0, ARMED),
+    ("E_STOP_UNSEEN", "ns"): ("io_age_ns", 100e6, "HOLD", 0, ARMED),
     ("DRIVE_FAULT", ""): ("drive_faulted", 0, "HOLD", 0, ARMED),
     ("SIGN_DRIVE", ""): ("drive_reversed", 0, "HOLD", 0, "TENSIONING"),
     ("SIGN_CELL", ""): ("cell_reversed", 0, "HOLD", 0, "TENSIONING"),
@@ -164,6 +168,7 @@ def test_a_logged_limit_is_told_with_what_it_found_and_hides_nothing_behind_it()
         ({"inclination_age_ns": 101 * MS}, "INCLINATION_STALE"), ({"inclination_quality": 1}, "INCLINATION_INVALID"),
         ({"tension_n": 401.0}, "TENSION_HIGH"), ({"skipped_in_window": 50}, "OVERRUN"),
         ({"device_restarted": True}, "DEVICE_RESTARTED"), ({"cell_repeats": 20}, "CELL_STUCK"),
+        ({"io_age_ns": 101 * MS}, "E_STOP_UNSEEN"), ({"io_age_ns": 100 * MS}, "NONE"), ({"e_stop": 2}, "E_STOP"),
         ({"e_stop": True}, "E_STOP"), ({"cell_unrest_n": 1.0}, "CELL_NOISY"), ({"tension_n": -16.0}, "CELL_NEGATIVE"),
         ({"sensor_emergency": True}, "SENSOR_EMERGENCY"), ({"drive_emergency": True}, "NONE"),
         ({"drive_faulted": True}, "NONE"), ({"drive_enabled": False}, "NONE"), ({"speed_error_mm_s": 9.0}, "NONE"),
@@ -187,6 +192,8 @@ def test_what_keeps_a_fault_from_being_reset(bad: dict[str, object], fault: str)
         ({"stroke_mm": -22.1}, True, "STROKE_RANGE"), ({"stroke_mm": 122.1}, False, "STROKE_RANGE"),
         ({"cell_age_ns": 15 * MS}, False, ""), ({"drive_age_ns": 15 * MS}, False, ""),
         ({"inclination_age_ns": 100 * MS}, False, ""), ({"tension_n": 400.0}, False, ""),
+        ({"e_stop": 1}, False, "E_STOP"), ({"e_stop": 2}, False, "E_STOP_IO"),
+        ({"e_stop": 3}, False, "E_STOP E_STOP_IO"),
         ({"e_stop_unseen": True}, False, "E_STOP_UNSEEN"), ({"host_checks": 1 << 19}, False, "DISK"),
         ({"host_checks": 1 << 16, "e_stop": True}, False, "TARE E_STOP"),
     ],
@@ -202,9 +209,15 @@ def test_what_no_gateway_has_told_stands_against_arming() -> None:
     assert not preflight(GOOD, SETTINGS, {Fault.DRIVE_STALE}, supervision_verified=True)
 
 
+def test_an_io_nodes_input_that_would_trip_as_unseen_stands_against_arming() -> None:
+    found = preflight(GOOD, SETTINGS, {Fault.E_STOP_UNSEEN}, supervision_verified=True)
+    assert found == Check.E_STOP_IO_UNSEEN
+
+
 def test_nothing_seen_is_nothing_known() -> None:
     never, sight = 1 << 62, Sight()
     assert [sight.cell_age_ns, sight.inclination_age_ns, sight.drive_age_ns, sight.bus_age_ns] == [never] * 4
+    assert sight.io_age_ns == never
     for name in ("tension_n", "reading_n", "stroke_mm", "drive_temperature_c", "drive_current_a"):
         assert getattr(sight, name) != getattr(sight, name), f"{name} is no number"
     others = [getattr(sight, name) for name in Sight.__slots__
@@ -309,14 +322,14 @@ ON_RECORD: dict[type[IntEnum], str] = {
     Fault: "NONE TENSION_HIGH TENSION_LOW CELL_STALE CELL_INVALID INCLINATION_STALE INCLINATION_INVALID DRIVE_STALE "
     "DRIVE_FAULT BUS_SILENT OVERRUN LOOP_EXCEPTION STROKE_END DRIVE_NOT_FOLLOWING DEVICE_RESTARTED INNOVATION "
     "SIGN_DRIVE SIGN_CELL LIMIT CELL_STUCK DRIVE_CONTRADICTS STROKE_MOVES STRETCH_UNEXPLAINED E_STOP CELL_NOISY "
-    "CELL_NEGATIVE SENSOR_EMERGENCY DRIVE_EMERGENCY RIVAL",
+    "CELL_NEGATIVE SENSOR_EMERGENCY DRIVE_EMERGENCY RIVAL E_STOP_UNSEEN",
 }
 VERBS = "ARM TENSION RELEASE HOLD DISARM RESET TARGET TARE CALIBRATE IDENTIFY GAINS"
 SETTINGS_TOLD = "ZERO SCALE OVERDUE K_TENSION K_SPEED K_INTEGRAL HOST_CHECKS"
 CHECKS = (
     "CELL_STALE CELL_INVALID INCLINATION_STALE INCLINATION_INVALID DRIVE_STALE DRIVE_FAULT TENSION_HIGH STROKE_RANGE "
     "DRIVE_SUPERVISION CALIBRATION E_STOP CELL_IMPLAUSIBLE EMERGENCY LIMIT E_STOP_UNSEEN STROKE_NEAR_END TARE MARGINS "
-    "REALTIME DISK HOST RIVAL"
+    "REALTIME DISK HOST RIVAL E_STOP_IO E_STOP_IO_UNSEEN"
 )
 
 

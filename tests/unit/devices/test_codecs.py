@@ -32,6 +32,7 @@ def pdo(eds: str, direction: str, number: int = 1) -> Any:
 
 CELL, SLOPE = pdo("tension_amplifier.eds", "tpdo"), pdo("inclinometer.eds", "tpdo")
 ENCODER = pdo("rail_encoder.eds", "tpdo")
+INPUTS = pdo("io_node.eds", "tpdo")
 STATUS_2 = pdo("cylinder_drive.eds", "tpdo", 2)
 STATUS, COMMAND = pdo("cylinder_drive.eds", "tpdo"), pdo("cylinder_drive.eds", "rpdo")
 
@@ -86,6 +87,11 @@ def test_current_temperature_and_inputs_are_what_canopen_reads(data: bytes) -> N
     assert found == (pytest.approx(current * 1e-3), pytest.approx(temperature * 0.1), inputs)
 
 
+@given(st.binary(min_size=1, max_size=1))
+def test_eight_inputs_are_what_canopen_reads(data: bytes) -> None:
+    assert codecs.decode_inputs(data) == oracle(INPUTS, data + b"\0")[0]
+
+
 @given(st.sampled_from(Controlword), st.floats(-2e6, 2e6))
 def test_a_command_is_what_canopen_reads(controlword: Controlword, speed_mm_s: float) -> None:
     word, target = oracle(COMMAND, codecs.encode_command(controlword, speed_mm_s))
@@ -106,6 +112,7 @@ def test_what_is_not_a_speed_leaves_as_zero(speed: float) -> None:
         (codecs.decode_drive, 8),
         (codecs.decode_drive_status, 8),
         (lambda data: codecs.decode_encoder(data, 4096), 4),
+        (codecs.decode_inputs, 1),
     ],
 )
 def test_a_wrong_length_is_refused(decode: Any, size: int) -> None:

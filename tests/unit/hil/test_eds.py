@@ -15,9 +15,10 @@ from rigctl.devices.objects import PdoLayout
 from tests.unit.hil.rig_bench import REPOSITORY
 
 EDS = REPOSITORY / "config/eds"
-CELL, SLOPE, DRIVE, ENCODER, SIMULATOR = FILES = (
-    "tension_amplifier", "inclinometer", "cylinder_drive", "rail_encoder", "simulator",
+CELL, SLOPE, DRIVE, ENCODER, IO, SIMULATOR = FILES = (
+    "tension_amplifier", "inclinometer", "cylinder_drive", "rail_encoder", "io_node", "simulator",
 )  # fmt: skip
+BOOLEAN = datatypes.BOOLEAN
 U8, U16, U32 = datatypes.UNSIGNED8, datatypes.UNSIGNED16, datatypes.UNSIGNED32
 I8, I16, I32 = datatypes.INTEGER8, datatypes.INTEGER16, datatypes.INTEGER32
 ANY = object()
@@ -34,10 +35,10 @@ OBJECTS = [  # file, index, subindex, type, access, default
     ],
     *[
         row
-        for file in (CELL, SLOPE, DRIVE, ENCODER)
+        for file in (CELL, SLOPE, DRIVE, ENCODER, IO)
         for row in (
             (file, objects.TPDO1_COMMUNICATION, 1, U32, "rw", objects.TPDO1_BASE + 5),
-            (file, objects.TPDO1_COMMUNICATION, 2, U8, "rw", 10 if file == SLOPE else 1),
+            (file, objects.TPDO1_COMMUNICATION, 2, U8, "rw", {SLOPE: 10, IO: objects.EVENT_DRIVEN}.get(file, 1)),
             *((file, objects.TPDO1_MAPPING, i, U32, "rw", ANY) for i in range(1, 9)),
         )
     ],
@@ -54,6 +55,14 @@ OBJECTS = [  # file, index, subindex, type, access, default
     (ENCODER, objects.ENCODER_COUNTS_PER_TURN, 0, U32, "rw", 1 << 20),
     (ENCODER, objects.ENCODER_TOTAL_RANGE, 0, U32, "rw", 1 << 20),
     (ENCODER, objects.ENCODER_POSITION, 0, U32, "ro", None),
+    (IO, objects.DEVICE_TYPE, 0, U32, "ro", objects.DEVICE_TYPE_401),
+    (IO, objects.TPDO1_COMMUNICATION, 3, U16, "rw", 0),
+    (IO, objects.TPDO1_COMMUNICATION, 5, U16, "rw", 0),
+    (IO, objects.INPUTS_8, 0, U8, "ro", 2),
+    *((IO, objects.INPUTS_8, block, U8, "ro", None) for block in (1, 2)),
+    *((IO, objects.INPUT_POLARITY_8, block, U8, "rw", 0) for block in (1, 2)),
+    (IO, objects.INPUT_EVENTS, 0, BOOLEAN, "rw", 1),
+    *((IO, objects.INPUT_EVENT_MASK_8, block, U8, "rw", objects.EVERY_INPUT_8) for block in (1, 2)),
     (DRIVE, objects.DEVICE_TYPE, 0, U32, "ro", objects.DEVICE_TYPE_402),
     (DRIVE, objects.CONSUMER_HEARTBEAT, 1, U32, "rw", 0),
     (DRIVE, objects.RPDO1_COMMUNICATION, 1, U32, "rw", objects.RPDO1_BASE + 5),
@@ -88,6 +97,7 @@ OBJECTS = [  # file, index, subindex, type, access, default
     (DRIVE, objects.TARGET_VELOCITY, 0, I32, "rw", 0),
     (SIMULATOR, objects.SIM_MOTION_START, 0, U8, "rw", 0),
     (SIMULATOR, objects.SIM_E_STOP, 0, U8, "rw", 0),
+    (SIMULATOR, objects.SIM_IO_E_STOP, 0, U8, "rw", 0),
     (SIMULATOR, objects.SIM_MOTION_STATE, 0, U8, "ro", None),
     (SIMULATOR, objects.SIM_TRUE_VERTICAL_MN, 0, I32, "ro", None),
     (SIMULATOR, objects.SIM_TRUE_STROKE_UM, 0, I32, "ro", None),
@@ -122,6 +132,11 @@ def test_object(file: str, index: int, subindex: int, data_type: int, access: st
         (DRIVE, objects.TPDO2_MAPPING, objects.DRIVE_TPDO2),
         (ENCODER, objects.TPDO1_MAPPING, objects.ENCODER_TPDO),
         (DRIVE, objects.RPDO1_MAPPING, objects.DRIVE_RPDO),
+        (
+            IO,
+            objects.TPDO1_MAPPING,
+            PdoLayout(objects.TPDO1_BASE, ((objects.INPUTS_8, 1, "B"), (objects.INPUTS_8, 2, "B"))),
+        ),
     ],
 )
 def test_default_mapping_is_the_layout(file: str, mapping: int, layout: PdoLayout) -> None:

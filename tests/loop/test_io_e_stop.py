@@ -1,0 +1,283 @@
+"""The emergency stop at an I/O node: pressed or silent, in every mode, and how the node is set up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from hil.lockstep import Lockstep, lockstep
+from hil.nodes import io_node
+from hil.nodes.io_node import IoNode
+from hil.nodes.power_stage import Phase
+from hil.wire import FRAME
+from rigctl.config import RigSettings
+from rigctl.config_io import IoSettings
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.safety import Action, Check, EStop, Fault
+from rigctl.control.tension import Gains
+from rigctl.devices import objects, startup
+from rigctl.telemetry.events import Kind
+
+IO = IoSettings(e_stop_input=9)
+ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
+Enter = Callable[[Mode], None]
+
+
+def fitted(settings: RigSettings, **changes: object) -> RigSettings:
+    return settings.model_copy(update={"io": IO.model_copy(update=changes)})
+
+
+@pytest.fixture
+def rig(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
+    """As every test's here, with an I/O node; ``enter`` takes this one to a mode."""
+    with lockstep(fitted(settings), gains) as subject:
+        subject.run(0.2)
+        yield subject
+
+
+def node(rig: Lockstep) -> IoNode:
+    assert rig.rig.io is not None
+    return rig.rig.io
+
+
+def silence(rig: Lockstep) -> None:
+    """The node's inputs do not get through any more."""
+    inputs = objects.TPDO1_BASE + IO.node
+    rig.hub.tap = lambda _, frame: () if FRAME.unpack(frame)[0] == inputs else (frame,)
+
+
+def ticks_until_fault(rig: Lockstep, most: int) -> int:
+    for tick in range(1, most + 1):
+        rig.loop.tick()
+        if rig.loop.machine.fault is not Fault.NONE:
+            return tick
+    raise AssertionError(f"no fault within {most} ticks")
+
+
+def trip_value(rig: Lockstep) -> float:
+    (trip,) = [event for event in rig.events.read() if event["kind"] == Kind.TRIP]
+    return float(trip["value"])
+
+
+@pytest.mark.parametrize("mode", ARMED)
+def test_pressed_at_the_io_node_alone_the_loop_stops_the_drive_and_latches(
+    rig: Lockstep, enter: Enter, mode: Mode
+) -> None:
+    enter(mode)
+    rig.events.read()
+    before = rig.rig.truth
+    node(rig).press_e_stop(True)
+    assert ticks_until_fault(rig, 7) <= IO.inhibit_ms + 2
+    machine = rig.loop.machine
+    assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.E_STOP, Action.QUICK_STOP)
+    assert trip_value(rig) == EStop.IO_NODE
+    assert not rig.loop.inbox.e_stop  # the drive's input, and the drive knows of nothing
+    assert rig.rig.drive.errors == ()
+    rig.run(0.5)
+    assert rig.rig.drive.control.stage.phase is Phase.BRAKED
+    stands = rig.rig.truth
+    rig.run(1.0)
+    assert rig.rig.truth.stroke_mm == stands.stroke_mm
+    assert abs(stands.stroke_mm - before.stroke_mm) < 0.4  # 10 mm/s: 0.1 mm of ramp, 0.2 mm of lag
+    if mode is not Mode.HOLD:
+        assert stands.tension_n == pytest.approx(before.tension_n, abs=5.0)
+    assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+    assert rig.reply["value"] == Fault.E_STOP
+    node(rig).press_e_stop(False)
+    rig.run(0.1)
+    assert machine.fault is Fault.E_STOP  # latched
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    rig.run(0.2)
+    assert (machine.mode, machine.fault) == (Mode.DISARMED, Fault.NONE)
+    assert rig.command(Verb.ARM) is Refusal.NONE
+
+
+def test_while_disarmed_it_is_latched_too_and_nobody_arms(rig: Lockstep) -> None:
+    node(rig).press_e_stop(True)
+    ticks_until_fault(rig, IO.inhibit_ms + 2)
+    assert rig.loop.machine.fault is Fault.E_STOP
+    assert rig.command(Verb.ARM) is Refusal.WRONG_MODE
+    assert Check(int(rig.run(0.6)["checks"][-1])) == Check.E_STOP_IO
+    node(rig).press_e_stop(False)
+    rig.run(0.6)
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    rig.run(0.2)
+    assert rig.command(Verb.ARM) is Refusal.NONE
+
+
+def test_in_fault_under_power_a_press_still_takes_the_drive_to_its_brake(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    cell = objects.TPDO1_BASE + rig.settings.tension_cell.node
+    rig.hub.tap = lambda _, frame: () if FRAME.unpack(frame)[0] == cell else (frame,)
+    rig.run(0.05)
+    rig.hub.tap = None
+    rig.run(0.2)
+    assert rig.loop.machine.fault is Fault.CELL_STALE
+    assert rig.rig.drive.control.enabled
+    node(rig).press_e_stop(True)
+    rig.run(0.5)
+    assert (rig.loop.machine.fault, rig.loop.machine.action) == (Fault.CELL_STALE, Action.QUICK_STOP)
+    assert rig.rig.drive.control.stage.phase is Phase.BRAKED
+    assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+    assert rig.reply["value"] == Fault.E_STOP
+
+
+def test_the_button_itself_opens_both_and_either_alone_keeps_the_reset_away(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.HOLD)
+    rig.rig.drive.press_e_stop(True)
+    node(rig).press_e_stop(True)
+    rig.run(0.5)
+    sight = rig.loop.observer.sight
+    assert sight.e_stop == EStop.DRIVE | EStop.IO_NODE
+    assert Check(int(rig.run(0.6)["checks"][-1])) & (Check.E_STOP | Check.E_STOP_IO) == Check.E_STOP | Check.E_STOP_IO
+    rig.rig.drive.press_e_stop(False)
+    rig.run(0.2)
+    assert sight.e_stop == EStop.IO_NODE
+    assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+    node(rig).press_e_stop(False)
+    rig.run(0.1)
+    assert rig.command(Verb.RESET) is Refusal.NONE
+
+
+@pytest.mark.parametrize("mode", ARMED)
+def test_a_silent_node_ends_with_the_stroke_held_until_it_is_heard_again(
+    rig: Lockstep, enter: Enter, mode: Mode
+) -> None:
+    enter(mode)
+    before = rig.rig.truth
+    silence(rig)
+    ticks = ticks_until_fault(rig, IO.stale_ms + 2)
+    assert ticks > IO.stale_ms - IO.event_ms - 2  # its newest sample may be as old as the event timer when it goes
+    machine = rig.loop.machine
+    assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.E_STOP_UNSEEN, Action.HOLD)
+    tripped = rig.rig.truth
+    rig.run(0.5)
+    assert rig.rig.drive.control.enabled  # under power: nothing says that anybody has pressed it
+    assert rig.rig.truth.stroke_mm == pytest.approx(tripped.stroke_mm, abs=0.3)
+    if mode in (Mode.HOLD, Mode.COMPENSATING):
+        assert rig.rig.truth.tension_n == pytest.approx(before.tension_n, abs=1.0)
+    assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+    assert rig.reply["value"] == Fault.E_STOP_UNSEEN
+    rig.hub.tap = None
+    rig.run(0.1)
+    assert machine.fault is Fault.E_STOP_UNSEEN  # latched
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    assert machine.mode is Mode.HOLD
+
+
+def test_arming_is_refused_while_its_input_is_not_seen(rig: Lockstep) -> None:
+    silence(rig)
+    rig.run(0.2)
+    assert rig.loop.machine.mode is Mode.DISARMED
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+    assert rig.reply["checks"] == Check.E_STOP_IO_UNSEEN
+    rig.hub.tap = None
+    rig.run(0.05)
+    assert rig.command(Verb.ARM) is Refusal.NONE
+
+
+def test_pressed_and_then_silent_it_stays_pressed(rig: Lockstep) -> None:
+    node(rig).press_e_stop(True)
+    rig.run(0.02)
+    silence(rig)
+    node(rig).press_e_stop(False)  # which nobody hears
+    rig.run(0.6)
+    assert rig.loop.observer.sight.e_stop == EStop.IO_NODE
+    checks = Check(int(rig.run(0.6)["checks"][-1]))
+    assert checks == Check.E_STOP_IO | Check.E_STOP_IO_UNSEEN
+    assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+
+
+def test_a_node_that_starts_anew_has_lost_its_settings_and_the_daemon_is_to_be_started_anew(
+    rig: Lockstep, enter: Enter
+) -> None:
+    enter(Mode.COMPENSATING)
+    node(rig).reset_node()
+    rig.run(0.01)
+    assert rig.loop.machine.fault is Fault.DEVICE_RESTARTED
+    assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+
+
+def test_lost_frames_are_ridden_through(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.HOLD)
+    inputs, came = objects.TPDO1_BASE + IO.node, [0]
+
+    def tap(_: object, frame: bytes) -> tuple[bytes, ...]:
+        if FRAME.unpack(frame)[0] != inputs:
+            return (frame,)
+        came[0] += 1
+        return (frame,) if came[0] % 4 == 0 else ()  # three of four are lost
+
+    rig.hub.tap = tap
+    rig.run(3.0)
+    assert rig.loop.machine.mode is Mode.HOLD
+
+
+def test_without_the_drives_input_the_io_node_is_the_only_eye(settings: RigSettings, gains: Gains) -> None:
+    without = {"status_rate_hz": None, "rated_current_a": None, "e_stop_input": None}
+    blind = settings.model_copy(update={"cylinder": settings.cylinder.model_copy(update=without)})
+    with lockstep(fitted(blind), gains) as rig:
+        rig.run(0.2)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        node(rig).press_e_stop(True)
+        ticks_until_fault(rig, IO.inhibit_ms + 2)
+        assert rig.loop.machine.fault is Fault.E_STOP
+
+
+def test_start_up_sets_the_node_to_send_by_itself_and_reads_it_back(rig: Lockstep) -> None:
+    (found,) = [device for device in rig.report.devices if device.name == "I/O node"]
+    assert isinstance(found, startup.Device)
+    assert (found.node, found.device_type) == (IO.node, objects.DEVICE_TYPE_401)
+    sdo = node(rig).device.sdo
+    communication, mapping = sdo[objects.TPDO1_COMMUNICATION], sdo[objects.TPDO1_MAPPING]
+    assert [communication[sub].raw for sub in (1, 2, 3, 5)] == [0x186, 255, 50, 20]  # 5 ms, 20 ms
+    assert [mapping[sub].raw for sub in (0, 1)] == [1, 0x60000208]  # input 9: the second block alone
+    assert sdo[objects.PRODUCER_HEARTBEAT].raw == startup.DEVICE_HEARTBEAT_MS
+
+
+@pytest.mark.parametrize(
+    ("index", "sub", "value", "words"),
+    [
+        (objects.DEVICE_TYPE, 0, 0x00020191, "found 0x20191, allowed one with digital inputs"),
+        (objects.DEVICE_TYPE, 0, 0x00020194, "found CiA profile 404, allowed 401"),
+        (objects.INPUTS_8, 0, 1, "found 8 inputs, allowed more than io.e_stop_input (9)"),
+        (objects.INPUT_POLARITY_8, 2, 2, "object 0x6002:02: found 0x2, allowed 0x0"),
+        (objects.INPUT_EVENT_MASK_8, 2, 0, "object 0x6006:02: found 0x0, allowed 0xff"),
+        (objects.TPDO1_COMMUNICATION, 5, 0, "object 0x1800:05: found 0x0, allowed 0x14"),
+    ],
+)
+def test_a_node_that_is_another_or_keeps_settings_of_its_own_ends_the_start(
+    settings: RigSettings, gains: Gains, monkeypatch: pytest.MonkeyPatch, index: int, sub: int, value: int, words: str
+) -> None:
+    made = io_node.IoNode.__init__
+
+    def odd(self: IoNode, *arguments: object) -> None:
+        made(self, *arguments)  # type: ignore[arg-type]
+        self.readers[index, sub] = lambda: value
+
+    monkeypatch.setattr(io_node.IoNode, "__init__", odd)
+    with pytest.raises(startup.StartupError) as error, lockstep(fitted(settings), gains):
+        pass
+    said = str(error.value)
+    assert said.startswith("I/O node (node 6)")
+    assert words in said
+    assert "\n" not in said
+
+
+def test_an_input_that_the_node_has_not_got_ends_the_start(settings: RigSettings, gains: Gains) -> None:
+    with (
+        pytest.raises(startup.StartupError, match=r"found 16 inputs, allowed more than io\.e_stop_input"),
+        lockstep(fitted(settings, e_stop_input=16), gains),
+    ):
+        pass
+
+
+def test_a_node_that_is_not_there_ends_the_start_with_its_name(settings: RigSettings, gains: Gains) -> None:
+    with (
+        pytest.raises(startup.StartupError, match=r"I/O node \(node 7\) does not answer"),
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        patch.setattr("hil.nodes.io_node.IoNode._on_sdo", lambda *_: None)
+        with lockstep(fitted(settings, node=7), gains):
+            pass
