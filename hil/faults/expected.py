@@ -9,6 +9,7 @@ from enum import StrEnum
 
 from hil.faults.stand import Injector
 from hil.plant.inputs import Track
+from rigctl.config_base import Settings
 from rigctl.control.modes import Mode
 
 
@@ -51,6 +52,8 @@ WHEN_MOVING: Expected = {**RIDE, **dict.fromkeys(MOVING, Reaction.HELD)}
 POWER_OFF: Expected = dict.fromkeys((*ARMED, Mode.FAULT), Reaction.DRIVE_OFF)
 """A drive that does not do as it is told: to hold it takes away its power, then its brake holds."""
 
+PRESSED: Expected = {**POWER_OFF, Mode.DISARMED: Reaction.LATCHED}
+"""The emergency stop, told by software: quick stop, then the brake; latched from everywhere."""
 DRIVE_STOPS: Expected = dict.fromkeys((*ARMED, Mode.FAULT), Reaction.DRIVE_STOPS) | {Mode.DISARMED: Reaction.RIDDEN}
 """Nobody commands the drive."""
 EITHER: Expected = dict.fromkeys(ARMED, Reaction.EITHER) | {Mode.DISARMED: Reaction.RIDDEN, Mode.FAULT: Reaction.KEPT}
@@ -68,8 +71,8 @@ ACCURACY_N = 9.0
 class Around:
     """What the rig is like, and what it is doing, when the fault comes; the run without the fault has it too."""
 
-    change: tuple[tuple[str, float], ...] = ()
-    """Settings by dotted key."""
+    change: tuple[tuple[str, float | Settings], ...] = ()
+    """Settings, or a whole section, by dotted key."""
     motion: Callable[[], Mapping[int, Track]] | None = None
     """What is prescribed to the plant from the moment of the fault on."""
     preload_n: float | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from hil.faults.stand import Injector, Stand, Step
@@ -147,6 +148,16 @@ def trips(code: int) -> Injector:
 
     def inject(stand: Stand) -> None:
         stand.drive.trip(code)
+
+    return inject
+
+
+def io_contact_opens(seconds: float = math.inf) -> Injector:
+    """The emergency stop's contact at the I/O node opens, for a while or for good; the drive's stays closed."""
+
+    def inject(stand: Stand) -> Step:
+        stand.io.press_e_stop(True)
+        return stand.ends_after(seconds, lambda: stand.io.press_e_stop(False))
 
     return inject
 

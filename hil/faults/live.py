@@ -59,7 +59,7 @@ class Live:
         data["rig"] = name
         data["can"]["interface"], data["can"]["channel"] = "rigsim", str(folder / "bus.sock")
         data["telemetry"]["listen"] = self.endpoint
-        for device in ("tension_cell", "inclinometer", "cylinder", "rail_encoder"):
+        for device in ("tension_cell", "inclinometer", "cylinder", "rail_encoder", "io"):
             if data.get(device):
                 data[device]["eds"] = str(settings.file(data[device]["eds"]))
         self.file.write_text(yaml.safe_dump(data))

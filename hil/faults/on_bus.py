@@ -43,6 +43,11 @@ def drive(stand: Stand) -> int:
     return stand.data_id(stand.drive)
 
 
+def io(stand: Stand) -> int:
+    """The I/O node's inputs."""
+    return stand.data_id(stand.io)
+
+
 def can_id(frame: bytes) -> int:
     """Identifier and flags of a frame."""
     return int(FRAME.unpack(frame)[0])

@@ -14,6 +14,7 @@ from hil.faults.expected import Around, Fault, Reaction
 from hil.faults.stand import Stand, Step
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config import RigSettings
+from rigctl.config_base import Settings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.telemetry.events import Kind
@@ -111,14 +112,14 @@ class Bench:
         return Run(t_s, tension_n, stroke_mm, enabled, records_t_s, records, before, trips, refusal)
 
 
-def changed(settings: RigSettings, change: tuple[tuple[str, float | None], ...]) -> RigSettings:
+def changed(settings: RigSettings, change: tuple[tuple[str, float | Settings | None], ...]) -> RigSettings:
     """Settings with some of them changed, by dotted key."""
     for key, value in change:
         settings = _replaced(settings, key.split("."), value)
     return settings
 
 
-def _replaced(section: Any, path: list[str], value: float | None) -> Any:
+def _replaced(section: Any, path: list[str], value: float | Settings | None) -> Any:
     first, *rest = path
     inner = _replaced(getattr(section, first), rest, value) if rest else value
     return section.model_copy(update={first: inner})

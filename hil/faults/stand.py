@@ -8,6 +8,7 @@ from collections.abc import Callable
 from hil.lockstep import Lockstep
 from hil.nodes.cylinder_drive import CylinderDrive
 from hil.nodes.inclinometer import Inclinometer
+from hil.nodes.io_node import IoNode
 from hil.nodes.node import Node
 from hil.nodes.tension_amplifier import TensionAmplifier
 from hil.plant import Plant
@@ -67,6 +68,12 @@ class Stand:
         """The inclinometer, CANopen."""
         assert isinstance(self.rig.rig.inclinometer, Inclinometer)
         return self.rig.rig.inclinometer
+
+    @property
+    def io(self) -> IoNode:
+        """The I/O node, in the rows whose rig has one."""
+        assert self.rig.rig.io is not None
+        return self.rig.rig.io
 
     def data_id(self, node: Node) -> int:
         """Identifier of a device's samples."""

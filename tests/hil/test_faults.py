@@ -90,6 +90,11 @@ def test_the_page_has_every_fault_as_the_table_has_it() -> None:
         ("length_wrong_1pct", Mode.HOLD),
         ("foreign_ids", Mode.COMPENSATING),
         ("bus_off", Mode.COMPENSATING),
+        ("io_e_stop", Mode.COMPENSATING),
+        ("io_e_stop", Mode.FAULT),
+        ("io_e_stop_bounces", Mode.DISARMED),
+        ("io_silent", Mode.RELEASING),
+        ("io_reboots", Mode.TENSIONING),
         ("drive_trips", Mode.COMPENSATING),
         ("rope_breaks", Mode.COMPENSATING),
         ("payload_bumped", Mode.COMPENSATING),
@@ -117,6 +122,9 @@ def test_a_rigs_row_says_what_was_so(bench: Bench, settings: RigSettings) -> Non
         (safety.Fault.CELL_STALE, "cell_silent", Mode.HOLD),
         (safety.Fault.CELL_INVALID, "cell_overload", Mode.COMPENSATING),
         (safety.Fault.INCLINATION_STALE, "slope_silent", Mode.TENSIONING),
+        (safety.Fault.E_STOP_UNSEEN, "io_silent", Mode.COMPENSATING),
+        (safety.Fault.E_STOP_UNSEEN, "io_silent", Mode.DISARMED),
+        (safety.Fault.E_STOP, "io_e_stop", Mode.HOLD),
     ],
 )
 def test_a_safety_table_without_a_row_makes_rows_fail(

@@ -1,0 +1,81 @@
+"""Rows of the catalogue: the I/O node that mirrors the emergency stop, on a rig that has one."""
+
+from __future__ import annotations
+
+from hil.faults import in_device, on_bus
+from hil.faults.expected import DRIVE_MS, HOLD, PRESSED, Around, Fault
+from rigctl.config_io import IoSettings
+from rigctl.devices.objects import EmcyCode
+
+FITTED = Around(change=(("io", IoSettings(e_stop_input=0)),))
+_SILENT_MS = 120.0
+"""100 ms without its inputs, and a tick or two."""
+
+IO = (
+    Fault(
+        "io_e_stop",
+        "device",
+        "the emergency stop's contact opens at the I/O node alone",
+        in_device.io_contact_opens(),
+        PRESSED,
+        latency_ms=DRIVE_MS,
+        around=FITTED,
+        why="the drive sees nothing of it: it is the loop that has it stop and close its brake",
+    ),
+    Fault(
+        "io_e_stop_bounces",
+        "device",
+        "the same contact opens for 10 ms",
+        in_device.io_contact_opens(0.01),
+        PRESSED,
+        latency_ms=DRIVE_MS,
+        around=FITTED,
+        why="longer than inhibit_ms, so that it is told; pressed is pressed",
+    ),
+    Fault(
+        "io_silent",
+        "bus",
+        "the I/O node's inputs stop coming",
+        on_bus.silent(on_bus.io),
+        HOLD,
+        within_ms=_SILENT_MS,
+        around=FITTED,
+    ),
+    Fault(
+        "io_reboots",
+        "device",
+        "the I/O node starts anew",
+        in_device.reboots(lambda s: s.io),
+        HOLD,
+        within_ms=20,
+        around=FITTED,
+    ),
+    Fault(
+        "io_nmt_stopped",
+        "bus",
+        "another master stops the I/O node",
+        on_bus.nmt(0x02, lambda s: s.io.id),
+        HOLD,
+        within_ms=_SILENT_MS,
+        around=FITTED,
+    ),
+    Fault(
+        "io_emergency",
+        "bus",
+        "an emergency message of the I/O node, its inputs go on",
+        on_bus.emergency(lambda s: s.io.id, EmcyCode.SENSOR_INVALID),
+        HOLD,
+        within_ms=10,
+        around=FITTED,
+    ),
+    Fault(
+        "io_length_wrong",
+        "bus",
+        "every frame of the I/O node has a byte too few",
+        on_bus.cut(on_bus.io, 1.0),
+        HOLD,
+        within_ms=_SILENT_MS,
+        counter="frames_refused",
+        around=FITTED,
+    ),
+)
