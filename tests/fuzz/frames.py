@@ -70,11 +70,17 @@ class Echo:
             yield _frame(od.TPDO2_BASE + self._nodes["cylinder"], od.DRIVE_TPDO2.codec.pack(300, 350, 0xFFFF_FFFF))
         if self._tick % 10 == 0:
             yield _frame(od.TPDO1_BASE + self._nodes["inclinometer"], od.SLOPE_TPDO.codec.pack(3, -1))
+        if self._tick % 20 == 0 and "io" in self._nodes:
+            yield _frame(od.TPDO1_BASE + self._nodes["io"], bytes([od.EVERY_INPUT_8]))
 
 
 def _negated(data: bytes) -> bytes:
     (value,) = struct.unpack_from("<i", data)
     return struct.pack("<i", max(-value, -(2**31) + 1)) + data[4:] if value != -(2**31) else data
+
+
+def _flipped(data: bytes, chance: random.Random) -> bytes:
+    return data[:-4] + bytes([data[-4] ^ 1 << chance.randrange(8)]) + data[-3:]
 
 
 _SPOILS: dict[str, Callable[[bytes, random.Random], bytes | None]] = {
@@ -83,7 +89,7 @@ _SPOILS: dict[str, Callable[[bytes, random.Random], bytes | None]] = {
     "a bit flipped": lambda data, chance: bytes(
         byte ^ (1 << chance.randrange(8) if i == chance.randrange(8) else 0) for i, byte in enumerate(data)
     ),
-    "a value flipped": lambda data, chance: data[:-4] + bytes([data[-4] ^ 1 << chance.randrange(8)]) + data[-3:],
+    "a value flipped": lambda data, chance: _flipped(data, chance) if len(data) >= 4 else data,
     "negated": lambda data, _chance: _negated(data) if len(data) >= 4 else data,
     "cut off": lambda data, chance: data[: chance.randrange(len(data) + 1)],
     "anew": lambda data, chance: chance.randbytes(len(data)),
@@ -105,6 +111,7 @@ class RandomBus(can.BusABC):
         self._anything = anything(settings, chance)
         self._until, self._wild = 0, True
         self._spoil, self._spoilt, self._frozen = "", 0, b""
+        self._devices = ("tension_cell", "inclinometer", "cylinder", *(("io",) if settings.io else ()))
         super().__init__(channel="random")
 
     def refill(self, tick: int) -> None:
@@ -114,7 +121,7 @@ class RandomBus(can.BusABC):
             self._wild = not self._wild
             self._until = tick + (chance.randrange(2, 200) if self._wild else chance.randrange(300, 9000))
             self._spoil = chance.choice((*_SPOILS, "frozen", "", "")) if self._wild else ""
-            self._spoilt, self._frozen = chance.randrange(4), b""
+            self._spoilt, self._frozen = chance.randrange(len(self._devices) + 1), b""
         if not self._wild or self._spoil:
             self._queue.extend(self._spoilt_frames())
         anything_goes = self._wild and not self._spoil
@@ -122,10 +129,9 @@ class RandomBus(can.BusABC):
         self._queue.extend(next(self._anything) for _ in range(odd))
 
     def _spoilt_frames(self) -> Iterator[can.Message]:
-        devices = ("tension_cell", "inclinometer", "cylinder")
         for message in self.echo.frames():
             device = self._spoilt - 1  # 0: all of them
-            node = self.echo.node_of(devices[device]) if device >= 0 else message.arbitration_id & 0x7F
+            node = self.echo.node_of(self._devices[device]) if device >= 0 else message.arbitration_id & 0x7F
             if not self._spoil or message.arbitration_id & 0x7F != node:
                 yield message
             elif self._spoil == "frozen":
@@ -171,6 +177,8 @@ def anything(settings: RigSettings, chance: random.Random) -> Iterator[can.Messa
             status = chance.choice((0x0237, 0x0237, 0x0231, 0x0250, 0x0208, chance.randrange(2**16)))
             position, velocity = chance.randrange(-30_000, 130_000), chance.randrange(-1500, 1500)
             yield _frame(drive, od.DRIVE_TPDO.codec.pack(status, position, velocity))
+        elif kind < 0.55 and "io" in nodes:
+            yield _frame(od.TPDO1_BASE + nodes["io"], bytes([chance.choice((0, 0xFF, chance.randrange(256)))]))
         elif kind < 0.85:
             yield _frame(chance.choice(known), odd_bytes())
         elif kind < 0.92:

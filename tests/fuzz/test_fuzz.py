@@ -14,6 +14,7 @@ from hil.rig import SimulatedRig
 from hil.wire import FRAME
 from rigctl import config
 from rigctl.config import ConfigError, RigSettings
+from rigctl.config_io import IoSettings
 from rigctl.control.modes import Mode, Verb
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
@@ -44,6 +45,17 @@ def test_whatever_comes_from_the_bus_what_leaves_for_the_drive_is_finite_and_ins
     assert found.wrong == []
     assert found.modes == {mode.name for mode in Mode}, "it reached every mode"
     assert len(found.faults) > 5, "NONE and five ways to trip"
+    assert "LOOP_EXCEPTION" not in found.faults
+
+
+def test_whatever_an_io_node_sends_what_leaves_for_the_drive_stays_inside_its_limits(
+    settings: RigSettings, gains: Gains
+) -> None:
+    fitted = settings.model_copy(update={"io": IoSettings(e_stop_input=3)})
+    found = frames.play(fitted, gains, 60_000, seed=5)
+    assert found.wrong == []
+    assert found.modes >= {"HOLD", "TENSIONING", "FAULT"}
+    assert "E_STOP" in found.faults
     assert "LOOP_EXCEPTION" not in found.faults
 
 
