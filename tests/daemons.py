@@ -40,7 +40,9 @@ def rig_file(folder: pathlib.Path, changes: dict[str, dict[str, Any]] | None = N
     for device, eds in (("tension_cell", "tension_amplifier"), ("inclinometer",) * 2, ("cylinder", "cylinder_drive")):
         data[device]["eds"] = str(ROOT / f"config/eds/{eds}.eds")
     for section, values in (changes or {}).items():
-        data[section].update(values)
+        data.setdefault(section, {}).update(values)
+    if "io" in data:
+        data["io"].setdefault("eds", str(ROOT / "config/eds/io_node.eds"))
     for device in ("tension_cell", "inclinometer"):
         if dbc := data[device].get("dbc"):
             data[device]["dbc"] = {**dbc, "file": str(PAPER.parent / dbc["file"])}

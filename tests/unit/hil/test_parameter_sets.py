@@ -13,6 +13,7 @@ from hil.plant.layout import MECHANISM
 from hil.plant.moves import out_and_back
 from rigctl import config, strict_yaml
 from rigctl.config import RigSettings
+from rigctl.devices import objects
 from tests.unit.hil.rig_bench import MS, REPOSITORY, RigBench
 
 SETS = REPOSITORY / "config/sets"
@@ -57,6 +58,15 @@ def test_the_ideal_rig_reports_the_truth() -> None:
     # half a unit, 0.002 deg in the 10 ms a sample may be old, 0.004 deg of what the first jerk did to the gyros
     assert read_deg == pytest.approx(math.degrees(truth.tangential_rad), abs=0.011)
     assert truth.tension_n > 80.0 and truth.speed_mm_s == pytest.approx(3.0) and read_deg > 0.2
+
+
+def test_with_an_io_node_its_input_is_closed_until_the_button_is_pressed() -> None:
+    bench = RigBench(with_set("io_node"))
+    io = bench.rig.io
+    assert io is not None
+    assert bench.read(io.id, objects.INPUTS_8, 1) == 1
+    assert bench.write(objects.SIMULATOR_NODE, objects.SIM_E_STOP, 0, 1, 1) == 0
+    assert bench.read(io.id, objects.INPUTS_8, 1) == 0
 
 
 def test_on_air_bearings_the_rope_stays_plumb() -> None:
