@@ -41,7 +41,8 @@ from rigctl.termination import Termination
 _JSON = zenoh.Encoding.APPLICATION_JSON
 _DROP = zenoh.CongestionControl.DROP
 _LOOK_NS = 500_000_000  # how often the files of the other processes are looked at
-_JOIN_S = 0.5  # for the routers joined to come in sight
+_LINK_S = 1.5  # at most, for links to the routers joined: there at once, but on a busy computer
+_JOIN_S = 0.5  # for what is behind them to come in sight
 
 
 class StateView:
@@ -235,6 +236,9 @@ class Gateway:
         joined = settings.telemetry.join
         if not joined:
             return
+        until = time.monotonic() + _LINK_S
+        while len(self._session.info.routers_zid()) < len(joined) and time.monotonic() < until:
+            time.sleep(0.01)
         time.sleep(_JOIN_S)
         found = self._session.liveliness().get(keys.daemon, timeout=_JOIN_S)
         if any(reply.ok is not None for reply in found):

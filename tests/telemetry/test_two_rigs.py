@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import select
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 
@@ -130,17 +134,48 @@ def test_the_joining_gateway_dies_and_its_clients_behind_the_other_router_lose_n
         both((north, south))
 
 
-def test_a_namesake_behind_the_joined_router_is_refused(two: tuple[Daemon, Daemon]) -> None:
-    """A command would reach both."""
+@contextlib.contextmanager
+def answering_late(endpoint: str, seconds: float) -> Iterator[str]:
+    """Another way to an endpoint; who comes by it is let through after a while."""
+    host, port = endpoint.removeprefix("tcp/").split(":")
+
+    def through(visitor: socket.socket) -> None:
+        time.sleep(seconds)
+        with visitor, socket.create_connection((host, int(port))) as behind:
+            while ready := select.select([visitor, behind], [], [], PATIENCE_S)[0]:
+                for one in ready:
+                    if not (data := one.recv(65536)):
+                        return
+                    (behind if one is visitor else visitor).sendall(data)
+
+    def serve() -> None:
+        with contextlib.suppress(OSError):  # closed
+            while True:
+                threading.Thread(target=through, args=(door.accept()[0],), daemon=True).start()
+
+    with socket.create_server(("127.0.0.1", 0)) as door:
+        threading.Thread(target=serve, daemon=True).start()
+        try:
+            yield f"tcp/127.0.0.1:{door.getsockname()[1]}"
+        finally:
+            door.shutdown(socket.SHUT_RDWR)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.8])
+def test_a_namesake_behind_the_joined_router_is_refused(two: tuple[Daemon, Daemon], late_s: float) -> None:
+    """A command would reach both. On a busy computer the router is a while in coming."""
     first, _ = two
-    twin = Daemon("north_rig", join=[first.endpoint])
-    try:
-        command = [sys.executable, "-m", "rigctl.telemetry.gateway", str(twin.runtime.directory)]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S * 2, check=False)
-    finally:
-        twin.close()
+    with answering_late(first.endpoint, late_s) as way:
+        twin = Daemon("north_rig", join=[way])
+        try:
+            command = [sys.executable, "-m", "rigctl.telemetry.gateway", str(twin.runtime.directory)]
+            done = subprocess.run(
+                command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S * 2, check=False
+            )
+        finally:
+            twin.close()
     assert done.returncode == 1
-    assert done.stderr == (f"gateway: another daemon named north_rig answers behind {first.endpoint}: rename one\n")
+    assert done.stderr == (f"gateway: another daemon named north_rig answers behind {way}: rename one\n")
 
 
 def test_a_router_to_join_that_is_not_there_yet_is_joined_later() -> None:
