@@ -14,7 +14,7 @@ from cosmic_ray.operators.provider import OperatorProvider
 from parso.python.tree import Name
 
 _ALIKE = ({"Add", "Sub", "Mul", "Div", "FloorDiv"}, {"BitOr", "BitAnd", "BitXor", "Sub"})
-ENUMS = ("Mode", "Event", "Verb", "Refusal", "Action", "Fault", "Check", "Setting")
+ENUMS = ("Mode", "Event", "Verb", "Refusal", "Action", "Fault", "EStop", "Check", "Setting")
 
 
 class OtherMember:
