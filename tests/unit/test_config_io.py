@@ -9,7 +9,9 @@ import pytest
 from rich.console import Console
 
 from rigctl import check, config
+from rigctl.config import RailEncoderSettings
 from rigctl.config_io import IoSettings
+from rigctl.demo.live import _rig_file as rig_file
 from rigctl.devices import busload
 
 ROOT = pathlib.Path(__file__).parents[2]
@@ -91,3 +93,11 @@ def test_a_bus_that_cannot_carry_the_node_is_refused(tmp_path: pathlib.Path) -> 
     text = REAL.replace("bitrate_bit_s: 1000000", "bitrate_bit_s: 550000")
     assert text != REAL
     assert not check.accepted(load(tmp_path, "io: {e_stop_input: 0, inhibit_ms: 1}\n", text))
+
+
+def test_a_demo_takes_the_eds_files_of_every_node_along(tmp_path: pathlib.Path) -> None:
+    encoder = RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=1000)
+    paper = config.load(ROOT / "config/paper_rig.yaml")
+    fitted = paper.model_copy(update={"io": IoSettings(e_stop_input=0), "rail_encoder": encoder})
+    for settings in (paper, fitted):
+        assert config.load(rig_file(settings, tmp_path)).canopen_nodes == settings.canopen_nodes
