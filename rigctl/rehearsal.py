@@ -77,7 +77,7 @@ def rehearse(settings: RigSettings, folder: pathlib.Path, *options: str, quiet: 
     """
     bus = settings.can.model_copy(update={"channel": str(folder / "bus.sock")})
     settings = settings.model_copy(update={"can": bus})
-    file = str(_rig_file(settings, folder))
+    file = str(rig_file(settings, folder))
     with contextlib.ExitStack() as stack:
         rig = stack.enter_context(process("hil", "serve", file, *options, stdout=subprocess.PIPE))
         assert rig.stdout is not None
@@ -130,7 +130,7 @@ def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], sett
     raise RehearsalError(f"the daemon did not answer within {START_LIMIT_S:.0f} s")
 
 
-def _rig_file(settings: RigSettings, folder: pathlib.Path) -> pathlib.Path:
+def rig_file(settings: RigSettings, folder: pathlib.Path) -> pathlib.Path:
     """The rig file as it is played, with device files by their whole path."""
     data = settings.model_dump(mode="json", exclude={"directory", "plain"}, exclude_none=False)
     for device in ("tension_cell", "inclinometer", "cylinder", "rail_encoder", "io"):

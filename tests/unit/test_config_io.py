@@ -11,8 +11,8 @@ from rich.console import Console
 from rigctl import check, config
 from rigctl.config import RailEncoderSettings
 from rigctl.config_io import IoSettings
-from rigctl.demo.live import _rig_file as rig_file
 from rigctl.devices import busload
+from rigctl.rehearsal import rig_file
 
 ROOT = pathlib.Path(__file__).parents[2]
 REAL = (ROOT / "config/rig.yaml").read_text()
@@ -95,7 +95,7 @@ def test_a_bus_that_cannot_carry_the_node_is_refused(tmp_path: pathlib.Path) -> 
     assert not check.accepted(load(tmp_path, "io: {e_stop_input: 0, inhibit_ms: 1}\n", text))
 
 
-def test_a_demo_takes_the_eds_files_of_every_node_along(tmp_path: pathlib.Path) -> None:
+def test_a_rehearsal_takes_the_eds_files_of_every_node_along(tmp_path: pathlib.Path) -> None:
     encoder = RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=1000)
     paper = config.load(ROOT / "config/paper_rig.yaml")
     fitted = paper.model_copy(update={"io": IoSettings(e_stop_input=0), "rail_encoder": encoder})
