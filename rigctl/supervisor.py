@@ -198,9 +198,17 @@ class Supervisor:
         command = [sys.executable, "-m", self._modules[name], str(self._runtime.directory)]
         stdin = subprocess.PIPE if name == "control" else subprocess.DEVNULL
         process = subprocess.Popen(command, stdin=stdin, start_new_session=True)
+        if name != "control":
+            self._keep_off_the_loops_processor(process.pid)
         failures = self._children[name].failures if name in self._children else 0
         self._children[name] = Child(name, process, time.monotonic(), failures)
         self._note(Doing.PROCESS_STARTED, name, str(process.pid))
+
+    def _keep_off_the_loops_processor(self, pid: int) -> None:
+        """A kernel that is not preempted in a system call would make the loop wait for theirs; best effort."""
+        with contextlib.suppress(OSError):
+            if others := os.sched_getaffinity(pid) - {self.settings.loop.cpu}:
+                os.sched_setaffinity(pid, others)
 
     def _send_gains(self) -> None:
         """Those in force, which may have been changed since the start."""

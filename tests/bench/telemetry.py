@@ -1,6 +1,8 @@
 """``python -m tests.bench telemetry``: subscribers on a running rig. What it costs the loop, and what they get.
 
 Each round, on one daemon: nobody listens, three clients, all clients with one more stalled (SIGSTOP), nobody again.
+``--apart`` keeps the clients off the loop's processor, as if it were isolated, or they on another computer: a kernel
+that is not preempted in a system call makes the loop wait for theirs.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from rigctl import config
 from rigctl.bench.loop import figures
 from rigctl.report import metrics
 from tests import daemons
@@ -35,7 +38,8 @@ LIMITS = {"lateness_p999_ratio": 1.1, "gateway_cpu_pct": 20.0, "age_p50_ms": 30.
 class Subscribers:
     """Subscriber processes, every third of them without our client."""
 
-    def __init__(self, endpoint: str, number: int, stalled: int, stack: contextlib.ExitStack) -> None:
+    def __init__(self, endpoint: str, number: int, stalled: int, cpus: set[int], stack: contextlib.ExitStack) -> None:
+        self._cpus = cpus
         self._processes = [self._start(endpoint, index % 3 == 2, stack) for index in range(number)]
         self._stalled = [self._start(endpoint, False, stack) for _ in range(stalled)]
         for process in self._processes + self._stalled:
@@ -48,10 +52,10 @@ class Subscribers:
         for process in self._processes:
             process.send_signal(signal.SIGUSR1)
 
-    @staticmethod
-    def _start(endpoint: str, plain: bool, stack: contextlib.ExitStack) -> subprocess.Popen[str]:
+    def _start(self, endpoint: str, plain: bool, stack: contextlib.ExitStack) -> subprocess.Popen[str]:
         command = [sys.executable, "-m", "tests.bench.subscriber", endpoint, *(["--plain"] if plain else [])]
         process = subprocess.Popen(command, cwd=daemons.ROOT, stdout=subprocess.PIPE, text=True)
+        os.sched_setaffinity(process.pid, self._cpus)
         stack.callback(process.wait)
         stack.callback(process.kill)
         return process
@@ -99,10 +103,10 @@ def _cpu_s(pid: int) -> float:
     return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def measure_slice(rig: BenchRig, what: str, seconds: float, clients: int, stalled: int) -> Slice:
-    """``seconds`` of the loop's records while so many listen."""
+def measure_slice(rig: BenchRig, what: str, seconds: float, clients: int, stalled: int, cpus: set[int]) -> Slice:
+    """``seconds`` of the loop's records while so many listen, on these processors."""
     with contextlib.ExitStack() as stack:
-        subscribers = Subscribers(rig.endpoint, clients, stalled, stack) if clients else None
+        subscribers = Subscribers(rig.endpoint, clients, stalled, cpus, stack) if clients else None
         time.sleep(SETTLE_S)
         gateway = daemons.process_with("rigctl.telemetry.gateway", f"rigctl-{rig.rig}")
         used, start = _cpu_s(gateway), time.monotonic()
@@ -178,18 +182,22 @@ def main(words: list[str]) -> int:
     parser.add_argument("--stalled", type=int, default=1, help="and so many stopped in the middle")
     parser.add_argument("--minutes", type=float, default=10.0, help="with all of them, and as much with nobody")
     parser.add_argument("--rounds", type=int, default=2, help="in which this is done")
+    parser.add_argument("--apart", action="store_true", help="keep the clients off the loop's processor")
     parser.add_argument("--json", type=pathlib.Path, help="write the figures here")
     arguments = parser.parse_args(words)
     seconds = 60.0 * arguments.minutes / arguments.rounds
     plan = (("nobody", seconds / 2, 0, 0), ("three", seconds / 4, 3, 0),
             ("all", seconds, arguments.clients, arguments.stalled), ("nobody", seconds / 2, 0, 0))  # fmt: skip
     console = Console(width=100)
+    cpus = os.sched_getaffinity(0)
+    if arguments.apart:
+        cpus -= {config.load(daemons.PAPER).loop.cpu}
     slices = []
     with contextlib.ExitStack() as stack:
         rig = BenchRig(RATE_HZ, stack)
         for number in range(arguments.rounds):
             for what, length, clients, stalled in plan:
-                slices.append(measure_slice(rig, what, length, clients, stalled))
+                slices.append(measure_slice(rig, what, length, clients, stalled, cpus))
                 print(f"round {number + 1}: {what}, {length:.0f} s", file=sys.stderr)
     result = judged(slices)
     show(result, console)

@@ -151,6 +151,21 @@ def test_sigterm_in_the_closed_loop_ends_in_hold_with_the_load_carried(running: 
         assert running.truth()[0] == pytest.approx(before[0], abs=1.0)
 
 
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs a second processor")
+def test_what_runs_beside_the_loop_keeps_off_its_processor(tmp_path: pathlib.Path) -> None:
+    everywhere = os.sched_getaffinity(0)
+    cpu = max(everywhere)
+    file, log = daemons.rig_file(tmp_path, {**PATIENT, "loop": {"cpu": cpu}}), tmp_path / "daemon.log"
+    with daemons.simulated_rig(file, tmp_path / "rig.log"), daemons.daemon(file, log):
+        for module, cpus in (
+            ("control", {cpu}),
+            ("telemetry.gateway", everywhere - {cpu}),
+            ("recorder", everywhere - {cpu}),
+        ):
+            pid = daemons.process_with(f"rigctl.{module}", f"rigctl-{daemons.name_of(file)}")
+            assert os.sched_getaffinity(pid) == cpus, module
+
+
 def test_the_gateway_is_killed_and_comes_back_and_the_loop_does_not_notice(running: Running) -> None:
     running.do("arm")
     running.do("target", "100")
