@@ -57,9 +57,28 @@ class Rehearsal:
         return answer
 
     def end(self) -> None:
-        """End both, the daemon first: the rig has closed its truth log when this returns."""
-        end(self.daemon)
-        end(self.rig)
+        """End both, the daemon first: the rig has closed its truth log when this returns.
+
+        Raises:
+            RehearsalError: one of them did not end.
+        """
+        for name, child in (("the daemon", self.daemon), ("the simulated rig", self.rig)):
+            child.send_signal(signal.SIGTERM)
+            try:
+                child.wait(STOP_LIMIT_S)
+            except subprocess.TimeoutExpired:
+                raise RehearsalError(f"{name} did not end within {STOP_LIMIT_S:.0f} s") from None
+
+    def state(self) -> dict[str, Any]:
+        """The daemon's state.
+
+        Raises:
+            RehearsalError: nobody answered.
+        """
+        try:
+            return self.client.state()
+        except NoDaemonError as error:
+            raise RehearsalError(str(error)) from None
 
 
 @contextlib.contextmanager
@@ -104,12 +123,6 @@ def process(*arguments: str, **options: Any) -> Iterator[subprocess.Popen[bytes]
         except subprocess.TimeoutExpired:
             child.kill()
             child.wait()
-
-
-def end(child: subprocess.Popen[bytes]) -> None:
-    """End a process and wait for that."""
-    child.send_signal(signal.SIGTERM)
-    child.wait(STOP_LIMIT_S)
 
 
 def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], settings: RigSettings) -> Client:

@@ -34,7 +34,7 @@ _LOOK_S = 0.5
 
 @dataclass(frozen=True)
 class Rate:
-    """What was measured at one rate; ``cyclictest`` is None where that is not installed."""
+    """What was measured at one rate; ``cyclictest`` is None where that cannot be run."""
 
     rate_hz: int
     loop: dict[str, Any]
@@ -106,9 +106,9 @@ def measure(settings: RigSettings, rate_hz: int, seconds: float, advance: Callab
     for _ in range(ROUNDS):
         slices.append(_loop(settings, rate_hz, seconds / ROUNDS))
         advance(seconds / ROUNDS, f"{rate_hz} Hz")
-        if cyclictest.available():
-            priority, cpu = settings.loop.priority, settings.loop.cpu
-            rounds.append(cyclictest.measure(1_000_000 // rate_hz, seconds / ROUNDS, priority=priority, cpu=cpu))
+        priority, cpu = settings.loop.priority, settings.loop.cpu
+        if other := cyclictest.measure(1_000_000 // rate_hz, seconds / ROUNDS, priority=priority, cpu=cpu):
+            rounds.append(other)
         advance(seconds / ROUNDS, f"{rate_hz} Hz, cyclictest")
     return Rate(rate_hz, figures(slices), cyclictest.together(rounds) if rounds else None)
 
@@ -134,7 +134,7 @@ def tension(rehearsal: Rehearsal) -> None:
     mode = Mode.TENSIONING.name
     while mode == Mode.TENSIONING.name and time.monotonic() < until:
         time.sleep(_LOOK_S)
-        state = rehearsal.client.state()
+        state = rehearsal.state()
         if state.get("t_ns", 0) >= answer["t_ns"]:  # none from before the command
             mode = str(state.get("mode"))
     if mode != Mode.COMPENSATING.name:

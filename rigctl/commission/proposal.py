@@ -17,19 +17,23 @@ from rigctl.control.trials import QUIET_S
 LAST_QUIET_S = 0.01  # of the rest before the first step, left out
 LAG_SHARE = STIFFNESS_SHARE = 0.1  # uncertainty over value: a figure less certain than this is none
 DELAY_ERROR_S = 2e-3
+SKIPPED_S = 0.01  # the rig goes on while the loop stands: half a lag of it is no measurement any more
 
 
 def signals_of(records: npt.NDArray[Any], period_s: float) -> Signals:
     """The columns an identification needs, tick by tick: in one that was skipped everything stayed as it was.
 
     Raises:
-        IdentificationError: records are missing.
+        IdentificationError: records are missing, or the loop was stopped meanwhile.
     """
     if len(records) < 2:
         raise IdentificationError("the records of the excitation are not there any more")
     if int(records["seq"][-1] - records["seq"][0]) != len(records) - 1:
         raise IdentificationError("records of the excitation are missing")
     ticks = np.rint((records["t_ns"] - records["t_ns"][0]) * (1e-9 / period_s)).astype(int)
+    skipped = int(ticks[-1]) + 1 - len(records)
+    if skipped * period_s > SKIPPED_S:
+        raise IdentificationError(f"the computer had the loop skip {skipped} periods during the excitation: repeat it")
     known = records[np.searchsorted(ticks, np.arange(ticks[-1] + 1), side="right") - 1]
     columns = (known[name].astype(float) for name in ("command_mm_s", "stroke_mm", "speed_mm_s", "tension_n"))
     return Signals(period_s, *columns)

@@ -149,11 +149,11 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
                 telemetry = _count(counter)
                 stage.pass_time(0.0)
                 recording = _recording(settings)
+            rehearsal.end()
         except RehearsalError as error:
             raise DemoError(str(error)) from None
         except can.CanError as error:
             raise DemoError(f"the simulated rig has gone: {error}") from None
-        rehearsal.end()
         return summarise(np.concatenate(stage.records), truth_log.read(truth_file), telemetry, demo, recording)
 
 

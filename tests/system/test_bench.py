@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
+from rigctl.bench import cyclictest
 from rigctl.bench.command import judged
 from rigctl.bench.loop import Rate, rehearsed
 from rigctl.config import load
@@ -112,3 +113,10 @@ def test_a_rig_without_a_simulation_is_refused(tmp_path: pathlib.Path) -> None:
     answer = daemons.rigctl("bench", str(file))
     assert (answer.returncode, len(answer.stderr.splitlines())) == (2, 1)
     assert "simulation: found nothing" in answer.stderr
+
+
+def test_without_a_cyclictest_that_may_run_there_is_nothing_to_compare_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert cyclictest.measure(1000, 0.05, priority=80, cpu=1023) is None
+    assert cyclictest.measure(1000, 0.05, priority=80, cpu=0) is not None
+    monkeypatch.setenv("PATH", "")
+    assert cyclictest.measure(1000, 0.05, priority=80, cpu=0) is None

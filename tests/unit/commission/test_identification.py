@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 
 import numpy as np
@@ -12,7 +13,8 @@ from hypothesis import strategies as st
 from rigctl.commission import identification as ident
 from rigctl.commission import motion
 from rigctl.commission.identification import IdentificationError, Signals
-from rigctl.commission.proposal import rounded
+from rigctl.commission.proposal import rounded, signals_of
+from rigctl.telemetry.record import RECORD
 
 STEPS = 50  # per tick: the reference is integrated with 20 us
 
@@ -79,6 +81,16 @@ def test_noise_is_what_is_quicker_than_a_tenth_of_a_second() -> None:
     found = ident.noise(swing + np.random.default_rng(3).normal(0.0, 0.03, 1000), 1e-3)
     assert found.value == pytest.approx(0.03, rel=0.1)  # three standard errors
     assert found.error == pytest.approx(2.0 * 0.03 / math.sqrt(2000), rel=0.1)
+
+
+@pytest.mark.parametrize(("skipped", "told"), [(1, True), (10, True), (11, False)])
+def test_what_the_loop_did_not_see_is_no_measurement(skipped: int, told: bool) -> None:
+    records = np.zeros(1000, RECORD.dtype)
+    records["seq"], records["t_ns"] = np.arange(1, 1001), np.arange(1000) * 1_000_000
+    records["t_ns"][500:] += skipped * 1_000_000
+    refused = pytest.raises(IdentificationError, match=f"skip {skipped} periods during the excitation: repeat it")
+    with contextlib.nullcontext() if told else refused:
+        assert len(signals_of(records, 1e-3).tension) == 1000 + skipped
 
 
 @pytest.mark.parametrize("command", [np.zeros(1000), steps(pairs=2)])
