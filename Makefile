@@ -37,6 +37,7 @@ mutation: $(STAMP)
 
 fuzz: $(STAMP)
 	mkdir -p results
+	$(PYTHON) -m pytest -m "hypothesis and not real_time" --hypothesis-profile search --numprocesses auto
 	$(PYTHON) -m tests.fuzz --json results/fuzz.json
 
 setup: $(STAMP)

@@ -7,15 +7,16 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rigctl.commission import identification as ident
 from rigctl.commission import motion
 from rigctl.commission.identification import IdentificationError, Signals
-from rigctl.commission.proposal import rounded, signals_of
+from rigctl.commission.proposal import LAG_SHARE, rounded, signals_of
 from rigctl.telemetry.record import RECORD
 
+SETTLING_S = 0.05  # a slower drive is far from its speed when the step is over, and what is stated of it grows
 STEPS = 50  # per tick: the reference is integrated with 20 us
 
 
@@ -43,7 +44,8 @@ def simulated(lag_s: float, delay_s: float, *, noise_mm_s: float = 0.0, play_mm:
     )
 
 
-@given(lag_s=st.floats(0.004, 0.06), delay_s=st.floats(0.0, 0.015))
+@given(lag_s=st.floats(0.004, SETTLING_S), delay_s=st.floats(0.0, 0.015))
+@example(lag_s=0.06, delay_s=0.01172)
 @settings(max_examples=8, deadline=None)
 def test_lag_and_delay_are_found_between_the_ticks(lag_s: float, delay_s: float) -> None:
     delay_s = round(delay_s * 5e4) / 5e4  # on the reference's own steps
@@ -51,7 +53,8 @@ def test_lag_and_delay_are_found_between_the_ticks(lag_s: float, delay_s: float)
     for estimate, truth in ((found.lag_s, lag_s), (found.delay_s, delay_s)):
         assert abs(estimate.value - truth) <= estimate.error
         # Seven tenths of the position's unit, at this speed; of a slow drive a share, for it has not settled in a step.
-        assert estimate.error < max(0.7e-3 / 3.0, 0.05 * lag_s)
+        share = 0.05 if lag_s <= SETTLING_S else LAG_SHARE
+        assert estimate.error < max(0.7e-3 / 3.0, share * lag_s)
     assert found.gain.value == pytest.approx(1.0, abs=1e-3)
 
 
