@@ -170,7 +170,7 @@ def test_an_unplugged_adapter_needs_the_daemon_anew_and_the_refusal_says_so(rig:
     assert rig.cable.interface == name
     assert "a CAN interface that was unplugged needs the daemon started anew" in refused(rig)
     rig.restart()
-    assert rig.mode == "DISARMED"
+    rig.until("DISARMED")
     carried(rig, stroke_mm)
     rig.carried_out("target", TARGET_N)
     rig.compensate()
