@@ -46,7 +46,8 @@ class Findings:
     settings: RigSettings | None
     active: dict[str, Any]
     control: dict[str, Any]
-    standing: Standing | None
+    standings: list[tuple[int, Standing]]
+    """What was in force during the recording, each with since when (CLOCK_MONOTONIC, ns), the oldest first."""
     ledger: list[dict[str, Any]]
     gains: Gains | None
     phases: list[Phase]
@@ -107,7 +108,7 @@ def find(recording: Recording) -> Findings:
         settings=settings,
         active=active,
         control=control,
-        standing=_standing(recording, at_ns),
+        standings=_standings(recording),
         ledger=_entries(recording, recording.end_ns),
         gains=gains,
         phases=judged,
@@ -156,12 +157,15 @@ def _gains(active: dict[str, Any]) -> Gains | None:
         return None
 
 
-def _standing(recording: Recording, t_ns: int) -> Standing | None:
-    data = recording.in_force(IN_FORCE, t_ns)
-    try:
-        return msgspec.json.decode(data, type=Standing) if data is not None else None
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-        return None
+def _standings(recording: Recording) -> list[tuple[int, Standing]]:
+    found = []
+    for document in recording.generations:
+        if document.name == IN_FORCE:
+            try:
+                found.append((document.t_ns, msgspec.json.decode(document.data, type=Standing)))
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+                continue
+    return found
 
 
 def _entries(recording: Recording, t_ns: int) -> list[dict[str, Any]]:

@@ -109,35 +109,45 @@ def budget_rows(found: Findings) -> list[tuple[str, str, str, str]]:
     return rows
 
 
-def calibration_rows(found: Findings) -> list[Row]:
-    """Zero, scale and dates in force at the first phase."""
-    standing = found.standing
-    if standing is None:
-        return []
-    return [
-        Row("zero", f"{standing.zero_n:+.4f}", "N"),
-        Row("scale", f"{standing.scale:.6f}"),
-        Row("last tare", standing.tared or "none on record"),
-        Row("calibration due", standing.due or "no check that passed is on record"),
-        Row("overdue", "yes" if standing.overdue else "no"),
-        *([Row("waiver", standing.waiver)] if standing.waiver else []),
-    ]
+def calibration_rows(found: Findings) -> list[tuple[str, ...]]:
+    """Each calibration in force during the recording: since when, phases judged with it, zero, scale and dates."""
+    rows: list[tuple[str, ...]] = []
+    starts = [since_ns for since_ns, _ in found.standings]
+    ends = [*starts[1:], None]
+    for i, ((since_ns, standing), until_ns) in enumerate(zip(found.standings, ends, strict=True)):
+        judged = [
+            str(phase.number)
+            for phase in found.phases
+            if (i == 0 or phase.entered_ns >= since_ns) and (until_ns is None or phase.entered_ns < until_ns)
+        ]
+        rows.append((
+            found.utc(since_ns), ", ".join(judged) or "none", f"{standing.zero_n:+z.4f}", f"{standing.scale:.6f}",
+            standing.tared or "none on record", standing.due or "no check that passed is on record",
+            "yes" if standing.overdue else "no", standing.waiver or "",
+        ))  # fmt: skip
+    return rows
 
 
 def ledger_rows(found: Findings) -> list[tuple[str, ...]]:
-    """The last entries of the ledger: when, what, who, before and after, result."""
+    """The last entries of the ledger: when, what, who, result, what it changed, figures.
+
+    An identification changes nothing: what it found is a figure beside what the rig file has.
+    """
     rows: list[tuple[str, ...]] = []
     for entry in found.ledger[-LEDGER_SHOWN:]:
         before, after = mapping(entry.get("before")), mapping(entry.get("after"))
-        changes = [
-            f"{key} {number(before.get(key))} → {number(after.get(key))}"
-            for key in sorted(after)
-            if before.get(key) != after.get(key)
-        ]
         figures = mapping(entry.get("figures"))
+        applied = figures.get("applied") is not False
         said = [
-            f"{key} {number(value)}" for key, value in sorted(figures.items()) if not isinstance(value, (dict, list))
-        ]
+            f"{key} {number(value)}" for key, value in sorted(figures.items())
+            if key != "applied" and not isinstance(value, (dict, list))
+        ]  # fmt: skip
+        differs = [key for key in sorted(after) if before.get(key) != after.get(key)]
+        if applied:
+            changes = [f"{key} {number(before.get(key))} → {number(after.get(key))}" for key in differs]
+        else:
+            changes = []
+            said += [f"{key} found {number(after[key])} (rig file {number(before.get(key))})" for key in differs]
         passed = entry.get("passed")
         result = "passed" if passed is True else "FAILED" if passed is False else ""
         rows.append((str(entry.get("when", "")), str(entry.get("what", "")), str(entry.get("operator", "")), result,

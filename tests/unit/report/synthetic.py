@@ -99,12 +99,15 @@ def write(
     *,
     document: dict[str, Any] | None = None,
     with_frames: bool = False,
+    attached: Iterable[tuple[str, Any, int]] = (),
 ) -> pathlib.Path:
-    """One part of a recording, whole."""
+    """One part of a recording, whole; ``attached``: further documents by name, each with when it came into force."""
     disk = Appender(file)
     words = {"rig": "synthetic", "run": str(OFFSET_NS), "part": 1, "version": "0", "host": "nowhere", "kernel": "0"}
     part = PartFile(disk, OFFSET_NS, START_NS, {**words, "rate_hz": RATE_HZ})
     part.attach("active.json", msgspec.json.encode(document if document is not None else active()), START_NS, 0)
+    for name, content, t_ns in attached:
+        part.attach(name, msgspec.json.encode(content), t_ns, 0)
     waiting = mode_events(records) if said is None else list(said)
     none, sent = np.empty(0, COMMAND.dtype), 1
     for at in range(0, max(len(records), 1), _BATCH):
