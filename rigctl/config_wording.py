@@ -159,7 +159,7 @@ class Wording:
 
     def lines(self, error: ValidationError) -> list[str]:
         """One line per error; a key that is missing because it is misspelt is reported once, as misspelt."""
-        errors: list[Mapping[str, Any]] = [dict(e) for e in error.errors()]
+        errors: list[Mapping[str, Any]] = _once(error)
         misspelt = {
             (*e["loc"][:-1], close)
             for e in errors
@@ -206,6 +206,8 @@ class Wording:
         path, slot = self._resolve(loc)
         words = slot.allowed(str(path[-1]) if path else "") if slot else "no such key"
         context = error.get("ctx", {})
+        if isinstance(value := error.get("input"), strict_yaml.Unreadable):
+            return self.say(path, value.text, value.allowed)
         match error["type"]:
             case "extra_forbidden":
                 close = self._close_key(loc)
@@ -222,6 +224,20 @@ class Wording:
                 return self.say((*path, *key), context["found"], context["allowed"])
             case _:
                 return self.say(path, _shown(error["input"]), words)
+
+
+def _once(error: ValidationError) -> list[Mapping[str, Any]]:
+    """The errors; a value that cannot be read is one, however many types it might have had."""
+    found: list[Mapping[str, Any]] = []
+    unreadable: set[int] = set()
+    for item in error.errors():
+        value = item["input"]
+        if isinstance(value, strict_yaml.Unreadable):
+            if id(value) in unreadable:
+                continue
+            unreadable.add(id(value))
+        found.append(dict(item))
+    return found
 
 
 def _shown(value: object) -> str:

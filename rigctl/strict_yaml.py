@@ -42,8 +42,19 @@ class FileError(ValueError):
 
 
 @dataclass(frozen=True)
+class Unreadable:
+    """Stands in the data for a value that is refused, so that validation finds it beside what else is wrong."""
+
+    text: str
+    allowed: str
+
+
+@dataclass(frozen=True)
 class Document:
-    """A loaded document: plain data, and the 1-based line on which each path stands."""
+    """A loaded document: plain data, and the 1-based line on which each path stands.
+
+    A value that may be read in two ways is an `Unreadable`, which no setting accepts.
+    """
 
     data: Any
     lines: dict[Path, int]
@@ -106,9 +117,12 @@ def load(text: str) -> Document:
         raise StrictYamlError(1, "the file is empty")
     lines: dict[Path, int] = {}
     try:
-        return Document(_value(root, (), lines), lines)
+        data = _value(root, (), lines)
     except RecursionError:
         raise StrictYamlError(1, "nested too deeply, or an alias refers to itself") from None
+    if isinstance(data, Unreadable):
+        raise StrictYamlError(lines[()], f"file: found {data.text}, allowed {data.allowed}")
+    return Document(data, lines)
 
 
 def _value(node: yaml.Node, path: Path, lines: dict[Path, int]) -> Any:
@@ -155,15 +169,13 @@ def _scalar(node: yaml.Node, path: Path) -> Any:
     if text in ("true", "false"):
         return text == "true"
     if text.lower() in _YAML_1_1_BOOL:
-        raise StrictYamlError(line, f"{dotted(path)}: found {text}, allowed true or false (or quotes for text)")
+        return Unreadable(text, "true or false (or quotes for text)")
     if _INT.match(text) and len(text) <= LONGEST_NUMBER:
         return int(text)
     if _FLOAT.match(text):
         return float(text)
     if _NUMBER_LIKE.match(text) and (_BARE_NUMBER.match(text) or text.lower().lstrip("+-.") in ("inf", "nan")):
-        raise StrictYamlError(
-            line, f"{dotted(path)}: found {text}, allowed a finite number written like 10, 0.001 or 1.0e-3"
-        )
+        return Unreadable(text, "a finite number written like 10, 0.001 or 1.0e-3")
     return text
 
 

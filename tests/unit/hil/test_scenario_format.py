@@ -18,6 +18,7 @@ from hil.scenario.errors import ScenarioError
 from hil.scenario.figures import LOOP_FIGURES, TRUTH_FIGURES
 from hil.scenario.format import Scenario, Window, read
 from hil.scenario.kinds import Disturbances, LevelPoint
+from hil.scenario.rig import settings_of
 from rigctl.config_wording import Slot, unit_of
 
 ROOT = pathlib.Path(__file__).parents[3]
@@ -291,3 +292,30 @@ def test_kinds_are_told_apart_by_their_name() -> None:
         assert item is not None
         for kind, model in item.kinds.items():
             assert get_args(model.model_fields["kind"].annotation) == (kind,)
+
+
+def test_a_value_that_cannot_be_read_hides_no_other_finding(tmp_path: pathlib.Path) -> None:
+    file = tmp_path / "broken.yaml"
+    file.write_text(
+        "scenario: broken\nrig: rig.yaml\nduration_s: .nan\nsettle_s: -3\nbogus: 1\n"
+        "windows: {early: {from_s: 1e-3, to_s: 2.0}}\n"
+    )
+    with pytest.raises(ScenarioError) as refused:
+        read(file)
+    found = str(refused.value).splitlines()
+    assert len(found) == 4
+    number = "allowed a finite number written like 10, 0.001 or 1.0e-3"
+    assert f"{file}:3: duration_s: found .nan, {number}" in found
+    assert f"{file}:6: windows.early.from_s: found 1e-3, {number}" in found
+    assert any(line.startswith(f"{file}:4: settle_s: found -3") for line in found)
+    assert any(line.startswith(f"{file}:5: bogus: found an unknown key") for line in found)
+
+
+def test_an_unreadable_value_in_a_change_is_refused(tmp_path: pathlib.Path) -> None:
+    file = tmp_path / "broken.yaml"
+    file.write_text(
+        f"scenario: broken\nrig: {ROOT / 'config/paper_rig.yaml'}\nduration_s: 5.0\n"
+        "change: {plant: {spring_n_mm: .inf}}\n"
+    )
+    with pytest.raises(ScenarioError, match=r"change\.plant\.spring_n_mm: found \.inf, allowed a finite number"):
+        settings_of(read(file))
