@@ -11,7 +11,7 @@ from rich.console import Console
 
 from hil.compare import plots, study, tables
 from hil.compare.rivals import CONTROLLERS, OURS
-from hil.compare.scenarios import scenarios
+from hil.compare.scenarios import QUICK, scenarios
 from hil.scenario.command import check_folder, check_outputs, simulated_rig
 from hil.scenario.errors import ScenarioError
 from rigctl import output_file
@@ -26,6 +26,8 @@ def run(
     controllers: Sequence[str],
     json: pathlib.Path | None,
     folder: pathlib.Path | None,
+    *,
+    quick: bool = False,
 ) -> int:
     """Run the comparison, print it, write the files asked for.
 
@@ -35,6 +37,7 @@ def run(
         controllers: laws to run, the names separated by commas in each; none = all.
         json: where the figures go.
         folder: where the pictures go; made if absent.
+        quick: the scenarios of ``QUICK`` only, where ``only`` names none.
 
     Returns:
         0 when it ran to its end; 1 when ours tripped or was unstable anywhere. A limit missed is in the table.
@@ -44,15 +47,16 @@ def run(
         OutputError: a file that cannot be written.
     """
     rig = simulated_rig(rig_file)
-    laws = [name for part in controllers for name in part.split(",")]
-    chosen = [scenario for scenario in scenarios(rig) if not only or scenario.name in only]
+    names = [name for part in controllers for name in part.split(",")]
     _known("--only", only, [scenario.name for scenario in scenarios(rig)])
-    _known("--controllers", laws, [controller.name for controller in CONTROLLERS])
+    _known("--controllers", names, [controller.name for controller in CONTROLLERS])
+    wanted = only or (QUICK if quick else ())
+    chosen = [scenario for scenario in scenarios(rig) if not wanted or scenario.name in wanted]
+    laws = [controller for controller in CONTROLLERS if not names or controller.name in names]
     check_outputs({"--json": json}, [rig_file])
     check_folder("--plots", folder, plots.FIRST)
-    total_s = sum(scenario.seconds for scenario in chosen) * (len(set(laws)) or len(CONTROLLERS))
-    with progress("the comparison", total_s) as advance:
-        found = study.run(rig, only, laws, advance)
+    with progress("the comparison", study.length_s(chosen, laws)) as advance:
+        found = study.run(rig, chosen, laws, advance)
     terminal = Console()
     tables.show(found, Console(width=WIDTH) if not terminal.is_terminal or terminal.width > WIDTH else terminal)
     if json is not None:

@@ -29,6 +29,8 @@ MOVE_S = 15.0
 LEVEL_MM = 1.5
 NO_SPRING_DESIGN = {"stretch_weight": 80.0, "integral_weight": 60.0}
 """Our weights for a rig without a spring: a micrometre is a newton there, and its margins are waived anyhow."""
+QUICK = ("paper_k6", "paper_k34", "vertical", "shake_3hz", "jolt", "mechanism_60")
+"""A softest and a stiffest spring, each kind of disturbance, and a rig that is not what the design believes."""
 
 Quantity = Literal["eta_true_max_pct", "eta_true_rms_pct", "settle_s", "eta_true_max_over_passive"]
 Changes = Mapping[str, Mapping[str, Any]]

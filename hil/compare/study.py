@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import multiprocessing
 import os
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,8 @@ SWINGING = 0.5
 shake and noise together ask for 0.3 at most, a loop that swings between the limits has 0.6 to 1."""
 TRACE_STEP = 5
 """Of the truth every so many milliseconds are kept, to be drawn."""
+ROBUSTNESS_S = 2.5
+"""What one law's robustness costs, in seconds of simulated time, for the progress bar."""
 _MOST_WORKERS = 4
 
 
@@ -88,43 +90,53 @@ class Study(NamedTuple):
                 yield Verdict(scenario.name, quantity, most, found, found is not None and found <= most)
 
 
+def length_s(chosen: Sequence[Scenario], laws: Sequence[Controller]) -> float:
+    """Seconds of simulated time that ``run`` reports to its ``done`` for these, all together."""
+    played = len(laws) + any(law.name == OURS for law in laws)
+    return sum(scenario.seconds for scenario in chosen) * played + ROBUSTNESS_S * len(laws)
+
+
 def run(
-    rig: RigSettings, only: Collection[str], controllers: Collection[str], done: Callable[[float, str], None]
+    rig: RigSettings, chosen: Sequence[Scenario], laws: Sequence[Controller], done: Callable[[float, str], None]
 ) -> Study:
-    """Run the scenarios and laws named, all where none is.
+    """Run every law in every scenario, ours with the cell's systematic errors too, and find each law's robustness.
 
     Args:
         rig: with a ``simulation`` section.
-        only: names of scenarios.
-        controllers: names of laws.
-        done: called after each run with its length in seconds and what it was.
+        chosen: scenarios, in the table's order.
+        laws: in the table's order.
+        done: called after each piece of work with its length in seconds and what it was.
 
     Raises:
         ScenarioError: the rig cannot be simulated.
     """
-    chosen = tuple(s for s in scenarios(rig) if not only or s.name in only)
-    laws = tuple(c for c in CONTROLLERS if not controllers or c.name in controllers)
     # The long ones first, so that no processor is left with one at the end.
     order = sorted(product(chosen, laws), key=lambda pair: -pair[0].seconds)
-    found: dict[tuple[str, str], Result] = {}
     with ProcessPoolExecutor(min(os.cpu_count() or 1, _MOST_WORKERS), multiprocessing.get_context("spawn")) as pool:
-        places: dict[Future[Result], tuple[Scenario, Controller]] = {
-            pool.submit(_one, rig, scenario.name, law.name): (scenario, law) for scenario, law in order
-        }
+        runs = {(s.name, law.name): pool.submit(_one, rig, s.name, law.name) for s, law in order}
         ours = any(law.name == OURS for law in laws)
-        measured = {s.name: pool.submit(_one, cell.with_errors(rig), s.name, OURS) for s in chosen if ours}
+        with_cell = {s.name: pool.submit(_one, cell.with_errors(rig), s.name, OURS) for s in chosen if ours}
         robust = {law.name: pool.submit(_robustness, rig, law.name) for law in laws}
+        work: dict[Future[Any], tuple[float, str]] = {
+            **{runs[s.name, law.name]: (s.seconds, f"{s.name}: {law.title}") for s, law in order},
+            **{with_cell[s.name]: (s.seconds, f"{s.name}: ours, with the cell's errors") for s in chosen if ours},
+            **{robust[law.name]: (ROBUSTNESS_S, f"robustness: {law.title}") for law in laws},
+        }
         try:
-            for future in as_completed(places):
-                scenario, law = places[future]
-                found[scenario.name, law.name] = future.result()
-                done(scenario.seconds, f"{scenario.name}: {law.title}")
+            for future in as_completed(work):
+                future.result()
+                done(*work[future])
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    results = {(s.name, c.name): found[s.name, c.name] for s, c in product(chosen, laws)}
-    robustness = {name: future.result() for name, future in robust.items()}
-    return Study(rig, chosen, laws, results, robustness, {name: future.result() for name, future in measured.items()})
+    return Study(
+        rig,
+        tuple(chosen),
+        tuple(laws),
+        {(s.name, law.name): runs[s.name, law.name].result() for s, law in product(chosen, laws)},
+        {name: future.result() for name, future in robust.items()},
+        {name: future.result() for name, future in with_cell.items()},
+    )
 
 
 def _robustness(rig: RigSettings, law_name: str) -> Robustness | None:

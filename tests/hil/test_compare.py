@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.compare import study
 from hil.compare.rivals import CONTROLLERS
-from hil.compare.scenarios import scenarios
+from hil.compare.scenarios import QUICK, scenarios
 from hil.compare.study import settling_s
 from rigctl import config
 
@@ -154,3 +155,19 @@ def test_settling_is_over_when_the_error_stays_small() -> None:
     assert settling_s(t_s, again) == pytest.approx(0.251)
     assert settling_s(t_s, np.full_like(t_s, 0.2)) is None
     assert settling_s(t_s, np.where(t_s < 0.0, 9.0, 0.05)) == 0.0
+
+
+def test_the_bar_moves_until_the_last_piece_of_work_is_done() -> None:
+    chosen = [scenario for scenario in scenarios(RIG) if scenario.name == "jolt"]
+    laws = [law for law in CONTROLLERS if law.name in ("passive", "ours")]
+    told: list[tuple[float, str]] = []
+    study.run(RIG, chosen, laws, lambda seconds, what: told.append((seconds, what)))
+    assert sum(seconds for seconds, _ in told) == pytest.approx(study.length_s(chosen, laws))
+    assert {what for _, what in told if what.startswith("robustness")} == {f"robustness: {law.title}" for law in laws}
+    assert any("with the cell's errors" in what for _, what in told)
+
+
+def test_the_quick_comparison_is_a_part_of_the_whole_one() -> None:
+    whole = {scenario.name: scenario.seconds for scenario in scenarios(RIG)}
+    assert set(QUICK) < set(whole)
+    assert sum(whole[name] for name in QUICK) < 0.3 * sum(whole.values())
