@@ -20,6 +20,9 @@ from rigctl.control.modes import Setting, Verb
 from rigctl.control.tension import Gains
 from rigctl.telemetry.request import Request
 
+EMPTY_SHARE = 0.1
+"""Of the reference: a cell that reads less carries no weight. A cell out of tolerance is wrong by a few percent."""
+
 
 class FindingError(ValueError):
     """The measurement leads to nothing; ``str()`` says why, in one line."""
@@ -75,12 +78,18 @@ def calibrate(settings: RigSettings, request: Request, now: Standing, measured: 
     """The corrected reading against its reference; with ``adopt`` the scale that makes them agree.
 
     Raises:
-        FindingError: no scale within the bounds does.
+        FindingError: nothing hangs on the cell, or no scale within the bounds makes them agree.
     """
     section = settings.calibration
     assert section is not None  # `impossible` has said so
     reference_n = _reference_n(section, request)
     reading_n = Correction(now.zero_n, now.scale).applied(measured.mean_n)
+    if abs(reading_n) < EMPTY_SHARE * reference_n:
+        raise FindingError(
+            f"the cell reads {reading_n:z.2f} N against a reference of {reference_n:g} N: "
+            f"{'the shunt is not on' if request.shunt else 'no weight hangs on the cell'}; nothing was recorded, the "
+            "check before stays in force (if it is in place, the cell or its wiring is broken: do not arm)"
+        )
     deviation_pct = 100.0 * (reading_n / reference_n - 1.0)
     scale = now.scale * reference_n / reading_n if request.adopt and reading_n > 0.0 else now.scale
     if request.adopt and (reading_n <= 0.0 or abs(scale - 1.0) > SCALE_BOUND):

@@ -48,10 +48,11 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Folder:
-    """Room where the rig writes: the folder asked for, and what is free there, None where it cannot be told."""
+    """Where the rig writes: the folder asked for, what is free there (None: unknown), whether we may write there."""
 
     path: pathlib.Path
     free_mib: int | None
+    writable: bool = True
 
 
 def judge(
@@ -82,7 +83,7 @@ def judge(
 
 
 def folders(settings: RigSettings) -> list[Folder]:
-    """Room in every folder the rig file has something written to, on each disk once."""
+    """Every folder the rig file has something written to: each disk once, and each folder that we may not write to."""
     ledger = settings.ledger
     places = [*([ledger.parent] if ledger else []), settings.audit_log.parent, settings.file(settings.audit.trips)]
     found: dict[int, Folder] = {}
@@ -90,7 +91,9 @@ def folders(settings: RigSettings) -> list[Folder]:
         there = next((path for path in (place, *place.parents) if path.is_dir()), pathlib.Path("/"))
         try:
             free = os.statvfs(there)
-            found.setdefault(there.stat().st_dev, Folder(place, free.f_bavail * free.f_frsize // MIB))
+            writable = os.access(there, os.W_OK | os.X_OK, effective_ids=True)
+            disk = there.stat().st_dev if writable else -len(found) - 1
+            found.setdefault(disk, Folder(place, free.f_bavail * free.f_frsize // MIB, writable))
         except OSError:
             found.setdefault(-len(found) - 1, Folder(place, None))
     return list(found.values())
@@ -148,7 +151,12 @@ def _disk(settings: RigSettings, found: Sequence[Folder]) -> str:
         for place in found
         if place.free_mib is None or place.free_mib < least
     ]
-    return f"{'; '.join(short)}: make room, preflight.disk_free_mib asks for {least}" if short else ""
+    closed = [str(place.path) for place in found if not place.writable]
+    user = f"the user of this process (uid {os.geteuid()})"
+    return "; ".join([
+        *([f"{'; '.join(short)}: make room, preflight.disk_free_mib asks for {least}"] if short else []),
+        *([f"{', '.join(closed)}: {user} may not write there: give it the right, or run as another"] if closed else []),
+    ])  # fmt: skip
 
 
 def _supervision(control: Mapping[str, Any]) -> str:

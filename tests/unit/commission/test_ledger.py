@@ -100,7 +100,23 @@ def test_what_the_loop_refused_is_withdrawn(settings: RigSettings) -> None:
     assert [e.what for e in ledger.read(settings)] == ["tare", "tare withdrawn"]
 
 
-@pytest.mark.parametrize("reading_n", [294.2 * 1.03, 294.2 * 0.97, 0.0, -294.2])
+@pytest.mark.parametrize("adopt", [False, True])
+@pytest.mark.parametrize("reading_n", [0.0, 1.2, -0.8, 29.0])
+def test_a_check_of_an_empty_hook_is_refused_and_the_one_before_stays(
+    settings: RigSettings, reading_n: float, adopt: bool
+) -> None:
+    ledger.append(settings, findings.calibrate(settings, CALIBRATE, Standing(), measured(294.2)).entry)
+    with pytest.raises(FindingError, match=r"no weight hangs on the cell; nothing was recorded"):
+        findings.calibrate(settings, replace(CALIBRATE, adopt=adopt), stands(settings), measured(reading_n))
+    assert not stands(settings).overdue
+
+
+def test_a_shunt_that_is_not_on_is_no_failed_check(settings: RigSettings) -> None:
+    with pytest.raises(FindingError, match="the shunt is not on"):
+        findings.calibrate(settings, Request(Verb.CALIBRATE, "kim", shunt=True), Standing(), measured(0.3))
+
+
+@pytest.mark.parametrize("reading_n", [294.2 * 1.03, 294.2 * 0.97, -294.2])
 def test_no_scale_beyond_its_bound_is_adopted(settings: RigSettings, reading_n: float) -> None:
     with pytest.raises(FindingError, match="nothing was changed"):
         findings.calibrate(settings, Request(Verb.CALIBRATE, "kim", adopt=True), Standing(), measured(reading_n))

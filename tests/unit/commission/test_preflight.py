@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import pathlib
+import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -183,3 +185,27 @@ def test_a_file_that_cannot_be_read_is_not_known(settings: RigSettings, tmp_path
     (tmp_path / "control.json").mkdir()
     found = preflight.look(Runtime(tmp_path), settings, Standing(), NOW)
     assert {Check.MARGINS, Check.REALTIME} <= set(found.failing)
+
+
+@pytest.fixture
+def another_user() -> Iterator[pathlib.Path]:
+    """A folder this process may look into and not write to; root is somebody else meanwhile."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = pathlib.Path(name)
+        root = os.geteuid() == 0
+        folder.chmod(0o555)
+        if root:
+            os.seteuid(65534)
+        yield folder
+        if root:
+            os.seteuid(0)
+        folder.chmod(0o755)
+
+
+def test_a_folder_the_user_may_not_write_to_has_no_room(another_user: pathlib.Path) -> None:
+    settings = STRICT.model_copy(update={"directory": str(another_user)})
+    found = preflight.folders(settings)
+    assert not all(folder.writable for folder in found)
+    why = verdict(settings=settings, folders=found).failing[Check.DISK]
+    assert f"{another_user}/calibration" in why
+    assert f"(uid {os.geteuid()}) may not write there" in why
