@@ -17,7 +17,12 @@ from rigctl import output_file, standard_output
 _INTERRUPTED = 130
 """What typer makes of Ctrl-C."""
 
-app = typer.Typer(add_completion=False, help="The simulated rig.", pretty_exceptions_enable=False)
+app = typer.Typer(
+    add_completion=False,  # a shell completes the name of a program, and this one is a module
+    help="The simulated rig.",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    pretty_exceptions_enable=False,
+)
 
 
 @app.callback()

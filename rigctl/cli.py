@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import sys
-from typing import cast
+from typing import Annotated, cast
 
 import typer
 
-from rigctl import daemon, standard_output
+from rigctl import __version__, daemon, standard_output
 from rigctl.bench import command as bench
 from rigctl.commission import command as commission
 from rigctl.commission import doctor
@@ -20,11 +20,27 @@ from rigctl.report import command as report
 app = typer.Typer(
     name="rigctl",
     help="Active suspension rig: run it, watch it, command it.",
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     no_args_is_help=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        sys.stdout.write(f"rigctl {__version__}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and end.")
+    ] = False,
+) -> None:
+    pass
+
 
 for command in (daemon.run, daemon.demo, daemon.check):
     app.command()(command)

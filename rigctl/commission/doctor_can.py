@@ -11,7 +11,9 @@ from rigctl.commission.doctor_host import Finding, fails, good, warning
 from rigctl.config import CanSettings
 
 LIMIT_S = 5.0
-LEAST_QUEUE = 100  # frames; the kernel's default of 10 is full after three ticks
+QUEUE = 10
+"""Frames, the kernel's default: five ticks of SYNC and command. A frame that waits longer reaches the drive as a stale
+command; a send that finds the queue full is counted and said at once, and the drive's own deadline stops it."""
 STATES = ("ERROR-ACTIVE", "ERROR-WARNING")
 
 
@@ -109,7 +111,7 @@ def _counters(counted: dict[str, Any]) -> Finding:
 
 
 def _queue(can: CanSettings, length: int) -> Finding:
-    if length >= LEAST_QUEUE:
+    if length == QUEUE:
         return good("can queue", f"txqueuelen {length}")
-    fix = f"ip link set {can.channel} txqueuelen 1000"
-    return warning("can queue", f"txqueuelen {length}", f"{LEAST_QUEUE} or more", fix)
+    wanted = f"{QUEUE}: frames that wait in a longer one reach the drive late"
+    return warning("can queue", f"txqueuelen {length}", wanted, f"ip link set {can.channel} txqueuelen {QUEUE}")

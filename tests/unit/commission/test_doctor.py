@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pathlib
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -111,7 +112,7 @@ def test_other_daemons_are_told_and_one_on_the_same_processor_is_a_warning(tmp_p
 
 # As `ip -details -json link show` of iproute2 6 gives it.
 LINK: dict[str, Any] = {
-    "ifname": "can0", "flags": ["NOARP", "UP", "LOWER_UP", "ECHO"], "operstate": "UP", "txqlen": 1000,
+    "ifname": "can0", "flags": ["NOARP", "UP", "LOWER_UP", "ECHO"], "operstate": "UP", "txqlen": 10,
     "link_type": "can",
     "linkinfo": {
         "info_kind": "can",
@@ -156,7 +157,8 @@ def test_a_link_in_order_is_ok_in_every_line() -> None:
         (shown({"state": "BUS-OFF"}), "can state", FAILS, "BUS-OFF"),
         (shown({"restart_ms": 100}), "can restart-ms", WARNING, "100"),
         (shown(None, {"bus_off": 2}), "can counters", WARNING, "bus off 2"),
-        (shown(txqlen=10), "can queue", WARNING, "10"),
+        (shown(txqlen=1000), "can queue", WARNING, "1000"),
+        (shown(txqlen=3), "can queue", WARNING, "3"),
         (doctor_can.judge(RIG.can, ""), "can link", FAILS, "no interface can0"),
         (doctor_can.judge(RIG.can, "[{}]"), "can link", FAILS, "no CAN interface"),
     ],
@@ -266,3 +268,10 @@ def test_wrong_usage(in_process: Command, words: tuple[str, ...], said: str) -> 
     found = in_process("rigctl", "doctor", *words)
     assert (found.returncode, found.stdout) == (2, "")
     assert said in found.stderr
+
+
+def test_the_queue_is_the_same_wherever_it_is_named() -> None:
+    for file in ("docs/can.md", "config/rig.yaml", "tests/guest/inside/guest_rig.py"):
+        found = re.findall(r'txqueuelen"?,? "?(\d+)', (ROOT / file).read_text())
+        assert found, file
+        assert set(found) == {str(doctor_can.QUEUE)}, file
