@@ -10,6 +10,8 @@ import argparse
 import os
 import pathlib
 import signal
+import subprocess
+import sys
 import tempfile
 import time
 
@@ -18,6 +20,7 @@ from playwright.sync_api import Browser
 from tests import daemons
 from tests.page.pages import PATIENT, Server, Sight, browser, look, serving
 
+BROWSER_PACKAGES = ("chromium", "fonts-dejavu-core")
 SIZES = ((1920, 1080), (1024, 768), (820, 1180))
 THEMES = ("light", "dark")
 
@@ -81,6 +84,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.page_shots", description=__doc__)
     parser.add_argument("folder", type=pathlib.Path, metavar="DIR", help="where the pictures go")
     folder = parser.parse_args().folder
+    if subprocess.run([daemons.ROOT / "tests/guest/apt", *BROWSER_PACKAGES], check=False).returncode:
+        sys.exit(1)  # it has said what is missing
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="rigctl-page-") as work:
         play(folder, pathlib.Path(work))

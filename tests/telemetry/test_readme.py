@@ -23,33 +23,54 @@ def blocks(file: str, language: str) -> list[str]:
 EXAMPLES = blocks("README.md", "python")
 
 
-def test_there_are_two_and_the_first_has_fifteen_lines() -> None:
-    ours, plain = EXAMPLES
-    assert len(ours.splitlines()) <= 15
-    assert "rigctl.client" in ours
+def test_the_first_of_three_only_reads() -> None:
+    reads, commands, plain = EXAMPLES
+    assert len(reads.splitlines()) <= 15
+    assert "rigctl.client" in reads
+    assert "operator" not in reads
+    assert "operator" in commands
     assert "import rigctl" not in plain
     assert "zenoh.open" in plain
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=["with our client", "without it"])
-def test_it_runs_as_it_stands(own: Daemon, tmp_path: pathlib.Path, example: str) -> None:
-    own.rig().close()
-    script = tmp_path / "example.py"
+def ran(example: str, daemon: Daemon, folder: pathlib.Path) -> list[str]:
+    """Lines the example printed, a process of its own that ends well and complains of nothing."""
+    script = folder / "example.py"
     script.write_text(example)
-    where = {"RIGCTL_CONNECT": own.endpoint, "RIGCTL_RIG": own.settings.rig, "PYTHONPATH": str(ROOT)}
+    where = {"RIGCTL_CONNECT": daemon.endpoint, "RIGCTL_RIG": daemon.settings.rig, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        [sys.executable, str(script)], cwd=tmp_path, env={**os.environ, **where},
+        [sys.executable, str(script)], cwd=folder, env={**os.environ, **where},
         capture_output=True, text=True, timeout=PATIENCE_S, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
-    counts = [int(words[0]) for words in re.findall(r"^(\d+) samples, mean (\d+\.\d\d) N$", done.stdout, re.MULTILINE)]
+    return done.stdout.splitlines()
+
+
+@pytest.mark.parametrize("example", [EXAMPLES[0], EXAMPLES[2]], ids=["with our client", "without it"])
+def test_reading_runs_as_it_stands_and_changes_nothing(own: Daemon, tmp_path: pathlib.Path, example: str) -> None:
+    with own.rig() as rig:
+        assert rig.take_lease("anna")["accepted"]
+        before = rig.state()["target_n"]
+        lines = ran(example, own, tmp_path)
+        assert rig.state()["target_n"] == before
+    counts = [int(found[1]) for line in lines if (found := re.match(r"(\d+) samples, mean (\d+\.\d\d) N$", line))]
     assert sum(counts) >= 1000
     if "rigctl.client" in example:
-        lines = done.stdout.splitlines()
-        assert lines[:3] == ["paper_rig DISARMED Ms 1", "TARGET: 290 N, DISARMED", "kim takes the lease"]
+        assert lines[0] == "paper_rig DISARMED Ms 1"
         assert lines[-1] == "lost 0"
-        with own.rig() as rig:
-            assert rig.state()["target_n"] == 290.0
+
+
+def test_commanding_runs_as_it_stands(own: Daemon, tmp_path: pathlib.Path) -> None:
+    own.rig().close()
+    assert ran(EXAMPLES[1], own, tmp_path) == ["accepted: TARGET: 290 N, DISARMED", "target 290.0 N"]
+
+
+def test_commanding_says_who_holds_the_lease(own: Daemon, tmp_path: pathlib.Path) -> None:
+    with own.rig() as rig:
+        assert rig.take_lease("anna")["accepted"]
+    (line,) = ran(EXAMPLES[1], own, tmp_path)
+    assert line.startswith("refused: ")
+    assert "anna holds the lease" in line
 
 
 def test_the_schema_in_the_documentation_is_the_one_served(shared: Daemon) -> None:
