@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
+import pathlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -22,6 +23,7 @@ from rigctl.control.trials import STEP_N, STRAY_N, UNFELT_N
 from tests.loop.random_plants import KEYS, identify_all, plants
 from tests.loop.test_trials import cell_reads, give
 
+ROOT = pathlib.Path(__file__).parents[2]
 Enter = Callable[[Mode], None]
 LIMIT_S = 9.5  # within the records any rig file keeps
 
@@ -54,6 +56,13 @@ def held(rig: Lockstep, enter: Enter) -> Iterator[Lockstep]:
     assert rig.command(Verb.HOLD) is Refusal.NONE
     rig.run(1.0)
     yield rig
+
+
+def test_the_readme_shows_the_rows_it_finds(held: Lockstep) -> None:
+    readme = (ROOT / "README.md").read_text()
+    shown = readme.split("$ rigctl identify --in tension\n")[1].split("nothing was changed")[0]
+    labels = [line.strip().split("  ")[0] for line in shown.splitlines()[1:]]
+    assert labels == list(found(held, excite(held)))
 
 
 def test_under_tension_it_finds_the_plant_as_it_is(held: Lockstep) -> None:
