@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from rigctl.commission.ledger import IN_FORCE, Standing
 from rigctl.config import RigSettings
+from rigctl.config_wording import Wording
 from rigctl.control.correction import Correction
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
@@ -21,6 +22,7 @@ from rigctl.control.safety import Check
 from rigctl.control.tension import Gains
 from rigctl.recorder.recording import Recording
 from rigctl.replay.feed import BATCH_TICKS, RecordedBus, RecordedClock, Slots, Tick, ticks
+from rigctl.strict_yaml import Document
 from rigctl.telemetry.events import Kind
 from rigctl.telemetry.record import RECORD
 from rigctl.telemetry.runtime import ACTIVE, Runtime
@@ -85,9 +87,11 @@ def _span(recording: Recording, records: Slots) -> Span:
         settings = RigSettings.model_validate(active.get("settings"))
         gains = msgspec.convert(active.get("design", {}).get("gains"), Gains)
         correction = (msgspec.json.decode(standing, type=Standing) if standing else Standing()).correction
-    except (ValidationError, msgspec.MsgspecError) as error:
-        reason = str(error).splitlines()[0]
-        raise ReplayError(f"what the loop was started with cannot be read: {reason}") from None
+    except ValidationError as error:
+        first, *_ = Wording(RigSettings, frozenset(), Document({}, {}), pathlib.Path(ACTIVE)).lines(error)
+        raise ReplayError(f"the recorded settings are refused by this version: {first}") from None
+    except msgspec.MsgspecError as error:
+        raise ReplayError(f"what the loop was started with cannot be read: {error}") from None
     whole, cut_short = _without_gap(recording, records)
     supervised = all(bool(stop.get("ok")) for stop in control.get("supervision", []))
     taken = int(started[-1].details.get("a", 0))

@@ -164,6 +164,19 @@ def test_without_a_start_there_is_nothing_to_replay(paper: tuple[Recording, Span
         spans(dataclasses.replace(recording, records=recording.records[100:]))
 
 
+def test_recorded_settings_that_this_version_refuses_are_named(paper: tuple[Recording, Span]) -> None:
+    recording, _ = paper
+    found = []
+    for document in recording.generations:
+        if document.name == ACTIVE:
+            active = msgspec.json.decode(document.data)
+            active["settings"]["tension"]["ramp_n_s"] = -1.0
+            document = dataclasses.replace(document, data=msgspec.json.encode(active))  # noqa: PLW2901
+        found.append(document)
+    with pytest.raises(ReplayError, match=r"refused by this version: .*tension\.ramp_n_s: found -1\.0, allowed"):
+        spans(dataclasses.replace(recording, generations=found))
+
+
 def test_other_gains_command_something_else(paper: tuple[Recording, Span]) -> None:
     recording, span = paper
     same, other = Against(), Against()
