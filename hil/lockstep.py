@@ -80,6 +80,7 @@ class Lockstep:
             supervised=self.report.supervised,
             law=law,
             correction=correction,
+            process_data=self.report.process_data,
         )
         self._id = 0
         self.on_advance: Callable[[], None] | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 
@@ -10,6 +10,14 @@ class Settings(BaseModel):
     """Base of every section: unknown keys, wrong types and non-finite numbers are refused; values never change."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class CanopenDevice(Settings):
+    """What every CANopen device may be told about itself."""
+
+    sdo_timeout_ms: int = Field(default=300, ge=20, le=10_000, description="longest time to an SDO answer")
+    vendor: int | None = Field(default=None, ge=0, lt=2**32, description="vendor id (0x1018:01), null = any")
+    product: int | None = Field(default=None, ge=0, lt=2**32, description="product code (0x1018:02), null = any")
 
 
 def require(agree: bool, key: str, found: object, allowed: str) -> None:

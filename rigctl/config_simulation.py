@@ -98,7 +98,7 @@ class DriveSettings(Settings):
         default=None,
         ge=100,
         le=1e7,
-        description="it counts in increments of its own, so many per mm; null = micrometres",
+        description="it counts in increments, so many per mm; null = micrometres",
     )
 
 
