@@ -12,7 +12,7 @@ from typing import Annotated
 from pydantic import Field, ValidationError, model_validator
 
 from rigctl import strict_yaml
-from rigctl.config_base import CanopenDevice, Settings, require
+from rigctl.config_base import CanopenDevice, Hexadecimal, Settings, require
 from rigctl.config_io import IoSettings
 from rigctl.config_limits import LimitSettings
 from rigctl.config_page import PageSettings
@@ -176,10 +176,11 @@ class CylinderSettings(CanopenDevice):
     position_pdo: PdoNumber = Field(default=1, description="TPDO with statusword and position (0x6041, 0x6064)")
     velocity_pdo: PdoNumber = Field(default=1, description="TPDO with velocity_object")
     status_pdo: PdoNumber = Field(default=2, description="TPDO with current, temperature, inputs")
-    velocity_object: int = Field(
-        default=VELOCITY_ACTUAL_16, description="0x2044 (16 bits, 10 um/s) or 0x606C (32 bits, in a TPDO of its own)"
+    velocity_object: Hexadecimal = Field(
+        default=VELOCITY_ACTUAL_16,
+        description='"0x2044" (16 bits, 10 um/s) or "0x606C" (32 bits, in another TPDO)',
     )
-    temperature_object: int | None = Field(
+    temperature_object: Hexadecimal | None = Field(
         default=0x2045, ge=0x2000, lt=0x6000, description="drive temperature, 16 bits, 0.1 deg C; null = it has none"
     )
     increments_per_mm: float | None = Field(

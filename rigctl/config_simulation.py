@@ -137,6 +137,11 @@ class DevicesSettings(Settings):
     sdo_ms: int = Field(default=0, ge=0, le=5000, description="time to an SDO answer")
     boot_s: float = Field(default=0.0, ge=0, le=60, description="time from power-on or reset to the boot-up message")
 
+    @property
+    def slow(self) -> bool:
+        """Their answers take time."""
+        return self.sdo_ms > 0 or self.boot_s > 0
+
 
 class SimulationSettings(Settings):
     """The simulated rig where it is not what `plant` says."""

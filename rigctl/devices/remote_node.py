@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import struct
 import time
 from collections.abc import Callable, Mapping
@@ -14,6 +15,7 @@ import canopen
 from rigctl.config import RigSettings
 from rigctl.devices import objects as od
 
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it logs, an error here says, with the device
 _MOST_SEGMENTS = 4  # no object read here is longer than one
 _MOST_ENTRIES = 64  # a count beyond it is of a multiplexed PDO, which carries no process data of ours
 _GARBLED = (struct.error, canopen.ObjectDictionaryError)  # canopen's, at frames too short and values of no such size
