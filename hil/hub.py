@@ -43,18 +43,19 @@ class Hub:
         self._ports: tuple[Port, ...] = ()
         self._waiting: deque[tuple[Port, bytes]] = deque()
         self._delivering = False
-        self._turn = threading.RLock()
+        self.turn = threading.RLock()
+        """Held while frames are delivered: for what must not happen meanwhile."""
 
     def attach(self, receive: Receive) -> Port:
         """A new port; ``receive`` gets each frame the others send, from now on."""
         port = Port(self, receive)
-        with self._turn:
+        with self.turn:
             self._ports = (*self._ports, port)
         return port
 
     def detach(self, port: Port) -> None:
         """Take a port off the wire (harmless when it is off already)."""
-        with self._turn:
+        with self.turn:
             self._ports = tuple(p for p in self._ports if p is not port)
 
     def send(self, sender: Port, frame: bytes) -> None:
@@ -62,13 +63,13 @@ class Hub:
         if self.tap is None:
             self.put(sender, frame)
             return
-        with self._turn:
+        with self.turn:
             for passed in self.tap(sender, frame):
                 self.put(sender, passed)
 
     def put(self, sender: Port, frame: bytes) -> None:
         """The same, past the tap."""
-        with self._turn:
+        with self.turn:
             self._waiting.append((sender, frame))
             if self._delivering:
                 return

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import pathlib
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,7 @@ from rigctl.devices import startup
 from rigctl.telemetry.runtime import Runtime
 
 START_NS = 1_000_000_000
+PASSING_NS, PASSING_S = 10_000_000, 0.001  # at a time, while start-up waits for devices; and a rest for its thread
 WORK_NS = 100_000  # frames of a tick reach the rig this long after its grid point, as on the bus
 
 
@@ -65,8 +68,9 @@ class Lockstep:
         self._keep_log = log
         self.frames: list[tuple[int, bytes]] = self.hub.log
         self._bus = bus = InProcessBus(self.hub)
-        self.clock = SkippingClock(settings.loop.period_ns, self._advance, START_NS)
-        self.report = startup.bring_up(bus, settings)
+        with self._time_passing() if settings.simulation and settings.simulation.devices.slow else nullcontext():
+            self.report = startup.bring_up(bus, settings)
+        self.clock = SkippingClock(settings.loop.period_ns, self._advance, self.rig_ns)
         self._records = runtime.record_reader()
         self._replies = runtime.reply_reader()
         self._commands = runtime.command_writer()
@@ -80,6 +84,7 @@ class Lockstep:
             supervised=self.report.supervised,
             law=law,
             correction=correction,
+            process_data=self.report.process_data,
         )
         self._id = 0
         self.on_advance: Callable[[], None] | None = None
@@ -88,6 +93,27 @@ class Lockstep:
 
     def _to_rig(self, frame: bytes) -> None:
         self.rig.receive(frame)
+
+    @contextlib.contextmanager
+    def _time_passing(self) -> Iterator[None]:
+        """Let the rig's time pass while start-up waits for slow devices, as fast as this machine plays it."""
+        done = threading.Event()
+
+        def pass_time() -> None:
+            while not done.is_set():
+                with self.hub.turn:
+                    self.rig_ns += PASSING_NS
+                    self.rig.advance(self.rig_ns)
+                    self.rig.supervise(self.rig_ns)
+                done.wait(PASSING_S)
+
+        thread = threading.Thread(target=pass_time)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
 
     def _advance(self, t_ns: int) -> None:
         self.rig_ns = t_ns + WORK_NS

@@ -74,6 +74,8 @@ class SimulatedRig:
         self.receive = network.receive
         network.subscribe(objects.SYNC_COB, self._on_sync)
         for node in self.nodes:
+            if node is not self.simulator:
+                node.behave(simulation.devices)
             node.reset_node()
 
     @property

@@ -12,19 +12,22 @@ from typing import Annotated
 from pydantic import Field, ValidationError, model_validator
 
 from rigctl import strict_yaml
-from rigctl.config_base import Settings, require
+from rigctl.config_base import CanopenDevice, Hexadecimal, Settings, require
 from rigctl.config_io import IoSettings
 from rigctl.config_limits import LimitSettings
 from rigctl.config_page import PageSettings
 from rigctl.config_recording import RecordingSettings
 from rigctl.config_simulation import SimulationSettings
 from rigctl.config_wording import Wording
-from rigctl.devices.objects import SIMULATOR_NODE
+from rigctl.devices.objects import SIMULATOR_NODE, VELOCITY_ACTUAL, VELOCITY_ACTUAL_16
 from rigctl.devices.plain import PlainMessage
 from rigctl.one_line import printable
 
 _ADDED = frozenset({"directory", "plain"})  # settings that ``load`` adds to what is in the file
 _ENDPOINT = r"^(tcp|unixsock-stream)/\S+$"
+_LARGEST_RAW = 2**31 - 1  # 0x6064, 0x60FF are INTEGER32
+_SDO_TRANSFERS = 100  # most a device is asked for at start-up, with room
+PdoNumber = Annotated[int, Field(ge=1, le=4, description="number of the PDO")]
 NodeId = Annotated[int, Field(ge=1, le=127, description="CANopen node id")]
 
 
@@ -70,6 +73,7 @@ class CanSettings(Settings):
     )
     controller_node: NodeId = 1
     heartbeat_ms: int = Field(default=20, ge=5, le=1000, description="our heartbeat period (0x1017)")
+    boot_wait_s: float = Field(default=10.0, ge=0, le=120, description="start-up waits so long for devices to boot")
 
     @model_validator(mode="after")
     def _bit_rate_is_known(self) -> CanSettings:
@@ -99,7 +103,7 @@ class InclinationDbcSettings(DbcSettings):
     normal: str = Field(min_length=1, description="signal, unit deg or rad")
 
 
-class TensionCellSettings(Settings):
+class TensionCellSettings(CanopenDevice):
     """Tension amplifier, CiA 404, or any with plain frames."""
 
     node: NodeId = 2
@@ -109,7 +113,7 @@ class TensionCellSettings(Settings):
     dbc: TensionDbcSettings | None = Field(default=None, description="plain frames, null = CANopen")
 
 
-class InclinometerSettings(Settings):
+class InclinometerSettings(CanopenDevice):
     """Two-axis inclinometer, CiA 410 or any with plain frames.
 
     Slope long is the tangential angle, slope lateral the normal one.
@@ -122,7 +126,7 @@ class InclinometerSettings(Settings):
     dbc: InclinationDbcSettings | None = Field(default=None, description="plain frames, null = CANopen")
 
 
-class RailEncoderSettings(Settings):
+class RailEncoderSettings(CanopenDevice):
     """Absolute encoder on the rail's shaft, CiA 406. The rig runs without one."""
 
     node: NodeId = 5
@@ -149,7 +153,7 @@ class RunOutSettings(Settings):
         return self
 
 
-class CylinderSettings(Settings):
+class CylinderSettings(CanopenDevice):
     """Electric cylinder's drive, CiA 402, cyclic synchronous velocity."""
 
     node: NodeId = 4
@@ -168,6 +172,46 @@ class CylinderSettings(Settings):
     e_stop_input: int | None = Field(
         default=None, ge=0, le=31, description="bit of the digital inputs (0x60FD), 0 = pressed; null = none fitted"
     )
+
+    position_pdo: PdoNumber = Field(default=1, description="TPDO with statusword and position (0x6041, 0x6064)")
+    velocity_pdo: PdoNumber = Field(default=1, description="TPDO with velocity_object")
+    status_pdo: PdoNumber = Field(default=2, description="TPDO with current, temperature, inputs")
+    velocity_object: Hexadecimal = Field(
+        default=VELOCITY_ACTUAL_16,
+        description='"0x2044" (16 bits, 10 um/s) or "0x606C" (32 bits, in another TPDO)',
+    )
+    temperature_object: Hexadecimal | None = Field(
+        default=0x2045, ge=0x2000, lt=0x6000, description="drive temperature, 16 bits, 0.1 deg C; null = it has none"
+    )
+    increments_per_mm: float | None = Field(
+        default=None, ge=100, le=1e7, description="position units (0x6064) per mm; null = by lead_mm or 0x60A8"
+    )
+    lead_mm: float | None = Field(
+        default=None, gt=0, le=1000, description="stroke per turn of the shaft: scale by 0x6092; null = not by it"
+    )
+    speed_units_per_mm_s: float | None = Field(
+        default=None, ge=20, le=1e7, description="units of 0x606C, 0x60FF per mm/s; null = as position, or 0x60A9"
+    )
+    ramp_units_per_mm_s2: float | None = Field(
+        default=None, ge=0.1, le=1e7, description="units of 0x6085 per mm/s2; null = as speed"
+    )
+
+    @model_validator(mode="after")
+    def _values_fit_their_frames(self) -> CylinderSettings:
+        known = self.velocity_object in (VELOCITY_ACTUAL_16, VELOCITY_ACTUAL)
+        require(known, "velocity_object", f"0x{self.velocity_object:X}", "0x2044 or 0x606C")
+        wide, position = self.velocity_object == VELOCITY_ACTUAL, self.position_pdo
+        fits = not wide or self.velocity_pdo != position
+        allowed = f"another than position_pdo ({position}): status, position and 0x606C are 10 bytes"
+        require(fits, "velocity_pdo", self.velocity_pdo, allowed)
+        own = self.status_rate_hz is None or self.status_pdo not in (position, self.velocity_pdo)
+        require(own, "status_pdo", self.status_pdo, "a PDO of its own")
+        if self.increments_per_mm is not None:
+            farthest = max(abs(self.stroke_min_mm), abs(self.stroke_max_mm))
+            most = _LARGEST_RAW / farthest if farthest else _LARGEST_RAW
+            found = self.increments_per_mm
+            require(found <= most, "increments_per_mm", found, f"up to {most:g}: the stroke's end fits in 32 bits")
+        return self
 
     @model_validator(mode="after")
     def _stroke_has_length(self) -> CylinderSettings:
@@ -381,6 +425,9 @@ class RigSettings(Settings):
         if (status := self.cylinder.status_rate_hz) is not None:
             fits = 1 <= rate // status <= 240
             require(fits, "cylinder.status_rate_hz", status, f"loop.rate_hz ({rate}) divided by 1 to 240")
+        if self.cylinder.temperature_object is None:
+            watched = any(row.signal == "drive_temperature_c" for row in self.limits)
+            require(not watched, "limits", "drive_temperature_c", "none of it: cylinder.temperature_object is null")
         room = self.cylinder.stroke_max_mm - self.cylinder.stroke_min_mm
         margin = self.preflight.stroke_margin_mm
         require(2 * margin < room, "preflight.stroke_margin_mm", margin, f"less than half the stroke ({room / 2:g} mm)")
@@ -420,6 +467,12 @@ class RigSettings(Settings):
         """The drive's second TPDO comes with every this many SYNCs; 0 = never."""
         rate = self.cylinder.status_rate_hz
         return self.loop.rate_hz // rate if rate is not None else 0
+
+    @property
+    def start_up_limit_s(self) -> float:
+        """Longest that start-up may take over devices that boot, or answer as late as they may."""
+        devices: list[CanopenDevice] = [getattr(self, name) for name in self.canopen_nodes]
+        return self.can.boot_wait_s + _SDO_TRANSFERS * sum(device.sdo_timeout_ms for device in devices) * 1e-3
 
     @property
     def canopen_nodes(self) -> dict[str, int]:

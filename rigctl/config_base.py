@@ -2,14 +2,35 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+import re
+from typing import Annotated
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
+
+_HEXADECIMAL = re.compile(r"0x[0-9A-Fa-f]{1,8}\Z")
+
+
+def _from_hexadecimal(value: object) -> object:
+    return int(value, 16) if isinstance(value, str) and _HEXADECIMAL.match(value) else value
+
+
+Hexadecimal = Annotated[int, BeforeValidator(_from_hexadecimal)]
+"""A number that data sheets give in hexadecimal: in quotes, as strict YAML has no such numbers, or as an integer."""
 
 
 class Settings(BaseModel):
     """Base of every section: unknown keys, wrong types and non-finite numbers are refused; values never change."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class CanopenDevice(Settings):
+    """What every CANopen device may be told about itself."""
+
+    sdo_timeout_ms: int = Field(default=300, ge=20, le=10_000, description="longest time to an SDO answer")
+    vendor: Hexadecimal | None = Field(default=None, ge=0, lt=2**32, description="0x1018:01, null = any")
+    product: Hexadecimal | None = Field(default=None, ge=0, lt=2**32, description="0x1018:02, null = any")
 
 
 def require(agree: bool, key: str, found: object, allowed: str) -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from rigctl.config_base import Settings, require
+from rigctl.config_base import CanopenDevice, require
 
 INPUTS_PER_BLOCK = 8  # CiA 401 0x6000: one sub-index each
 LOST_SAMPLES = 3
 
 
-class IoSettings(Settings):
+class IoSettings(CanopenDevice):
     """Generic I/O node, CiA 401, that mirrors the emergency stop's contact. The rig runs without one.
 
     It sends by itself: when an input changes, and otherwise by its event timer, so that its silence is noticed.

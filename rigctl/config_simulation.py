@@ -94,6 +94,12 @@ class DriveSettings(Settings):
     ambient_c: float = Field(default=25.0, ge=-40, le=80, description="temperature of the drive without current")
     heating_c_a2: float = Field(default=8.0, ge=0, le=1000, description="what 1 A adds to it in the end, by I squared")
     thermal_s: float = Field(default=600.0, gt=0, le=1e5, description="time constant of that")
+    increments_per_mm: float | None = Field(
+        default=None,
+        ge=100,
+        le=1e7,
+        description="it counts in increments, so many per mm; null = micrometres",
+    )
 
 
 class CellSettings(Settings):
@@ -123,6 +129,20 @@ class SlopeSettings(Settings):
     clock_ppm: float = Field(default=0.0, ge=-1000, le=1000, description="its clock against the controller's")
 
 
+class DevicesSettings(Settings):
+    """What CANopen devices as they are sold do; each value that is not the default is a variant of the devices."""
+
+    rtr: bool = Field(default=True, description="false = bit 30 of a TPDO's COB-ID stays set, else abort 0609 0030")
+    fixed_mapping: bool = Field(default=False, description="PDO mappings are read only, else abort 0601 0002")
+    sdo_ms: int = Field(default=0, ge=0, le=5000, description="time to an SDO answer")
+    boot_s: float = Field(default=0.0, ge=0, le=60, description="time from power-on or reset to the boot-up message")
+
+    @property
+    def slow(self) -> bool:
+        """Their answers take time."""
+        return self.sdo_ms > 0 or self.boot_s > 0
+
+
 class SimulationSettings(Settings):
     """The simulated rig where it is not what `plant` says."""
 
@@ -139,3 +159,4 @@ class SimulationSettings(Settings):
     drive: DriveSettings
     cell: CellSettings
     inclinometer: SlopeSettings
+    devices: DevicesSettings = Field(default_factory=DevicesSettings)

@@ -127,7 +127,8 @@ def process(*arguments: str, **options: Any) -> Iterator[subprocess.Popen[bytes]
 
 def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], settings: RigSettings) -> Client:
     """The operator's connection, once the loop runs."""
-    until = time.monotonic() + START_LIMIT_S
+    limit_s = START_LIMIT_S + settings.start_up_limit_s
+    until = time.monotonic() + limit_s
     while time.monotonic() < until:
         if rig.poll() is not None:
             raise RehearsalError("the simulated rig could not start (see above)")
@@ -140,7 +141,7 @@ def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], sett
                     return client
             client.close()
         time.sleep(_POLL_S)
-    raise RehearsalError(f"the daemon did not answer within {START_LIMIT_S:.0f} s")
+    raise RehearsalError(f"the daemon did not answer within {limit_s:.0f} s")
 
 
 def rig_file(settings: RigSettings, folder: pathlib.Path) -> pathlib.Path:

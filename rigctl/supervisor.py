@@ -130,13 +130,14 @@ class Supervisor:
             self._spawn(name)
         self._design()
         self._send_gains()
-        until = time.monotonic() + START_LIMIT_S
+        limit_s = START_LIMIT_S + settings.start_up_limit_s
+        until = time.monotonic() + limit_s
         while records.head == 0 and not self._stopping:
             for child in self._children.values():
                 if child.process.poll() is not None and child.name not in _NOT_NEEDED:
                     raise CannotRunError(f"{settings.rig}: {child.name} could not start (see above)")
             if time.monotonic() > until:
-                raise CannotRunError(f"{settings.rig}: the loop did not start within {START_LIMIT_S:.0f} s")
+                raise CannotRunError(f"{settings.rig}: the loop did not start within {limit_s:.0f} s")
             time.sleep(0.005)
         for applied in self._runtime.read_json("control.json").get("realtime", []):
             mark = "" if applied["ok"] else f" - WARNING: {applied['warning']}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from hil.nodes.deadline import Deadline
-from hil.nodes.device_control import QUICK_STOP_OPTIONS, DeviceControl
+from hil.nodes.device_control import PROFILE_DECELERATION, QUICK_STOP_OPTIONS, DeviceControl
 from hil.nodes.dictionary import Abort, number, refuse
 from hil.nodes.encoder import Encoder
 from hil.nodes.motor import Motor
@@ -15,7 +15,7 @@ from hil.nodes.pdo import ReceivePdo
 from hil.nodes.power_stage import Phase, PowerStage
 from hil.plant import Plant
 from rigctl.config import RigSettings
-from rigctl.config_simulation import SimulationSettings
+from rigctl.config_simulation import DriveSettings, SimulationSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import DriveState, EmcyCode, NmtState
 
@@ -50,7 +50,11 @@ class CylinderDrive(Node):
         self._motor = Motor(drive, number(self.device, objects.MOTOR_RATED_CURRENT))
         self._creep_n_s_mm = drive.creep_n_s_mm
         self.e_stop_pressed = False
-        self.control = DeviceControl(stage, lambda index: number(self.device, index), self._clear_faults)
+        own = drive.increments_per_mm
+        self._unit_mm = objects.MM_PER_POSITION_UNIT if own is None else 1.0 / own  # of position; of speed per second
+        self.control = DeviceControl(
+            stage, lambda index: number(self.device, index), self._clear_faults, unit_mm_s2=self._unit_mm
+        )
         self._heartbeat = Deadline()
         self._heartbeat_cob = 0
         self._commands_due = Deadline()
@@ -76,6 +80,8 @@ class CylinderDrive(Node):
                 (objects.DIGITAL_INPUTS, 0): self._inputs,
             }
         )
+        if own is not None:
+            self._count_in_increments(own, drive)
         self.writers.update(
             {
                 (objects.CONTROLWORD, 0): self._obey,
@@ -87,6 +93,21 @@ class CylinderDrive(Node):
             }
         )
 
+    def _count_in_increments(self, per_mm: float, drive: DriveSettings) -> None:
+        """No SI unit is told (0x60A8, 0x60A9), but increments per turn of the screw; ramps are as long as before."""
+        per_turn = round(per_mm * drive.screw_lead_mm)
+        self.readers.update(
+            {
+                (objects.SI_UNIT_POSITION, 0): lambda: 0,
+                (objects.SI_UNIT_VELOCITY, 0): lambda: 0,
+                (objects.ENCODER_RESOLUTION, 1): lambda: per_turn,
+                (objects.FEED_CONSTANT, 1): lambda: per_turn,
+            }
+        )
+        for index in (PROFILE_DECELERATION, objects.QUICK_STOP_DECELERATION):
+            variable = self.device.object_dictionary[index]
+            variable.default = round(variable.default * objects.MM_PER_POSITION_UNIT * per_mm)
+
     # -- commands ----------------------------------------------------------------------------------------------
 
     def on_sync(self) -> None:
@@ -96,7 +117,7 @@ class CylinderDrive(Node):
             self._rpdo.apply(received)
         if self.control.state is DriveState.OPERATION_ENABLED:
             moves = self._mode == objects.CYCLIC_SYNCHRONOUS_VELOCITY
-            self.control.stage.follow(self._target * objects.MM_S_PER_VELOCITY_UNIT if moves else 0.0)
+            self.control.stage.follow(self._target * self._unit_mm if moves else 0.0)
             self._drive()
         super().on_sync()
 
@@ -246,10 +267,10 @@ class CylinderDrive(Node):
         return bits | (0 if self.e_stop_pressed else E_STOP_CLOSED)
 
     def _position(self) -> int:
-        return round(self._encoder.position_mm / objects.MM_PER_POSITION_UNIT)
+        return round(self._encoder.position_mm / self._unit_mm)
 
     def _velocity(self) -> int:
-        return round(self._encoder.speed_mm_s / objects.MM_S_PER_VELOCITY_UNIT)
+        return round(self._encoder.speed_mm_s / self._unit_mm)
 
     def _velocity_16(self) -> int:
         units = round(self._encoder.speed_mm_s / objects.MM_S_PER_VELOCITY_16_UNIT)

@@ -33,13 +33,21 @@ class DeviceControl:
         stage: motor and brake.
         parameter: current value of an object of the drive (0x605A to 0x605E, 0x6084, 0x6085).
         clear_faults: asked at a fault reset; whether no cause is left.
+        unit_mm_s2: one unit of 0x6084 and 0x6085, in mm/s2.
     """
 
-    def __init__(self, stage: PowerStage, parameter: Callable[[int], int], clear_faults: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        stage: PowerStage,
+        parameter: Callable[[int], int],
+        clear_faults: Callable[[], bool],
+        unit_mm_s2: float = objects.MM_S_PER_VELOCITY_UNIT,
+    ) -> None:
         self.state = DriveState.NOT_READY
         self.stage = stage
         self.controlword = 0
         self._parameter = parameter
+        self._unit_mm_s2 = unit_mm_s2
         self._clear_faults = clear_faults
         self._enabling = False
 
@@ -104,7 +112,7 @@ class DeviceControl:
         if ramp_option == _CUT:
             self.stage.cut(t_ns)
         else:
-            self.stage.stop(t_ns, self._parameter(_RAMP_OBJECTS[ramp_option]) * objects.MM_S_PER_VELOCITY_UNIT)
+            self.stage.stop(t_ns, self._parameter(_RAMP_OBJECTS[ramp_option]) * self._unit_mm_s2)
 
     def _option(self, command: Controlword | None) -> int:
         """How a command stops the motor; option codes count where it leads out of OPERATION ENABLED."""

@@ -15,6 +15,7 @@ from hil.nodes.dictionary import STRUCT_CODES, Abort, check_range, number, refus
 from hil.nodes.network import RigNetwork
 from hil.nodes.pdo import Address, TransmitPdo, check_cob_id_write, check_inhibit_write, check_mapping_write
 from hil.plant import Plant
+from rigctl.config_simulation import DevicesSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import NmtState
 
@@ -25,12 +26,14 @@ COMMUNICATION_ERROR = 0x10
 _EMCY = struct.Struct("<HB5x")
 _SDO_SIZE = 8
 _SEGMENT_REQUESTS = frozenset({0x00, 0x60})  # client command specifiers that continue a transfer
-_BLOCK_DOWNLOAD = 0xC0
+_BLOCK_TRANSFERS = frozenset({0xA0, 0xC0})  # upload, download: optional in CiA 301, and these devices have none
 _MULTIPLEXER = struct.Struct("<HB")
 _INHIBIT_TIME = 3  # sub-index
 _COMMUNICATION_AREA = range(0x1000, 0x2000)
-_MAPPINGS = frozenset({objects.RPDO1_MAPPING, objects.TPDO1_MAPPING, objects.TPDO2_MAPPING})
-_COMMUNICATIONS = frozenset({objects.RPDO1_COMMUNICATION, objects.TPDO1_COMMUNICATION, objects.TPDO2_COMMUNICATION})
+_TPDO_MAPPINGS = range(objects.TPDO1_MAPPING, objects.TPDO1_MAPPING + objects.PDOS)
+_TPDO_COMMUNICATIONS = range(objects.TPDO1_COMMUNICATION, objects.TPDO1_COMMUNICATION + objects.PDOS)
+_MAPPINGS = frozenset({objects.RPDO1_MAPPING, *_TPDO_MAPPINGS})
+_COMMUNICATIONS = frozenset({objects.RPDO1_COMMUNICATION, *_TPDO_COMMUNICATIONS})
 
 
 class _Device(canopen.LocalNode):  # type: ignore[misc]
@@ -39,6 +42,12 @@ class _Device(canopen.LocalNode):  # type: ignore[misc]
     def __init__(self, node_id: int, eds: str, on_stored: Callable[[int], None]) -> None:
         super().__init__(node_id, eds)
         self._on_stored = on_stored
+
+    def _find_object(self, index: int, subindex: int) -> Any:
+        found = super()._find_object(index, subindex)
+        if subindex and isinstance(self.object_dictionary[index], canopen.objectdictionary.ODVariable):
+            raise refuse(Abort.NO_SUBINDEX)
+        return found
 
     def set_data(self, index: int, subindex: int, data: bytes, check_writable: bool = False) -> None:
         super().set_data(index, subindex, data, check_writable)
@@ -91,8 +100,10 @@ class Node:
         self._heartbeat_ns = 0
         self._heartbeat_due_ns = 0
         self._tpdos: list[TransmitPdo] = []  # none: to be compiled anew
-        mappings = (objects.TPDO1_MAPPING, objects.TPDO2_MAPPING)
-        self._tpdo_places = [i for i, index in enumerate(mappings) if index in self.device.object_dictionary]
+        self._tpdo_places = [i for i, index in enumerate(_TPDO_MAPPINGS) if index in self.device.object_dictionary]
+        self._manner = DevicesSettings()
+        self._boots_ns: int | None = None  # while it boots: when it will have
+        self._requests: deque[tuple[int, int, bytes, float]] = deque()  # SDO requests, each with when it is answered
         self._commands: dict[int, Callable[[], None]] = {
             0x01: lambda: self._enter(NmtState.OPERATIONAL),
             0x02: lambda: self._enter(NmtState.STOPPED),
@@ -108,6 +119,13 @@ class Node:
         self.device.sdo._index = self.device.sdo._subindex = 0
         self.device.add_read_callback(self._on_read)
         self.device.add_write_callback(self._on_write)
+
+    def behave(self, manner: DevicesSettings) -> None:
+        """Be the variant of the device that ``manner`` says, from the next reset on."""
+        self._manner = manner
+        for index in _TPDO_COMMUNICATIONS if not manner.rtr else ():
+            if index in self.device.object_dictionary:
+                self.device.object_dictionary[index][1].default |= objects.PDO_NO_RTR
 
     @property
     def now_ns(self) -> int:
@@ -139,7 +157,13 @@ class Node:
         self.device.data_store.clear()
         self._errors.clear()
         self.on_node_reset()
-        self.reset_communication()
+        if self._manner.boot_s:
+            self._enter(NmtState.BOOT_UP)
+            self._heartbeat_ns = 0
+            self._requests.clear()
+            self._boots_ns = self.now_ns + round(self._manner.boot_s * 1e9)
+        else:
+            self.reset_communication()
 
     def reset_communication(self) -> None:
         """NMT reset communication: the communication objects back to their defaults, then boot up."""
@@ -154,13 +178,18 @@ class Node:
 
     def supervise(self, t_ns: int, elapsed_ns: int) -> None:  # noqa: ARG002 - for devices that watch others
         """Produce the heartbeat when it is due. ``elapsed_ns``: time that counts as silence since the last call."""
+        if self._boots_ns is not None and t_ns >= self._boots_ns:
+            self._boots_ns = None
+            self.reset_communication()
+        while self._requests and t_ns >= self._requests[0][0]:
+            self._answer(*self._requests.popleft()[1:])
         if self._heartbeat_ns and t_ns >= self._heartbeat_due_ns:
             missed = (t_ns - self._heartbeat_due_ns) // self._heartbeat_ns
             self._heartbeat_due_ns += (missed + 1) * self._heartbeat_ns
             self.network.send_message(objects.HEARTBEAT_BASE + self.id, bytes([self.nmt_state]))
 
     def _on_nmt(self, _: int, data: bytes, __: float) -> None:
-        if len(data) >= 2 and data[1] in (self.id, 0):
+        if len(data) >= 2 and data[1] in (self.id, 0) and self._boots_ns is None:
             command = self._commands.get(data[0])
             if command is not None:
                 command()
@@ -197,11 +226,17 @@ class Node:
     # -- SDO ---------------------------------------------------------------------------------------------------
 
     def _on_sdo(self, can_id: int, data: bytes, timestamp: float) -> None:
-        if self.nmt_state is NmtState.STOPPED or len(data) != _SDO_SIZE:
+        if self.nmt_state is NmtState.STOPPED or self._boots_ns is not None or len(data) != _SDO_SIZE:
             return
+        if self._manner.sdo_ms:
+            self._requests.append((self.now_ns + self._manner.sdo_ms * 1_000_000, can_id, data, timestamp))
+        else:
+            self._answer(can_id, data, timestamp)
+
+    def _answer(self, can_id: int, data: bytes, timestamp: float) -> None:
         server = self.device.sdo
         specifier = data[0] & 0xE0
-        if specifier == _BLOCK_DOWNLOAD or (specifier in _SEGMENT_REQUESTS and server._buffer is None):
+        if specifier in _BLOCK_TRANSFERS or (specifier in _SEGMENT_REQUESTS and server._buffer is None):
             server._index, server._subindex = _MULTIPLEXER.unpack_from(data, 1)
             server.abort(Abort.COMMAND)  # not supported, or continues a transfer that was never begun
             return
@@ -219,10 +254,12 @@ class Node:
             return
         value = int(od.decode_raw(data))
         check_range(od, value)
+        if index in _MAPPINGS and self._manner.fixed_mapping:
+            raise refuse(Abort.READ_ONLY)
         if index in _MAPPINGS:
             check_mapping_write(self.device, index, subindex, value)
         elif index in _COMMUNICATIONS and subindex == 1:
-            check_cob_id_write(self.device, index, value)
+            check_cob_id_write(self.device, index, value, rtr=self._manner.rtr)
         elif index in _COMMUNICATIONS and subindex == _INHIBIT_TIME:
             check_inhibit_write(self.device, index)
         writer = self.writers.get((index, subindex))

@@ -10,7 +10,7 @@ from hil.nodes.dictionary import STRUCT_CODES, Abort, entry, number, refuse
 from hil.wire import FRAME, STANDARD_MASK
 from rigctl.devices import objects
 
-INVALID_PDO = 0x80000000
+INVALID_PDO = objects.PDO_NOT_VALID
 MOST_ENTRIES = 8
 _MOST_SYNCS, _EVENT_DRIVEN = 240, 254  # transmission types
 _DUMMY_LAST = 0x0007  # objects 0001 to 0007 fill gaps in an RPDO
@@ -88,10 +88,15 @@ def check_mapping_write(device: Any, index: int, subindex: int, value: int) -> N
         _check_entry(device, index, value)
 
 
-def check_cob_id_write(device: Any, index: int, value: int) -> None:
-    """Refuse another identifier while the PDO is in use (bit 31 clear before and after)."""
+def check_cob_id_write(device: Any, index: int, value: int, *, rtr: bool = True) -> None:
+    """Refuse another identifier while the PDO is in use (bit 31 clear before and after).
+
+    A TPDO of a device without ``rtr`` has bit 30 set for good.
+    """
     before = number(device, index, 1)
-    if value & ~(INVALID_PDO | 0x40000000) > STANDARD_MASK:
+    if value & ~(INVALID_PDO | objects.PDO_NO_RTR) > STANDARD_MASK:
+        raise refuse(Abort.VALUE_RANGE)
+    if not rtr and index >= objects.TPDO1_COMMUNICATION and not value & objects.PDO_NO_RTR:
         raise refuse(Abort.VALUE_RANGE)
     if not (before | value) & INVALID_PDO and (before ^ value) & STANDARD_MASK:
         raise refuse(Abort.VALUE_RANGE)

@@ -11,7 +11,9 @@ from rigctl.config import RigSettings
 from rigctl.control.correction import Correction
 from rigctl.devices import codecs, dbc
 from rigctl.devices import objects as od
+from rigctl.devices.objects import PdoLayout
 from rigctl.devices.plain import PlainMessage
+from rigctl.devices.process_data import DRIVE_SPEED, DRIVE_STATUS, ProcessData, wanted
 from rigctl.telemetry import can_errors
 from rigctl.telemetry.record import FrameFlag, Quality
 from rigctl.telemetry.ring import RingWriter
@@ -45,20 +47,28 @@ def rival_ids(settings: RigSettings) -> list[int]:
 class Inbox:
     """Drains the bus to empty without blocking and decodes by CAN id; foreign ids are only counted."""
 
-    def __init__(self, bus: can.BusABC, settings: RigSettings, frames: RingWriter | None = None) -> None:
-        """``frames``: where every frame that comes is kept, None for nowhere."""
+    def __init__(
+        self,
+        bus: can.BusABC,
+        settings: RigSettings,
+        frames: RingWriter | None = None,
+        process_data: ProcessData | None = None,
+    ) -> None:
+        """``frames``: where every frame that comes is kept, None for nowhere.
+
+        ``process_data``: as the devices have it; None: as the rig file asks for it.
+        """
         self._bus, self._frames = bus, frames
+        self._process_data = process_data or wanted(settings)
         rail = settings.rail_encoder
         self._divisors: tuple[int, ...] = (1, settings.inclinometer_divisor, 1)
         self._divisors += (settings.loop.rate_hz // rail.rate_hz if rail is not None else 1,)
-        self._divisors += (settings.status_divisor or 1,)
+        self._divisors += (settings.status_divisor or 1, 1)
         self._handlers = self._handlers_of(settings)
         e_stop = settings.cylinder.e_stop_input
         self._e_stop_bit = 1 << e_stop if e_stop is not None else 0
-        self._io_mask = settings.io.mask if settings.io is not None else 0
         self._rated_current_a = settings.cylinder.rated_current_a or math.nan
         self._rail_node = rail.node if rail is not None else 0
-        self._counts_per_turn = rail.counts_per_turn if rail is not None else 1
         self.correction = Correction()
         self.reading_n = math.nan  # as the cell sends it
         self.tension_n = math.nan  # corrected
@@ -75,6 +85,8 @@ class Inbox:
         self.stroke_mm = math.nan
         self.speed_mm_s = 0.0
         self.drive_t_ns = NEVER_NS
+        # Of a drive that sends stroke and speed in two frames: the values, and when each came (never together).
+        self._stroke_mm, self._stroke_t_ns, self._speed_mm_s, self._speed_t_ns = math.nan, NEVER_NS, 0.0, NEVER_NS + 1
         self.drive_current_a = self.drive_temperature_c = math.nan
         self.drive_status_t_ns = NEVER_NS
         # By the newest of the drive's input and its emergency message; by the I/O node's input.
@@ -94,23 +106,26 @@ class Inbox:
         self._tension_max_n = settings.tension_cell.range_n * OVERRANGE
         self._slope_max_rad = math.radians(settings.inclinometer.range_deg)
         self._states: dict[int, int] = {}
-        self._counts = [0] * 5  # cell, slope, drive, rail, drive status frames since the first of each
-        self._bases = [-1] * 5  # SYNCs sent when the first came
+        self._counts = [0] * 6  # cell, slope, drive, rail, drive status, drive speed frames since the first of each
+        self._bases = [-1] * 6  # SYNCs sent when the first came
         self._syncs = 0
 
     def _handlers_of(self, settings: RigSettings) -> dict[int, Handler]:
         """What to do with the frames of each identifier that means something."""
         nodes, plain = settings.canopen_nodes, settings.plain_messages
-        handlers: dict[int, Handler] = {}
-        for device, base, on_frame in (
-            ("tension_cell", od.CELL_TPDO.cob_base, self._on_cell),
-            ("inclinometer", od.SLOPE_TPDO.cob_base, self._on_slope),
-            ("cylinder", od.DRIVE_TPDO.cob_base, self._on_drive),
-            ("rail_encoder", od.ENCODER_TPDO.cob_base, self._on_rail),
-            ("io", od.TPDO1_BASE, self._on_inputs),
-        ):
-            if device in nodes:
-                handlers[base + nodes[device]] = on_frame
+        data = self._process_data
+        compiled: dict[str, Callable[[RigSettings, PdoLayout], Handler]] = {
+            "tension_cell": self._cell_handler,
+            "inclinometer": self._slope_handler,
+            "cylinder": self._drive_handler,
+            DRIVE_SPEED: self._drive_speed_handler,
+            DRIVE_STATUS: self._drive_status_handler,
+            "rail_encoder": self._rail_handler,
+            "io": self._inputs_handler,
+        }
+        ids = data.can_ids(settings)
+        self._speed_comes_last = ids.get(DRIVE_SPEED, 0) > ids["cylinder"]  # the lower identifier is sent first
+        handlers = {ids[name]: make(settings, data.frames[name]) for name, make in compiled.items() if name in ids}
         for device, handler in (
             ("tension_cell", self._plain_cell_handler),
             ("inclinometer", self._plain_slope_handler),
@@ -122,8 +137,6 @@ class Inbox:
             handlers[od.HEARTBEAT_BASE + node] = self._heartbeat_handler(node)
         for can_id in rival_ids(settings):
             handlers[can_id] = self._on_rival
-        if settings.status_divisor:
-            handlers[od.DRIVE_TPDO2.cob_base + settings.cylinder.node] = self._on_drive_status
         return handlers
 
     def drain(self, now_ns: int, syncs_sent: int) -> None:
@@ -174,10 +187,15 @@ class Inbox:
             self._bases[i] = self._syncs
         self._counts[i] += 1
 
-    def _on_cell(self, data: bytes | bytearray, now_ns: int) -> None:
-        tension_n, quality = codecs.decode_tension(data)
-        self._take_cell(tension_n, quality, now_ns)
-        self._count(0)
+    def _cell_handler(self, _settings: RigSettings, layout: PdoLayout) -> Handler:
+        decode = codecs.tension_decoder(layout)
+
+        def on_cell(data: bytes | bytearray, now_ns: int) -> None:
+            tension_n, quality = decode(data)
+            self._take_cell(tension_n, quality, now_ns)
+            self._count(0)
+
+        return on_cell
 
     def correct(self, correction: Correction) -> None:
         """Read the cell with another correction from now on, the newest sample included."""
@@ -206,42 +224,99 @@ class Inbox:
         self.slope_t_ns = now_ns
         self.slope_fresh = quality == 0
 
-    def _on_slope(self, data: bytes | bytearray, now_ns: int) -> None:
-        tangential, normal, quality = codecs.decode_inclination(data)
-        self._take_slope(tangential, normal, quality, now_ns)
-        self._count(1)
+    def _slope_handler(self, _settings: RigSettings, layout: PdoLayout) -> Handler:
+        decode = codecs.inclination_decoder(layout)
 
-    def _on_drive(self, data: bytes | bytearray, now_ns: int) -> None:
-        self.statusword, self.stroke_mm, self.speed_mm_s = codecs.decode_drive(data)
-        self.drive_t_ns = now_ns
-        self.drive_fresh = True
-        self._count(2)
+        def on_slope(data: bytes | bytearray, now_ns: int) -> None:
+            tangential, normal, quality = decode(data)
+            self._take_slope(tangential, normal, quality, now_ns)
+            self._count(1)
 
-    def _on_drive_status(self, data: bytes | bytearray, now_ns: int) -> None:
-        current, self.drive_temperature_c, inputs = codecs.decode_drive_status(data)
-        self.drive_current_a = current * self._rated_current_a
-        if self._e_stop_bit:
-            self.e_stop = not inputs & self._e_stop_bit
-        self.drive_status_t_ns = now_ns
-        self._count(4)
+        return on_slope
 
-    def _on_inputs(self, data: bytes | bytearray, now_ns: int) -> None:
-        """Open in any of the frames that came together: a contact that bounces is one that was pressed."""
-        if not codecs.decode_inputs(data) & self._io_mask:
-            self._io_opened_ns = now_ns
-        self.io_e_stop = self._io_opened_ns == now_ns
-        self.io_t_ns = now_ns
+    def _drive_handler(self, _settings: RigSettings, layout: PdoLayout) -> Handler:
+        decode = codecs.drive_decoder(layout, self._process_data.units)
 
-    def _on_rail(self, data: bytes | bytearray, now_ns: int) -> None:
-        """Newest angle of the rail; invalid while its encoder reports an error, or runs unverified after a restart."""
-        angle_rad = codecs.decode_encoder(data, self._counts_per_turn)
-        good = not (self._rail_in_error or self._rail_restarted)
-        if good:
-            self.rail_rad = angle_rad
-        self.rail_quality = 0 if good else _INVALID
-        self.rail_t_ns = now_ns
-        self.rail_fresh = good
-        self._count(3)
+        def on_drive(data: bytes | bytearray, now_ns: int) -> None:
+            self.statusword, self.stroke_mm, self.speed_mm_s = decode(data)
+            self.drive_t_ns = now_ns
+            self.drive_fresh = True
+            self._count(2)
+
+        def on_place(data: bytes | bytearray, now_ns: int) -> None:
+            self.statusword, self._stroke_mm, _ = decode(data)
+            self._stroke_t_ns = now_ns
+            self._count(2)
+            if not self._speed_comes_last:
+                self._take_drive(now_ns)
+
+        return on_place if DRIVE_SPEED in self._process_data.frames else on_drive
+
+    def _drive_speed_handler(self, _settings: RigSettings, layout: PdoLayout) -> Handler:
+        decode = codecs.drive_speed_decoder(layout, self._process_data.units)
+
+        def on_speed(data: bytes | bytearray, now_ns: int) -> None:
+            self._speed_mm_s = decode(data)
+            self._speed_t_ns = now_ns
+            self._count(5)
+            if self._speed_comes_last:
+                self._take_drive(now_ns)
+
+        return on_speed
+
+    def _take_drive(self, now_ns: int) -> None:
+        """Stroke and speed that come in two frames are a sample once the second has come, right after the first.
+
+        A frame whose other was lost is dropped: stroke and speed of two SYNCs are no sample.
+        """
+        if self._stroke_t_ns == self._speed_t_ns:
+            self.stroke_mm, self.speed_mm_s = self._stroke_mm, self._speed_mm_s
+            self.drive_t_ns = now_ns
+            self.drive_fresh = True
+        self._stroke_t_ns, self._speed_t_ns = NEVER_NS, NEVER_NS + 1
+
+    def _drive_status_handler(self, settings: RigSettings, layout: PdoLayout) -> Handler:
+        decode = codecs.drive_status_decoder(layout, settings.cylinder.temperature_object)
+
+        def on_drive_status(data: bytes | bytearray, now_ns: int) -> None:
+            current, self.drive_temperature_c, inputs = decode(data)
+            self.drive_current_a = current * self._rated_current_a
+            if self._e_stop_bit:
+                self.e_stop = not inputs & self._e_stop_bit
+            self.drive_status_t_ns = now_ns
+            self._count(4)
+
+        return on_drive_status
+
+    def _inputs_handler(self, settings: RigSettings, layout: PdoLayout) -> Handler:
+        assert settings.io is not None  # there is no frame without it
+        decode, mask = codecs.inputs_decoder(layout, settings.io.block), settings.io.mask
+
+        def on_inputs(data: bytes | bytearray, now_ns: int) -> None:
+            """Open in any of the frames that came together: a contact that bounces is one that was pressed."""
+            if not decode(data) & mask:
+                self._io_opened_ns = now_ns
+            self.io_e_stop = self._io_opened_ns == now_ns
+            self.io_t_ns = now_ns
+
+        return on_inputs
+
+    def _rail_handler(self, settings: RigSettings, layout: PdoLayout) -> Handler:
+        assert settings.rail_encoder is not None  # there is no frame without it
+        decode = codecs.encoder_decoder(layout, settings.rail_encoder.counts_per_turn)
+
+        def on_rail(data: bytes | bytearray, now_ns: int) -> None:
+            """Newest angle; invalid while its encoder reports an error, or runs unverified after a restart."""
+            angle_rad = decode(data)
+            good = not (self._rail_in_error or self._rail_restarted)
+            if good:
+                self.rail_rad = angle_rad
+            self.rail_quality = 0 if good else _INVALID
+            self.rail_t_ns = now_ns
+            self.rail_fresh = good
+            self._count(3)
+
+        return on_rail
 
     def _plain_cell_handler(self, message: PlainMessage) -> Handler:
         decode = dbc.tension_decoder(message)

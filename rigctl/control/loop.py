@@ -23,6 +23,7 @@ from rigctl.control.signs import SignCheck
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.devices.drive import Power, next_controlword
 from rigctl.devices.objects import OFF_STATES, drive_state
+from rigctl.devices.process_data import ProcessData
 from rigctl.telemetry.events import Kind
 from rigctl.telemetry.record import Flag
 
@@ -49,17 +50,19 @@ class Loop:
         host_checks: int = 0,
         law: LawFactory | None = None,
         correction: Correction | None = None,
+        process_data: ProcessData | None = None,
     ) -> None:
         """``supervised``: start-up has verified that the drive stops by itself when we go silent.
 
         ``host_checks``: what fails of `rigctl.control.safety.HOST_CHECKS`, until the gateway says otherwise.
         ``law``: makes another law than ours, to be compared with it; it may look into the inbox.
         ``correction``: of the tension cell, from the ledger.
+        ``process_data``: as start-up found it; None: as the rig file asks for it.
         """
         self.settings = settings
         self.machine = Machine(_stopping_ns(settings))
-        self.inbox = Inbox(bus, settings, rings.frames)
-        self.outbox = Outbox(bus, settings, rings.frames)
+        self.inbox = Inbox(bus, settings, rings.frames, process_data)
+        self.outbox = Outbox(bus, settings, rings.frames, process_data)
         self.observer = Observer(settings, self.inbox)
         self.law = TensionLaw(settings, gains) if law is None else law(settings, gains, self.inbox)
         self.exceptions_untold = 0

@@ -7,16 +7,21 @@ import can
 from rigctl.config import RigSettings
 from rigctl.devices import codecs
 from rigctl.devices import objects as od
+from rigctl.devices.process_data import COMMAND, ProcessData, wanted
 from rigctl.telemetry.ring import RingWriter
 
 
 class Outbox:
     """Sends and counts; a frame the bus does not take is a missed send, not an error of the tick."""
 
-    def __init__(self, bus: can.BusABC, settings: RigSettings, frames: RingWriter) -> None:
-        """``frames``: where every frame the bus has taken is kept."""
+    def __init__(
+        self, bus: can.BusABC, settings: RigSettings, frames: RingWriter, process_data: ProcessData | None = None
+    ) -> None:
+        """``frames``: where every frame the bus has taken is kept. ``process_data``: see `rigctl.control.inbox`."""
         self._bus, self._frames = bus, frames
-        self._command_id = od.DRIVE_RPDO.cob_base + settings.cylinder.node
+        data = process_data or wanted(settings)
+        self._command_id = data.can_ids(settings)[COMMAND]
+        self._encode = codecs.command_encoder(data.frames[COMMAND], data.units)
         self._heartbeat_id = od.HEARTBEAT_BASE + settings.can.controller_node
         period_ticks = settings.can.heartbeat_ms * settings.loop.rate_hz // 1000
         self._heartbeat_every = max(1, period_ticks)
@@ -32,7 +37,7 @@ class Outbox:
         """The command PDO, then SYNC, then the heartbeat when it is due."""
         self._now_ns = now_ns
         self.controlword = controlword
-        taken = self._send(self._command_id, codecs.encode_command(controlword, speed_mm_s))
+        taken = self._send(self._command_id, self._encode(controlword, speed_mm_s))
         self.safe_frames = self.safe_frames + taken if speed_mm_s == 0.0 else 0
         self.syncs += self._send(od.SYNC_COB, b"")
         self._until_heartbeat -= 1

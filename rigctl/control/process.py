@@ -27,6 +27,7 @@ from rigctl.control.safety import Check
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.devices import startup
+from rigctl.devices.process_data import COMMAND, ProcessData
 from rigctl.telemetry.runtime import Runtime
 
 WARM_UP_TICKS = 50
@@ -35,11 +36,10 @@ FILTERS_IN_FULL = ("socketcan", "rigsim")
 EXIT_CANNOT_START = 1
 
 
-def receive_filters(settings: RigSettings) -> CanFilters:
+def receive_filters(settings: RigSettings, process_data: ProcessData) -> CanFilters:
     """Ids the loop reads; on interfaces that filter in the kernel nothing else wakes or fills the socket."""
-    bases = (od.TPDO1_BASE, od.EMCY_BASE, od.HEARTBEAT_BASE)
-    ids = [base + node for base in bases for node in settings.canopen_nodes.values()]
-    ids += [od.TPDO2_BASE + settings.cylinder.node] if settings.status_divisor else []
+    ids = [base + node for base in (od.EMCY_BASE, od.HEARTBEAT_BASE) for node in settings.canopen_nodes.values()]
+    ids += list(process_data.can_ids(settings).values())
     ids += rival_ids(settings)
     ids += [message.can_id for message in settings.plain_messages.values()]
     return [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in ids]
@@ -60,7 +60,7 @@ def open_bus(settings: RigSettings) -> can.BusABC:
         raise startup.StartupError(f"{where} cannot be opened: {' '.join(str(error).split())}") from None
 
 
-def warm_up(settings: RigSettings, gains: Gains, directory: Runtime) -> None:
+def warm_up(settings: RigSettings, gains: Gains, directory: Runtime, process_data: ProcessData) -> None:
     """Run every path of the tick on a bus of its own, so that the first real tick meets nothing for the first time."""
     runtime = Runtime(directory.directory / f"warm-up-{os.getpid()}")
     runtime.directory.mkdir()
@@ -68,8 +68,8 @@ def warm_up(settings: RigSettings, gains: Gains, directory: Runtime) -> None:
         runtime.make_rings(settings)
         bus = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
         other = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
-        clock = SimulatedClock(settings.loop.period_ns, lambda _t: _answer(other, settings))
-        loop = Loop(settings, gains, bus, clock, Rings.of(runtime), supervised=True)
+        clock = SimulatedClock(settings.loop.period_ns, lambda _t: _answer(other, settings, process_data))
+        loop = Loop(settings, gains, bus, clock, Rings.of(runtime), supervised=True, process_data=process_data)
         for _ in range(WARM_UP_TICKS):
             loop.tick()
         bus.shutdown()
@@ -78,22 +78,18 @@ def warm_up(settings: RigSettings, gains: Gains, directory: Runtime) -> None:
         runtime.remove()
 
 
-def _answer(bus: can.BusABC, settings: RigSettings) -> None:
-    samples: dict[str, tuple[od.PdoLayout, tuple[int, ...]]] = {
-        "tension_cell": (od.CELL_TPDO, (300_000, 0)),
-        "inclinometer": (od.SLOPE_TPDO, (10, 0)),
-        "rail_encoder": (od.ENCODER_TPDO, (0,)),
-        "cylinder": (od.DRIVE_TPDO, (0x0237, 50_000, 1)),
+def _answer(bus: can.BusABC, settings: RigSettings, process_data: ProcessData) -> None:
+    samples = {
+        od.AI_PROCESS_VALUE: 300_000, od.SLOPE_LONG: 10, od.STATUSWORD: 0x0237, od.POSITION_ACTUAL: 50_000,
+        od.VELOCITY_ACTUAL: 1, od.VELOCITY_ACTUAL_16: 1, od.CURRENT_ACTUAL: 100, od.DIGITAL_INPUTS: 0xFFFFFFFF,
+        od.INPUTS_8: od.EVERY_INPUT_8,
+    }  # fmt: skip
+    ids = process_data.can_ids(settings)
+    frames = {
+        ids[name]: layout.codec.pack(*(samples.get(index, 0) for index, _ in layout.objects))
+        for name, layout in process_data.frames.items()
+        if name != COMMAND
     }
-    if settings.io is not None:
-        samples["io"] = (od.inputs_tpdo(settings.io.block), (od.EVERY_INPUT_8,))
-    frames = {}
-    for device, node in settings.canopen_nodes.items():
-        layout, values = samples[device]
-        frames[layout.cob_base + node] = layout.codec.pack(*values)
-    if settings.status_divisor:
-        layout = od.DRIVE_TPDO2
-        frames[layout.cob_base + settings.cylinder.node] = layout.codec.pack(100, 300, 0xFFFFFFFF)
     for message in settings.plain_messages.values():
         frames[message.can_id] = message.payload({"tension": 300.0, "tangential": 1e-3, "normal": 0.0, "valid": 1.0})
     for can_id, data in frames.items():
@@ -109,6 +105,11 @@ def _stop_on_signal(loop: Loop) -> Callable[[int, FrameType | None], None]:
     return on_signal
 
 
+def _say(line: str) -> None:
+    sys.stderr.write(f"rigctl: {line}\n")
+    sys.stderr.flush()
+
+
 def run(directory: str) -> int:
     """Body of the process; returns its exit code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -117,7 +118,7 @@ def run(directory: str) -> int:
     settings = RigSettings.model_validate(runtime.read_json("active.json")["settings"])
     try:
         bus = open_bus(settings)
-        report = startup.bring_up(bus, settings)
+        report = startup.bring_up(bus, settings, _say)
     except startup.StartupError as error:
         sys.stderr.write(f"rigctl: {error}\n")
         return EXIT_CANNOT_START
@@ -125,9 +126,9 @@ def run(directory: str) -> int:
     if not line:
         return EXIT_CANNOT_START  # the supervisor has ended, or refused the design
     gains = msgspec.json.decode(line, type=Gains)
-    warm_up(settings, gains, runtime)
+    warm_up(settings, gains, runtime, report.process_data)
     if settings.can.interface in FILTERS_IN_FULL:
-        bus.set_filters(receive_filters(settings))
+        bus.set_filters(receive_filters(settings, report.process_data))
     clock = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000)
     correction = in_force(runtime).correction
     loop = Loop(
@@ -139,6 +140,7 @@ def run(directory: str) -> int:
         supervised=report.supervised,
         host_checks=Check.HOST,  # the gateway judges them before an operator can arm
         correction=correction,
+        process_data=report.process_data,
     )
     signal.signal(signal.SIGTERM, _stop_on_signal(loop))
     frozen = realtime.freeze_garbage_collector()  # before real time: it takes 100 ms, which another loop must not wait

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from rigctl.config import RigSettings
 from rigctl.devices import objects as od
 from rigctl.devices.plain import PlainMessage
-from rigctl.devices.startup import DEVICE_HEARTBEAT_MS
+from rigctl.devices.process_data import COMMAND, DRIVE_SPEED, DRIVE_STATUS, ProcessData, wanted
 
 LIMIT = 0.8
+DEVICE_HEARTBEAT_MS = 100  # 0x1017 of every device, written at start-up
 
 
 @dataclass(frozen=True)
@@ -26,23 +27,25 @@ class Traffic:
         return od.frame_bits(self.size) * self.rate_hz
 
 
-def traffic(settings: RigSettings) -> list[Traffic]:
-    """Cyclic frames of the rig, both ways."""
+def traffic(settings: RigSettings, process_data: ProcessData | None = None) -> list[Traffic]:
+    """Cyclic frames of the rig, both ways. ``process_data``: as read back; None: as the rig file asks for it."""
     rate = float(settings.loop.rate_hz)
+    size = {name: layout.size for name, layout in (process_data or wanted(settings)).frames.items()}
     plain = settings.plain_messages
     cell, slope = plain.get("tension_cell"), plain.get("inclinometer")
     rail, status, io = settings.rail_encoder, settings.cylinder.status_rate_hz, settings.io
     return [
         Traffic("SYNC", 0, rate),
-        Traffic("command", od.DRIVE_RPDO.size, rate),
-        _plain("tension", cell, settings) if cell else Traffic("tension", od.CELL_TPDO.size, rate),
-        Traffic("drive status", od.DRIVE_TPDO.size, rate),
+        Traffic("command", size[COMMAND], rate),
+        _plain("tension", cell, settings) if cell else Traffic("tension", size["tension_cell"], rate),
+        Traffic("drive status", size["cylinder"], rate),
+        *([Traffic("drive speed", size[DRIVE_SPEED], rate)] if DRIVE_SPEED in size else []),
         _plain("inclination", slope, settings)
         if slope
-        else Traffic("inclination", od.SLOPE_TPDO.size, float(settings.inclinometer.rate_hz)),
-        *([Traffic("drive inputs", od.DRIVE_TPDO2.size, float(status))] if status else []),
-        *([Traffic("rail angle", od.ENCODER_TPDO.size, float(rail.rate_hz))] if rail else []),
-        *([Traffic("I/O inputs", od.inputs_tpdo(io.block).size, 1000.0 / io.inhibit_ms)] if io else []),
+        else Traffic("inclination", size["inclinometer"], float(settings.inclinometer.rate_hz)),
+        *([Traffic("drive inputs", size[DRIVE_STATUS], float(status))] if status else []),
+        *([Traffic("rail angle", size["rail_encoder"], float(rail.rate_hz))] if rail else []),
+        *([Traffic("I/O inputs", size["io"], 1000.0 / io.inhibit_ms)] if io else []),
         Traffic("heartbeat, controller", 1, 1000.0 / settings.can.heartbeat_ms),
         Traffic("heartbeats, devices", 1, len(settings.canopen_nodes) * 1000.0 / DEVICE_HEARTBEAT_MS),
     ]
@@ -53,7 +56,7 @@ def _plain(name: str, message: PlainMessage, settings: RigSettings) -> Traffic:
     return Traffic(f"{name} ({message.name})", message.size, message.rate_hz(settings.loop.rate_hz))
 
 
-def bus_load(settings: RigSettings) -> float | None:
-    """Fraction of the bit rate in use at worst; None where the bus has no bit timing."""
+def bus_load(settings: RigSettings, process_data: ProcessData | None = None) -> float | None:
+    """Fraction of the bit rate in use at worst; None where the bus has no bit timing. Arguments: see `traffic`."""
     bitrate = settings.can.bitrate_bit_s
-    return sum(t.bit_s for t in traffic(settings)) / bitrate if bitrate else None
+    return sum(t.bit_s for t in traffic(settings, process_data)) / bitrate if bitrate else None

@@ -15,6 +15,7 @@ import cantools
 from rigctl.config import DbcSettings, PlainMessages, RigSettings
 from rigctl.devices import objects as od
 from rigctl.devices.plain import FLOAT_CODES, PlainMessage, PlainSignal
+from rigctl.devices.process_data import DRIVE_SPEED, DRIVE_STATUS, wanted
 from rigctl.one_line import on_one_line
 
 _TENSION = {"N": 1.0}
@@ -75,8 +76,8 @@ def _canopen_ids(settings: RigSettings) -> dict[int, str]:
     }  # fmt: skip
     for name, node in {**settings.canopen_nodes, "simulator": od.SIMULATOR_NODE}.items():
         ids |= {base + node: f"{name}'s {kind}" for base, kind in kinds.items()}
-    ids[od.TPDO2_BASE + settings.cylinder.node] = "cylinder's second TPDO"
-    return ids
+    used = wanted(settings).can_ids(settings)
+    return ids | {used[name]: f"the drive's PDO ({name})" for name in (DRIVE_SPEED, DRIVE_STATUS) if name in used}
 
 
 def _message(device: str, dbc: DbcSettings, file: pathlib.Path) -> PlainMessage:

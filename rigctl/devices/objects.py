@@ -7,6 +7,7 @@ it, and the tests hold both against the EDS files.
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
@@ -17,6 +18,10 @@ EMCY_BASE = 0x080
 TPDO1_BASE = 0x180
 TPDO2_BASE = 0x280
 RPDO1_BASE = 0x200
+PDO_SPACING = 0x100  # COB-ID of the next PDO of the same kind
+PDOS = 4  # of each kind have a COB-ID of their own
+PDO_NOT_VALID = 1 << 31  # of a COB-ID: the PDO is switched off
+PDO_NO_RTR = 1 << 30  # of a COB-ID: no remote frame asks for it; some devices have it so for good
 SDO_TX_BASE = 0x580
 SDO_RX_BASE = 0x600
 HEARTBEAT_BASE = 0x700
@@ -97,14 +102,17 @@ DISABLE_OPERATION_OPTION = 0x605C
 FAULT_REACTION_OPTION = 0x605E
 MODE_OF_OPERATION = 0x6060
 MODE_DISPLAY = 0x6061
-POSITION_ACTUAL = 0x6064  # INTEGER32, um
-VELOCITY_ACTUAL = 0x606C  # INTEGER32, um/s
+POSITION_ACTUAL = 0x6064  # INTEGER32, um or the drive's own unit
+VELOCITY_ACTUAL = 0x606C  # INTEGER32, um/s or the drive's own unit
 VELOCITY_ACTUAL_16 = 0x2044  # manufacturer: INTEGER16, 10 um/s, so that status, position and speed share a frame
 DRIVE_TEMPERATURE = 0x2045  # manufacturer: INTEGER16, 0.1 deg C
 MOTOR_RATED_CURRENT = 0x6075  # UNSIGNED32, mA
 CURRENT_ACTUAL = 0x6078  # INTEGER16, per mille of the rated current
 DIGITAL_INPUTS = 0x60FD  # UNSIGNED32: bit 0 lower limit switch, 1 upper, 2 home, from 16 on the manufacturer's
 QUICK_STOP_DECELERATION = 0x6085  # um/s2
+ENCODER_RESOLUTION = 0x608F  # :01 increments per :02 revolutions of the motor
+GEAR_RATIO = 0x6091  # :01 revolutions of the motor per :02 of the shaft
+FEED_CONSTANT = 0x6092  # :01 position units per :02 revolutions of the shaft
 SI_UNIT_POSITION = 0x60A8
 SI_UNIT_VELOCITY = 0x60A9
 INTERPOLATION_PERIOD = 0x60C2  # :01 value, :02 power of ten of a second
@@ -197,12 +205,37 @@ SIM_TRUE_VERTICAL_MN = 0x2100  # INTEGER32, mN: the plant's true vertical tensio
 SIM_TRUE_STROKE_UM = 0x2101  # INTEGER32, um
 
 
+LONGEST_FRAME = 8
+_PADDING = "x"
+_DUMMY_LAST = 0x0007  # objects 0001 to 0007 fill gaps in an RPDO
+
+
 @dataclass(frozen=True)
 class PdoLayout:
     """One PDO: its COB-ID base and the objects mapped, in order, as (index, subindex, struct code)."""
 
     cob_base: int
     fields: tuple[tuple[int, int, str], ...]
+
+    @property
+    def transmitted(self) -> bool:
+        """The device sends it: a TPDO."""
+        return self.cob_base % PDO_SPACING == TPDO1_BASE % PDO_SPACING
+
+    @property
+    def place(self) -> int:
+        """0 for the first PDO of its kind: 0x1800, 0x1A00, 0x1400 and 0x1600 are followed by those of the next."""
+        return (self.cob_base - (TPDO1_BASE if self.transmitted else RPDO1_BASE)) // PDO_SPACING
+
+    @property
+    def communication(self) -> int:
+        """Its communication parameter."""
+        return (TPDO1_COMMUNICATION if self.transmitted else RPDO1_COMMUNICATION) + self.place
+
+    @property
+    def mapping_object(self) -> int:
+        """Its mapping parameter."""
+        return (TPDO1_MAPPING if self.transmitted else RPDO1_MAPPING) + self.place
 
     @property
     def codec(self) -> struct.Struct:
@@ -219,6 +252,58 @@ class PdoLayout:
         """Values of the mapping object: index << 16 | subindex << 8 | bits."""
         return tuple(i << 16 | s << 8 | struct.calcsize("<" + c) * 8 for i, s, c in self.fields)
 
+    @property
+    def objects(self) -> tuple[tuple[int, int], ...]:
+        """Index and sub-index of the values in it, in its order; what is padding is none."""
+        return tuple((index, sub) for index, sub, code in self.fields if not code.endswith(_PADDING))
+
+    def as_mapped(self, entries: Iterable[int]) -> PdoLayout:
+        """This PDO as a device has it: in the order of its mapping ``entries``, with what else is in it as padding.
+
+        An RPDO must have nothing else in it but gaps (objects 0001 to 0007) and the mode of operation, whose value we
+        know: a controller does not write what it was not asked for.
+
+        Raises:
+            ValueError: what is missing, or cannot be read or written.
+        """
+        codes = {(index, sub): code for index, sub, code in self.fields}
+        if not self.transmitted:
+            codes.setdefault((MODE_OF_OPERATION, 0), "b")
+        missing = {(index, sub) for index, sub, _ in self.fields}
+        fields = []
+        for entry in entries:
+            index, sub, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+            code = codes.pop((index, sub), None)
+            missing.discard((index, sub))
+            if code is not None and struct.calcsize("<" + code) * 8 != bits:
+                wide = struct.calcsize("<" + code) * 8
+                raise ValueError(f"object 0x{index:04X}:{sub:02X} with {bits} bits, allowed {wide}")
+            if bits % 8:
+                raise ValueError(f"object 0x{index:04X}:{sub:02X} with {bits} bits, allowed whole bytes")
+            if code is None and not self.transmitted and index > _DUMMY_LAST:
+                raise ValueError(f"object 0x{index:04X}:{sub:02X}, which we do not write")
+            fields.append((index, sub, f"{bits // 8}{_PADDING}" if code is None else code))
+        for index, sub in sorted(missing):
+            raise ValueError(f"no object 0x{index:04X}:{sub:02X}")
+        layout = PdoLayout(self.cob_base, tuple(fields))
+        if layout.size > LONGEST_FRAME:
+            raise ValueError(f"{layout.size} bytes, allowed {LONGEST_FRAME}")
+        return layout
+
+    def reader(self, *wanted: tuple[int, int]) -> Callable[[bytes | bytearray], tuple[int, ...]]:
+        """Function from a payload to the values of these objects, in this order; ``ValueError`` at another length."""
+        size, unpack = self.size, self.codec.unpack
+        places = [self.objects.index(each) for each in wanted]
+        as_it_is = places == list(range(len(self.objects)))
+
+        def read(data: bytes | bytearray) -> tuple[int, ...]:
+            if len(data) != size:
+                raise ValueError("length")
+            values = unpack(data)
+            return values if as_it_is else tuple([values[place] for place in places])
+
+        return read
+
 
 CELL_TPDO = PdoLayout(TPDO1_BASE, ((AI_PROCESS_VALUE, 1, "i"), (AI_STATUS, 1, "B")))
 SLOPE_TPDO = PdoLayout(TPDO1_BASE, ((SLOPE_LONG, 0, "h"), (SLOPE_LATERAL, 0, "h")))
@@ -226,6 +311,11 @@ ENCODER_TPDO = PdoLayout(TPDO1_BASE, ((ENCODER_POSITION, 0, "I"),))
 DRIVE_TPDO = PdoLayout(TPDO1_BASE, ((STATUSWORD, 0, "H"), (POSITION_ACTUAL, 0, "i"), (VELOCITY_ACTUAL_16, 0, "h")))
 DRIVE_TPDO2 = PdoLayout(TPDO2_BASE, ((CURRENT_ACTUAL, 0, "h"), (DRIVE_TEMPERATURE, 0, "h"), (DIGITAL_INPUTS, 0, "I")))
 DRIVE_RPDO = PdoLayout(RPDO1_BASE, ((CONTROLWORD, 0, "H"), (TARGET_VELOCITY, 0, "i")))
+
+
+def tpdo_base(number: int) -> int:
+    """COB-ID base of the TPDO of this number, from 1 on."""
+    return TPDO1_BASE + (number - 1) * PDO_SPACING
 
 
 def inputs_tpdo(block: int) -> PdoLayout:

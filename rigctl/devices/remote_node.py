@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import struct
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -13,13 +15,18 @@ import canopen
 from rigctl.config import RigSettings
 from rigctl.devices import objects as od
 
-_NOT_VALID = 1 << 31
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it logs, an error here says, with the device
 _MOST_SEGMENTS = 4  # no object read here is longer than one
+_MOST_ENTRIES = 64  # a count beyond it is of a multiplexed PDO, which carries no process data of ours
 _GARBLED = (struct.error, canopen.ObjectDictionaryError)  # canopen's, at frames too short and values of no such size
 
 
 class StartupError(RuntimeError):
     """The rig is not what the rig file says, or does not answer; ``str()`` is one line."""
+
+
+class SilentError(StartupError):
+    """A device does not answer."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +61,14 @@ class StopSetting:
 class RemoteNode:
     """One device under configuration, with errors that name it."""
 
-    def __init__(self, network: canopen.Network, settings: RigSettings, name: str, node: int, eds: str) -> None:
-        self.name, self.id = name, node
+    def __init__(self, network: canopen.Network, settings: RigSettings, section: str, name: str) -> None:
+        """``section``: the device's, in the rig file."""
+        device = getattr(settings, section)
+        self.name, self.id = name, int(device.node)
+        self._section, self._device = section, device
         self._channel = f"{settings.can.interface}:{settings.can.channel}"
-        self.remote = network.add_node(canopen.RemoteNode(node, str(settings.file(eds))))
+        self.remote = network.add_node(canopen.RemoteNode(self.id, str(settings.file(device.eds))))
+        self.remote.sdo.RESPONSE_TIMEOUT = device.sdo_timeout_ms * 1e-3
 
     def where(self, index: int, sub: int) -> str:
         """Device and object, for an error."""
@@ -84,8 +95,9 @@ class RemoteNode:
         except _GARBLED:
             raise self._garbled(index, sub) from None
         except canopen.SdoCommunicationError:
-            raise StartupError(
-                f"{self.name} (node {self.id}) does not answer on {self._channel}: is the rig on and connected?"
+            raise SilentError(
+                f"{self.name} (node {self.id}) does not answer on {self._channel} within "
+                f"{self._device.sdo_timeout_ms} ms ({self._section}.sdo_timeout_ms): is the rig on and connected?"
             ) from None
         except KeyError:
             raise StartupError(f"{self.where(index, sub)}: not in its EDS file") from None
@@ -150,7 +162,29 @@ class RemoteNode:
         return StartupError(f"{self.where(index, sub)}: answered with what is no SDO answer on {self._channel}")
 
     def _silent(self) -> StartupError:
-        return StartupError(f"{self.name} (node {self.id}) stopped answering on {self._channel}")
+        return SilentError(f"{self.name} (node {self.id}) stopped answering on {self._channel}")
+
+    def await_boot(self, until_s: float, say: Callable[[str], None]) -> None:
+        """Wait until it answers, at most until ``until_s`` (time.monotonic).
+
+        Raises:
+            StartupError: it does not, or what it answers is no SDO answer.
+        """
+        waited = False
+        while True:
+            try:
+                self.read(od.DEVICE_TYPE)
+            except SilentError:
+                left_s = until_s - time.monotonic()
+                if left_s <= 0:
+                    raise
+                if not waited:
+                    say(f"waiting for {self.name} (node {self.id}), for {left_s:.0f} s more at most (can.boot_wait_s)")
+                    waited = True
+            else:
+                break
+        if waited:
+            self.remote.nmt.state = "PRE-OPERATIONAL"  # it has not heard the first
 
     def identity(self, profile: int) -> Device:
         """Identity, of a device of this CiA profile."""
@@ -159,28 +193,68 @@ class RemoteNode:
             raise StartupError(
                 f"{self.name} (node {self.id}): found CiA profile {device_type & 0xFFFF}, allowed {profile & 0xFFFF}"
             )
-        numbers = (self.read(od.IDENTITY, sub) for sub in (1, 2, 3, 4))
-        return Device(self.name, self.id, device_type, *numbers)
+        found = Device(self.name, self.id, device_type, *(self.read(od.IDENTITY, sub) for sub in (1, 2, 3, 4)))
+        for sub, what in enumerate(("vendor", "product"), 1):
+            asked = getattr(self._device, what)
+            if asked is not None and getattr(found, what) != asked:
+                raise StartupError(
+                    f"{self.where(od.IDENTITY, sub)}: found {what} {getattr(found, what):#x}, "
+                    f"allowed {asked:#x} ({self._section}.{what} in the rig file)"
+                )
+        return found
 
     def map_pdo(
-        self,
-        layout: od.PdoLayout,
-        communication: int,
-        mapping: int,
-        transmission: int,
-        timers: Mapping[int, int] = MappingProxyType({}),
-    ) -> None:
-        """Map ``layout`` onto a PDO, CiA 301 order: disable, clear, write, count, enable.
+        self, layout: od.PdoLayout, transmission: int, timers: Mapping[int, int] = MappingProxyType({})
+    ) -> od.PdoLayout:
+        """Map ``layout`` onto its PDO and switch that on; what is there already is not written. The layout in use.
 
-        ``timers``: inhibit time and event timer of one that is not driven by SYNC, by sub-index.
+        CiA 301 order: disable, clear, write, count, enable. Bit 30 of the COB-ID stays as it is: a device without RTR
+        refuses another. A mapping that is fixed is used as it is, if it has all that is needed.
+
+        Args:
+            layout: what is needed.
+            transmission: type, sub-index 2.
+            timers: inhibit time and event timer of one that is not driven by SYNC, by sub-index.
         """
-        cob_id = layout.cob_base + self.id
-        self.write(cob_id | _NOT_VALID, communication, 1, verify=False)
-        self.write(transmission, communication, 2)
-        for sub, value in timers.items():
+        communication = layout.communication
+        found = self.read(communication, 1)
+        cob_id = layout.cob_base + self.id | found & od.PDO_NO_RTR
+        parameters = {2: transmission, **timers}
+        mapped = self._mapping(layout.mapping_object)
+        same = found == cob_id and mapped == layout.mapping
+        if same and all(self.read(communication, sub) == value for sub, value in parameters.items()):
+            return layout
+        self.write(cob_id | od.PDO_NOT_VALID, communication, 1, verify=False)
+        for sub, value in parameters.items():
             self.write(value, communication, sub)
-        self.write(0, mapping, 0)
-        for sub, entry in enumerate(layout.mapping, 1):
-            self.write(entry, mapping, sub)
-        self.write(len(layout.mapping), mapping, 0)
+        if mapped != layout.mapping:
+            layout = self._remap(layout, mapped)
         self.write(cob_id, communication, 1)
+        return layout
+
+    def _mapping(self, index: int) -> tuple[int, ...]:
+        count = self.read(index, 0)
+        return tuple(self.read(index, sub) for sub in range(1, count + 1)) if count <= _MOST_ENTRIES else ()
+
+    def _remap(self, layout: od.PdoLayout, mapped: tuple[int, ...]) -> od.PdoLayout:
+        """Write the mapping of a PDO that is switched off; the layout in use."""
+        index = layout.mapping_object
+        try:
+            self._variable(index, 0).raw = 0
+        except canopen.SdoAbortedError as error:  # it is fixed
+            try:
+                return layout.as_mapped(mapped)
+            except ValueError as missing:
+                raise StartupError(
+                    f"{self.where(index, 0)}: a mapping that cannot be changed ({error}) has {missing}: "
+                    "use another PDO or object of the device, or another device"
+                ) from None
+        except _GARBLED:
+            raise self._garbled(index, 0) from None
+        except canopen.SdoCommunicationError:
+            raise self._silent() from None
+        self.expect(0, index)
+        for sub, entry in enumerate(layout.mapping, 1):
+            self.write(entry, index, sub)
+        self.write(len(layout.mapping), index, 0)
+        return layout

@@ -6,7 +6,9 @@ with one line that names device, object, found and allowed.
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -15,14 +17,27 @@ import canopen
 
 from rigctl.config import RigSettings
 from rigctl.config_io import INPUTS_PER_BLOCK, IoSettings
+from rigctl.devices import busload
 from rigctl.devices import objects as od
+from rigctl.devices.busload import DEVICE_HEARTBEAT_MS
+from rigctl.devices.process_data import (
+    COMMAND,
+    DRIVE_SPEED,
+    DRIVE_STATUS,
+    DriveUnits,
+    ProcessData,
+    in_increments,
+    wanted,
+)
 from rigctl.devices.remote_node import Device, RemoteNode, StartupError, StopSetting
 
-__all__ = ["Device", "StartupError", "bring_up", "refuse_rival", "release"]
+__all__ = ["DEVICE_HEARTBEAT_MS", "Device", "StartupError", "bring_up", "refuse_rival", "release"]
 
-DEVICE_HEARTBEAT_MS = 100
 _LISTENED_HEARTBEATS = 2.5
 _INHIBIT_UNITS_PER_MS = 10
+_SAME_SCALE = 1e-6  # relative: two ways of saying the same scale differ by their rounding at most
+_METRE, _PER_SECOND = 0x01, 0x03  # CiA 303-2
+_FINEST, _COARSEST = -9, -5  # powers of ten of a metre: 1 nm to 10 um
 _DEVICES = {
     "tension_cell": ("tension cell", od.DEVICE_TYPE_404),
     "inclinometer": ("inclinometer", od.DEVICE_TYPE_410),
@@ -48,6 +63,7 @@ class Report:
 
     devices: tuple[Device | PlainDevice, ...]
     supervision: tuple[StopSetting, ...]
+    process_data: ProcessData
 
     @property
     def supervised(self) -> bool:
@@ -57,7 +73,8 @@ class Report:
     def as_json(self) -> dict[str, Any]:
         """For control.json."""
         stop = [{**asdict(setting), "ok": setting.ok} for setting in self.supervision]
-        return {"devices": [asdict(device) for device in self.devices], "supervision": stop}
+        devices = [asdict(device) for device in self.devices]
+        return {"devices": devices, "supervision": stop, "process_data": self.process_data.as_json()}
 
 
 def refuse_rival(bus: can.BusABC, settings: RigSettings) -> None:
@@ -82,8 +99,10 @@ def refuse_rival(bus: can.BusABC, settings: RigSettings) -> None:
             )
 
 
-def bring_up(bus: can.BusABC, settings: RigSettings) -> Report:
+def bring_up(bus: can.BusABC, settings: RigSettings, say: Callable[[str], None] = lambda _line: None) -> Report:
     """Configure the CANopen devices and start them; the drive stays off, its brake closed.
+
+    ``say``: told, in one line each, what it waits for.
 
     Devices with plain frames have nothing to configure: whether they send is seen by the loop's preflight.
 
@@ -95,7 +114,7 @@ def bring_up(bus: can.BusABC, settings: RigSettings) -> Report:
     network.NOTIFIER_CYCLE = 0.01
     network.connect()
     try:
-        return _configure(network, settings)
+        return _configure(network, settings, say)
     except can.CanError as error:
         raise StartupError(f"{settings.can.interface}:{settings.can.channel}: {error}") from None
     finally:
@@ -103,42 +122,117 @@ def bring_up(bus: can.BusABC, settings: RigSettings) -> Report:
             network.notifier.stop()
 
 
-def _configure(network: canopen.Network, settings: RigSettings) -> Report:
-    nodes = {}
-    for device in settings.canopen_nodes:
-        section, (name, _) = getattr(settings, device), _DEVICES[device]
-        nodes[device] = RemoteNode(network, settings, name, section.node, section.eds)
+def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[str], None]) -> Report:
+    nodes = {device: RemoteNode(network, settings, device, _DEVICES[device][0]) for device in settings.canopen_nodes}
     for node in nodes.values():
         node.remote.nmt.state = "PRE-OPERATIONAL"
+    until_s = time.monotonic() + settings.can.boot_wait_s
+    for node in nodes.values():
+        node.await_boot(until_s, say)
+    asked = wanted(settings).frames
+    frames = {}
     devices = [node.identity(_DEVICES[device][1]) for device, node in nodes.items()]
     if cell := nodes.get("tension_cell"):
         cell.expect(od.SI_UNIT_NEWTON, od.AI_PHYSICAL_UNIT, 1)
         cell.expect(od.CELL_DECIMAL_DIGITS, od.AI_DECIMAL_DIGITS, 1)
-        cell.map_pdo(od.CELL_TPDO, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, 1)
+        frames["tension_cell"] = cell.map_pdo(asked["tension_cell"], 1)
     if slope := nodes.get("inclinometer"):
         slope.expect(od.SLOPE_RESOLUTION_MDEG, od.SLOPE_RESOLUTION)
-        slope.map_pdo(od.SLOPE_TPDO, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, settings.inclinometer_divisor)
+        frames["inclinometer"] = slope.map_pdo(asked["inclinometer"], settings.inclinometer_divisor)
     if encoder := nodes.get("rail_encoder"):
-        _check_encoder(encoder, settings)
+        frames["rail_encoder"] = _check_encoder(encoder, settings, asked["rail_encoder"])
     if settings.io is not None:
-        _ask_for_inputs(nodes["io"], settings.io)
+        frames["io"] = _ask_for_inputs(nodes["io"], settings.io, asked["io"])
     drive = nodes["cylinder"]
-    drive.expect(od.SI_MICROMETRE, od.SI_UNIT_POSITION)
-    drive.expect(od.SI_MICROMETRE_PER_SECOND, od.SI_UNIT_VELOCITY)
-    drive.map_pdo(od.DRIVE_TPDO, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, 1)
-    if settings.status_divisor:
-        _ask_for_status(drive, settings)
-    drive.map_pdo(od.DRIVE_RPDO, od.RPDO1_COMMUNICATION, od.RPDO1_MAPPING, 1)
+    units = _units(drive, settings)
+    frames["cylinder"] = drive.map_pdo(asked["cylinder"], 1)
+    if DRIVE_SPEED in asked:
+        frames[DRIVE_SPEED] = drive.map_pdo(asked[DRIVE_SPEED], 1)
+    if DRIVE_STATUS in asked:
+        frames[DRIVE_STATUS] = _ask_for_status(drive, settings, asked[DRIVE_STATUS])
+    frames[COMMAND] = drive.map_pdo(asked[COMMAND], 1)
+    process_data = ProcessData(frames, units)
+    _check_load(settings, process_data)
     drive.write(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_OF_OPERATION)
-    supervision = _supervise(drive, settings)
+    supervision = _supervise(drive, settings, units)
     for node in nodes.values():
         node.write(DEVICE_HEARTBEAT_MS, od.PRODUCER_HEARTBEAT)
     for node in nodes.values():
         node.remote.nmt.state = "OPERATIONAL"
-    return Report((*devices, *_plain_devices(settings)), supervision)
+    return Report((*devices, *_plain_devices(settings)), supervision, process_data)
 
 
-def _check_encoder(encoder: RemoteNode, settings: RigSettings) -> None:
+def _check_load(settings: RigSettings, process_data: ProcessData) -> None:
+    """A mapping that is fixed may have longer frames than the rig file asks for."""
+    load = busload.bus_load(settings, process_data)
+    if load is not None and load > busload.LIMIT:
+        raise StartupError(
+            f"bus load with the devices' own mappings: found {load:.1%} of {settings.can.bitrate_bit_s} bit/s, "
+            f"allowed {busload.LIMIT:.0%}: raise the bit rate or lower loop.rate_hz"
+        )
+
+
+def _units(drive: RemoteNode, settings: RigSettings) -> DriveUnits:
+    """The drive's units: by the rig file, by its feed constant, or by its SI units; where two say it, they agree.
+
+    Raises:
+        StartupError: it is not known what a unit is, or two of them disagree.
+    """
+    cylinder = settings.cylinder
+    per_mm, source = cylinder.increments_per_mm, "cylinder.increments_per_mm"
+    if cylinder.lead_mm is not None:
+        found = _units_per_turn(drive) / cylinder.lead_mm
+        if per_mm is not None and not math.isclose(found, per_mm, rel_tol=_SAME_SCALE):
+            raise StartupError(
+                f"{drive.where(od.FEED_CONSTANT, 1)}: found {found:.9g} units per mm with cylinder.lead_mm "
+                f"({cylinder.lead_mm:g}), allowed cylinder.increments_per_mm ({per_mm:.9g})"
+            )
+        per_mm, source = found, "cylinder.lead_mm"
+    if per_mm is None:
+        position_mm = _si_unit_mm(drive, od.SI_UNIT_POSITION, 0)
+        speed_mm_s = _si_unit_mm(drive, od.SI_UNIT_VELOCITY, _PER_SECOND)
+        speed_mm_s = 1.0 / cylinder.speed_units_per_mm_s if cylinder.speed_units_per_mm_s else speed_mm_s
+        ramp = cylinder.ramp_units_per_mm_s2
+        return DriveUnits(position_mm, speed_mm_s, 1.0 / ramp if ramp else speed_mm_s)
+    told = drive.read(od.SI_UNIT_POSITION) if drive.has(od.SI_UNIT_POSITION) else 0
+    if told >> 16 & 0xFF == _METRE:
+        unit_mm = _si_unit_mm(drive, od.SI_UNIT_POSITION, 0)
+        if not math.isclose(unit_mm * per_mm, 1.0, rel_tol=_SAME_SCALE):
+            raise StartupError(
+                f"{drive.where(od.SI_UNIT_POSITION, 0)}: found {told:#x}, {1.0 / unit_mm:g} units per mm, "
+                f"allowed {per_mm:.9g} ({source})"
+            )
+    return in_increments(settings, per_mm)
+
+
+def _units_per_turn(drive: RemoteNode) -> float:
+    """Position units per revolution of the shaft: its feed constant; without one, increments and gear."""
+    if drive.has(od.FEED_CONSTANT, 1):
+        return _ratio(drive, od.FEED_CONSTANT)
+    return _ratio(drive, od.ENCODER_RESOLUTION) * _ratio(drive, od.GEAR_RATIO)
+
+
+def _ratio(drive: RemoteNode, index: int) -> float:
+    above, below = drive.read(index, 1), drive.read(index, 2)
+    if above <= 0 or below <= 0:
+        raise StartupError(f"{drive.where(index, 1)}: found the ratio {above}/{below}, allowed one of positive numbers")
+    return above / below
+
+
+def _si_unit_mm(drive: RemoteNode, index: int, denominator: int) -> float:
+    """What one unit is in mm (or mm/s), by a unit object of CiA 303-2: prefix, numerator, denominator."""
+    found = drive.read(index)
+    prefix = (found >> 24 ^ 0x80) - 0x80
+    if found & 0xFFFFFF != _METRE << 16 | denominator << 8 or not _FINEST <= prefix <= _COARSEST:
+        what = "metres per second" if denominator else "metres"
+        raise StartupError(
+            f"{drive.where(index, 0)}: found {found:#x}, allowed {what} with a prefix of 10^{_FINEST} to "
+            f"10^{_COARSEST} (0xFA01{denominator:02X}00 = micro), or cylinder.increments_per_mm or lead_mm"
+        )
+    return float(f"1e{prefix + 3}")
+
+
+def _check_encoder(encoder: RemoteNode, settings: RigSettings, layout: od.PdoLayout) -> od.PdoLayout:
     """One turn is what the rig file says, and the position begins again at the end of a turn, not within one."""
     rail = settings.rail_encoder
     assert rail is not None  # there is no node without it
@@ -149,10 +243,10 @@ def _check_encoder(encoder: RemoteNode, settings: RigSettings) -> None:
             f"{encoder.where(od.ENCODER_TOTAL_RANGE, 0)}: found {total}, allowed whole turns of {rail.counts_per_turn}"
         )
     divisor = settings.loop.rate_hz // rail.rate_hz
-    encoder.map_pdo(od.ENCODER_TPDO, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, divisor)
+    return encoder.map_pdo(layout, divisor)
 
 
-def _ask_for_inputs(node: RemoteNode, io: IoSettings) -> None:
+def _ask_for_inputs(node: RemoteNode, io: IoSettings, layout: od.PdoLayout) -> od.PdoLayout:
     """The emergency stop's input by the node's own events and timer: inverted by nobody, kept back by no mask."""
     device_type = node.read(od.DEVICE_TYPE)
     if not device_type & od.DIGITAL_INPUTS_FITTED:
@@ -170,8 +264,7 @@ def _ask_for_inputs(node: RemoteNode, io: IoSettings) -> None:
     if node.has(od.INPUT_EVENT_MASK_8, io.block):
         node.write(od.EVERY_INPUT_8, od.INPUT_EVENT_MASK_8, io.block)
     timers = {3: io.inhibit_ms * _INHIBIT_UNITS_PER_MS, 5: io.event_ms}
-    layout = od.inputs_tpdo(io.block)
-    node.map_pdo(layout, od.TPDO1_COMMUNICATION, od.TPDO1_MAPPING, od.EVENT_DRIVEN, timers)
+    return node.map_pdo(layout, od.EVENT_DRIVEN, timers)
 
 
 def _plain_devices(settings: RigSettings) -> list[PlainDevice]:
@@ -181,21 +274,21 @@ def _plain_devices(settings: RigSettings) -> list[PlainDevice]:
     ]
 
 
-def _ask_for_status(drive: RemoteNode, settings: RigSettings) -> None:
+def _ask_for_status(drive: RemoteNode, settings: RigSettings, layout: od.PdoLayout) -> od.PdoLayout:
     """Motor current, temperature and inputs by the drive's second TPDO; its unit of current is the rated one."""
     rated_a = settings.cylinder.rated_current_a
     assert rated_a is not None  # the settings need it where they ask for the status
     drive.expect(round(rated_a / od.A_PER_RATED_CURRENT_UNIT), od.MOTOR_RATED_CURRENT)
-    drive.map_pdo(od.DRIVE_TPDO2, od.TPDO2_COMMUNICATION, od.TPDO2_MAPPING, settings.status_divisor)
+    return drive.map_pdo(layout, settings.status_divisor)
 
 
-def _supervise(drive: RemoteNode, settings: RigSettings) -> tuple[StopSetting, ...]:
+def _supervise(drive: RemoteNode, settings: RigSettings, units: DriveUnits) -> tuple[StopSetting, ...]:
     """Make the drive stop by itself when we go silent, and read every such setting back.
 
     One that the drive does not take ends no start: the rig can be looked at, and arming says what is wrong.
     """
     cylinder = settings.cylinder
-    deceleration = round(cylinder.stop_deceleration_mm_s2 / od.MM_S_PER_VELOCITY_UNIT)
+    deceleration = round(cylinder.stop_deceleration_mm_s2 / units.ramp_mm_s2)
     consumer = settings.can.controller_node << 16 | cylinder.heartbeat_timeout_ms
     wanted = (
         ("consumer heartbeat", consumer, od.CONSUMER_HEARTBEAT, 1),
@@ -220,7 +313,7 @@ def release(bus: can.BusABC, settings: RigSettings) -> None:
     network.NOTIFIER_CYCLE = 0.01
     network.connect()
     try:
-        drive = RemoteNode(network, settings, "cylinder drive", settings.cylinder.node, settings.cylinder.eds)
+        drive = RemoteNode(network, settings, "cylinder", _DEVICES["cylinder"][0])
         drive.write(0, od.RPDO1_COMMUNICATION, 5, verify=False)
         drive.write(0, od.CONSUMER_HEARTBEAT, 1, verify=False)
     except (StartupError, can.CanError):

@@ -20,6 +20,7 @@ from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
 from rigctl.control.safety import Check
 from rigctl.control.tension import Gains
+from rigctl.devices.process_data import ProcessData
 from rigctl.recorder.recording import Recording
 from rigctl.replay.feed import BATCH_TICKS, RecordedBus, RecordedClock, Slots, Tick, ticks
 from rigctl.strict_yaml import Document
@@ -44,6 +45,7 @@ class Span:
     correction: Correction
     supervised: bool
     host_checks: int
+    process_data: ProcessData | None  # None: a recording from before it was kept, whose devices had the default one
     cut_short: str  # why it ends before the process did, "" if it does not
 
 
@@ -86,6 +88,8 @@ def _span(recording: Recording, records: Slots) -> Span:
     try:
         settings = RigSettings.model_validate(active.get("settings"))
         gains = msgspec.convert(active.get("design", {}).get("gains"), Gains)
+        found = control.get("process_data")
+        process_data = ProcessData.of_json(found) if found is not None else None
         correction = (msgspec.json.decode(standing, type=Standing) if standing else Standing()).correction
     except ValidationError as error:
         first, *_ = Wording(RigSettings, frozenset(), Document({}, {}), pathlib.Path(ACTIVE)).lines(error)
@@ -96,7 +100,7 @@ def _span(recording: Recording, records: Slots) -> Span:
     supervised = all(bool(stop.get("ok")) for stop in control.get("supervision", []))
     taken = int(started[-1].details.get("a", 0))
     host = int(control.get("host_checks", Check.HOST))
-    return Span(whole, started[-1].t_ns, taken, settings, gains, correction, supervised, host, cut_short)
+    return Span(whole, started[-1].t_ns, taken, settings, gains, correction, supervised, host, process_data, cut_short)
 
 
 def _document(recording: Recording, name: str, t_ns: int) -> dict[str, Any]:
@@ -143,6 +147,7 @@ def play(
         loop = Loop(
             settings, gains, bus, clock, Rings.of(runtime),
             supervised=span.supervised, host_checks=span.host_checks, correction=span.correction,
+            process_data=span.process_data,
         )  # fmt: skip
         replayed, orders = runtime.record_reader(), runtime.command_writer()
         batch: list[Tick] = []

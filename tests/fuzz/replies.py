@@ -7,8 +7,6 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
 
-import canopen
-
 from hil.bus import InProcessBus
 from hil.hub import Hub, Port
 from hil.rig import SimulatedRig
@@ -19,7 +17,7 @@ from rigctl.devices import startup
 from rigctl.devices.remote_node import StartupError
 from tests.fuzz.judge import Tally
 
-TIMEOUT_S = 0.02
+TIMEOUT_MS = 20
 START_NS = 1_000_000_000
 _ABORTS = (0x05030000, 0x05040000, 0x06010000, 0x06020000, 0x06070010, 0x06090030, 0x08000000, 0)
 Answer = Callable[[bytes, random.Random], list[bytes]]
@@ -114,21 +112,24 @@ class Liar:
 def play(settings: RigSettings, count: int, seed: int) -> Tally:
     """Bring up ``count`` rigs that lie. ``settings``: one that can be simulated."""
     chance, tally = random.Random(seed), Tally()
-    quick = settings.model_copy(update={"can": settings.can.model_copy(update={"heartbeat_ms": 2})})
-    before = canopen.sdo.SdoClient.RESPONSE_TIMEOUT
-    canopen.sdo.SdoClient.RESPONSE_TIMEOUT = TIMEOUT_S
-    try:
-        for i in range(count):
-            hub = Hub(lambda: START_NS)
-            port = hub.attach(lambda frame: rig.receive(frame))  # noqa: B023, PLW0108 - it is made in a moment
-            rig = SimulatedRig(quick, START_NS, port.send)
-            liar = Liar(quick, port, chance)
-            hub.tap = liar.tap
-            bus = InProcessBus(hub)
-            tally.attempt("start-up", str(i).encode(), lambda: startup.bring_up(bus, quick), (StartupError,))  # noqa: B023
-            bus.shutdown()
-            for kind in liar.told:
-                tally.tried[f"answered: {kind}"] += 1
-    finally:
-        canopen.sdo.SdoClient.RESPONSE_TIMEOUT = before
+    quick = settings.model_copy(
+        update={
+            "can": settings.can.model_copy(update={"heartbeat_ms": 2, "boot_wait_s": 0.0}),
+            **{
+                name: getattr(settings, name).model_copy(update={"sdo_timeout_ms": TIMEOUT_MS})
+                for name in settings.canopen_nodes
+            },
+        }
+    )
+    for i in range(count):
+        hub = Hub(lambda: START_NS)
+        port = hub.attach(lambda frame: rig.receive(frame))  # noqa: B023, PLW0108 - it is made in a moment
+        rig = SimulatedRig(quick, START_NS, port.send)
+        liar = Liar(quick, port, chance)
+        hub.tap = liar.tap
+        bus = InProcessBus(hub)
+        tally.attempt("start-up", str(i).encode(), lambda: startup.bring_up(bus, quick), (StartupError,))  # noqa: B023
+        bus.shutdown()
+        for kind in liar.told:
+            tally.tried[f"answered: {kind}"] += 1
     return tally

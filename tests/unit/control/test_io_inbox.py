@@ -12,6 +12,7 @@ from rigctl.config_io import IoSettings
 from rigctl.control.process import receive_filters
 from rigctl.control.safety import EStop, Fault
 from rigctl.devices import objects as od
+from rigctl.devices.process_data import wanted
 from rigctl.telemetry.events import fault_text
 from tests.unit.control.test_plain_inbox import CONFIG, Bench
 
@@ -83,8 +84,8 @@ def test_its_emergency_is_a_devices_and_its_boot_up_a_restart() -> None:
 
 def test_the_receive_filters_let_its_frames_through_and_only_where_it_is_fitted() -> None:
     own = {base + IO.node for base in (od.TPDO1_BASE, od.EMCY_BASE, od.HEARTBEAT_BASE)}
-    assert own <= {item["can_id"] for item in receive_filters(RIG)}
-    assert not own & {item["can_id"] for item in receive_filters(PAPER)}
+    assert own <= {item["can_id"] for item in receive_filters(RIG, wanted(RIG))}
+    assert not own & {item["can_id"] for item in receive_filters(PAPER, wanted(PAPER))}
 
 
 def test_without_one_fitted_its_frames_mean_nothing() -> None:

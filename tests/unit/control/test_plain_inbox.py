@@ -16,6 +16,7 @@ from rigctl.control.inbox import Inbox
 from rigctl.control.process import receive_filters
 from rigctl.devices import objects as od
 from rigctl.devices.plain import PlainSignal
+from rigctl.devices.process_data import wanted
 from rigctl.telemetry.record import Quality
 
 CONFIG = pathlib.Path(__file__).parents[3] / "config"
@@ -111,7 +112,7 @@ def test_plain_frames_are_never_missing() -> None:
 
 def test_the_filters_let_through_what_is_decoded_and_nothing_else() -> None:
     def ids(settings: RigSettings) -> set[int]:
-        filters = receive_filters(settings)
+        filters = receive_filters(settings, wanted(settings))
         assert all(f["can_mask"] == 0x7FF and not f.get("extended", True) for f in filters)
         return {f["can_id"] for f in filters}
 

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from rigctl.devices import codecs
 from rigctl.devices import objects as od
 from rigctl.devices.drive import Power, next_controlword
-from rigctl.devices.objects import Controlword, DriveState
+from rigctl.devices.objects import Controlword, DriveState, PdoLayout
+from rigctl.devices.process_data import DriveUnits
 from rigctl.telemetry.record import Quality
 
 EDS = pathlib.Path(__file__).parents[3] / "config/eds"
@@ -37,6 +38,15 @@ STATUS_2 = pdo("cylinder_drive.eds", "tpdo", 2)
 STATUS, COMMAND = pdo("cylinder_drive.eds", "tpdo"), pdo("cylinder_drive.eds", "rpdo")
 
 
+UNITS = DriveUnits()
+decode_tension = codecs.tension_decoder(od.CELL_TPDO)
+decode_inclination = codecs.inclination_decoder(od.SLOPE_TPDO)
+decode_drive = codecs.drive_decoder(od.DRIVE_TPDO, UNITS)
+decode_drive_status = codecs.drive_status_decoder(od.DRIVE_TPDO2, od.DRIVE_TEMPERATURE)
+decode_inputs = codecs.inputs_decoder(od.inputs_tpdo(1), 1)
+encode_command = codecs.command_encoder(od.DRIVE_RPDO, UNITS)
+
+
 def oracle(pdo_map: Any, data: bytes) -> list[int]:
     pdo_map.data = bytearray(data)
     return [variable.raw for variable in pdo_map]
@@ -45,7 +55,7 @@ def oracle(pdo_map: Any, data: bytes) -> list[int]:
 @given(st.binary(min_size=5, max_size=5))
 def test_tension_is_what_canopen_reads(data: bytes) -> None:
     raw, status = oracle(CELL, data)
-    tension_n, quality = codecs.decode_tension(data)
+    tension_n, quality = decode_tension(data)
     assert tension_n == pytest.approx(raw * 1e-3)
     assert bool(quality & Quality.INVALID) == bool(status & 1)
     assert bool(quality & Quality.SATURATED) == bool(status & 6)
@@ -54,7 +64,7 @@ def test_tension_is_what_canopen_reads(data: bytes) -> None:
 @given(st.binary(min_size=4, max_size=4))
 def test_inclination_is_what_canopen_reads(data: bytes) -> None:
     long, lateral = oracle(SLOPE, data)
-    tangential, normal, quality = codecs.decode_inclination(data)
+    tangential, normal, quality = decode_inclination(data)
     assert math.degrees(tangential) == pytest.approx(long * 0.01)
     assert math.degrees(normal) == pytest.approx(lateral * 0.01)
     assert bool(quality) == (-0x8000 in (long, lateral))
@@ -63,56 +73,57 @@ def test_inclination_is_what_canopen_reads(data: bytes) -> None:
 @given(st.binary(min_size=4, max_size=4), st.integers(256, 2**31))
 def test_a_rail_angle_is_what_canopen_reads_within_one_turn(data: bytes, per_turn: int) -> None:
     (counts,) = oracle(ENCODER, data)
-    angle_rad = codecs.decode_encoder(data, per_turn)
+    angle_rad = codecs.encoder_decoder(od.ENCODER_TPDO, per_turn)(data)
     assert -math.pi <= angle_rad < math.pi
     turns = counts / per_turn - angle_rad / math.tau
     assert turns == pytest.approx(round(turns), abs=1e-6 / 256)
 
 
 def test_a_rail_angle_goes_through_zero_where_the_counts_begin_again() -> None:
-    angles = [codecs.decode_encoder(struct.pack("<I", counts), 4096) for counts in (4094, 4095, 0, 1, 4096, 8191)]
+    decode = codecs.encoder_decoder(od.ENCODER_TPDO, 4096)
+    angles = [decode(struct.pack("<I", counts)) for counts in (4094, 4095, 0, 1, 4096, 8191)]
     assert [angle * 4096 / math.tau for angle in angles] == pytest.approx([-2, -1, 0, 1, 0, -1])
 
 
 @given(st.binary(min_size=8, max_size=8))
 def test_drive_status_is_what_canopen_reads(data: bytes) -> None:
     statusword, position, velocity = oracle(STATUS, data)
-    assert codecs.decode_drive(data) == (statusword, pytest.approx(position * 1e-3), pytest.approx(velocity * 1e-2))
+    assert decode_drive(data) == (statusword, pytest.approx(position * 1e-3), pytest.approx(velocity * 1e-2))
 
 
 @given(st.binary(min_size=8, max_size=8))
 def test_current_temperature_and_inputs_are_what_canopen_reads(data: bytes) -> None:
     current, temperature, inputs = oracle(STATUS_2, data)
-    found = codecs.decode_drive_status(data)
+    found = decode_drive_status(data)
     assert found == (pytest.approx(current * 1e-3), pytest.approx(temperature * 0.1), inputs)
 
 
 @given(st.binary(min_size=1, max_size=1))
 def test_eight_inputs_are_what_canopen_reads(data: bytes) -> None:
-    assert codecs.decode_inputs(data) == oracle(INPUTS, data + b"\0")[0]
+    assert decode_inputs(data) == oracle(INPUTS, data + b"\0")[0]
 
 
 @given(st.sampled_from(Controlword), st.floats(-2e6, 2e6))
 def test_a_command_is_what_canopen_reads(controlword: Controlword, speed_mm_s: float) -> None:
-    word, target = oracle(COMMAND, codecs.encode_command(controlword, speed_mm_s))
+    word, target = oracle(COMMAND, encode_command(controlword, speed_mm_s))
     assert word == controlword
     assert abs(target - 1e3 * speed_mm_s) <= 0.5 + 1e-6  # the nearest count; half a one is as near to both
 
 
 @pytest.mark.parametrize("speed", [math.nan, math.inf, -math.inf, 1e300, 2**31 * 1e-3, -(2**31) * 1e-3 - 1])
 def test_what_is_not_a_speed_leaves_as_zero(speed: float) -> None:
-    assert struct.unpack("<Hi", codecs.encode_command(Controlword.ENABLE_OPERATION, speed)) == (0x0F, 0)
+    assert struct.unpack("<Hi", encode_command(Controlword.ENABLE_OPERATION, speed)) == (0x0F, 0)
 
 
 @pytest.mark.parametrize(
     ("decode", "size"),
     [
-        (codecs.decode_tension, 5),
-        (codecs.decode_inclination, 4),
-        (codecs.decode_drive, 8),
-        (codecs.decode_drive_status, 8),
-        (lambda data: codecs.decode_encoder(data, 4096), 4),
-        (codecs.decode_inputs, 1),
+        (decode_tension, 5),
+        (decode_inclination, 4),
+        (decode_drive, 8),
+        (decode_drive_status, 8),
+        (codecs.encoder_decoder(od.ENCODER_TPDO, 4096), 4),
+        (decode_inputs, 1),
     ],
 )
 def test_a_wrong_length_is_refused(decode: Any, size: int) -> None:
@@ -156,3 +167,77 @@ def test_a_fault_reset_is_a_rising_edge() -> None:
     first = next_controlword(DriveState.FAULT, Power.RESET, Controlword.DISABLE_VOLTAGE)
     assert first is Controlword.FAULT_RESET
     assert next_controlword(DriveState.FAULT, Power.RESET, first) is Controlword.DISABLE_VOLTAGE
+
+
+VALUES = {
+    (od.STATUSWORD, 0): ("H", 0x1637),
+    (od.POSITION_ACTUAL, 0): ("i", -1234),
+    (od.VELOCITY_ACTUAL_16, 0): ("h", 567),
+    (od.MODE_DISPLAY, 0): ("b", 9),
+    (od.ERROR_REGISTER, 0): ("B", 3),
+}
+
+
+@given(st.permutations(sorted(VALUES)), st.integers(3, 5))
+def test_a_fixed_mapping_is_read_in_its_own_order_and_what_else_is_in_it_skipped(
+    order: list[tuple[int, int]], count: int
+) -> None:
+    mapped = [each for each in order if each in od.DRIVE_TPDO.objects or count > 3]
+    mapped = mapped if struct.calcsize("<" + "".join(VALUES[each][0] for each in mapped)) <= 8 else mapped[:0]
+    mapped = mapped or [each for each in order if each in od.DRIVE_TPDO.objects]
+    entries = [i << 16 | s << 8 | 8 * struct.calcsize(VALUES[i, s][0]) for i, s in mapped]
+    layout = od.DRIVE_TPDO.as_mapped(entries)
+    assert layout.mapping == tuple(entries)
+    data = b"".join(struct.pack("<" + VALUES[each][0], VALUES[each][1]) for each in mapped)
+    found = codecs.drive_decoder(layout, UNITS)(data)
+    assert found == (0x1637, pytest.approx(-1.234), pytest.approx(5.67))
+
+
+@pytest.mark.parametrize(
+    ("layout", "entries", "why"),
+    [
+        (od.DRIVE_TPDO, [0x60410010, 0x60640020], "no object 0x2044:00"),
+        (od.DRIVE_TPDO, [], "no object 0x2044:00"),
+        (od.CELL_TPDO, [0x91300110, 0x61500108], "object 0x9130:01 with 16 bits, allowed 32"),
+        (od.CELL_TPDO, [0x91300120, 0x20000001, 0x61500108], "object 0x2000:00 with 1 bits, allowed whole bytes"),
+        (od.SLOPE_TPDO, [0x60100010, 0x60200010, 0x20000030], "10 bytes, allowed 8"),
+        (od.DRIVE_RPDO, [0x60400010, 0x60FF0020, 0x60710010], "object 0x6071:00, which we do not write"),
+    ],
+)
+def test_a_mapping_that_does_not_do_is_refused_by_what_is_wrong(
+    layout: PdoLayout, entries: list[int], why: str
+) -> None:
+    with pytest.raises(ValueError, match="^" + why + "$"):
+        layout.as_mapped(entries)
+
+
+@pytest.mark.parametrize("entries", [[0x60FF0020, 0x60600008, 0x60400010], [0x60400010, 0x00050008, 0x60FF0020]])
+def test_a_command_goes_out_in_the_order_of_a_fixed_mapping(entries: list[int]) -> None:
+    layout = od.DRIVE_RPDO.as_mapped(entries)
+    data = codecs.command_encoder(layout, UNITS)(Controlword.ENABLE_OPERATION, -1.5)
+    values = dict(zip(layout.objects, layout.codec.unpack(data), strict=True))
+    assert (values[od.CONTROLWORD, 0], values[od.TARGET_VELOCITY, 0]) == (0x0F, -1500)
+    assert values.get((od.MODE_OF_OPERATION, 0), 9) == od.CYCLIC_SYNCHRONOUS_VELOCITY
+    assert layout.mapping == tuple(entries)
+
+
+def test_a_drive_in_increments_is_read_and_commanded_in_them() -> None:
+    units = DriveUnits(1 / 209_715.2, 1 / 12.0, 1.0)
+    place = PdoLayout(od.TPDO1_BASE, ((od.STATUSWORD, 0, "H"), (od.POSITION_ACTUAL, 0, "i")))
+    statusword, stroke_mm, speed = codecs.drive_decoder(place, units)(struct.pack("<Hi", 0x27, 2_097_152))
+    assert (statusword, stroke_mm) == (0x27, pytest.approx(10.0)) and math.isnan(speed)
+    velocity = PdoLayout(od.tpdo_base(3), ((od.VELOCITY_ACTUAL, 0, "i"),))
+    assert codecs.drive_speed_decoder(velocity, units)(struct.pack("<i", -24)) == pytest.approx(-2.0)
+    encode = codecs.command_encoder(od.DRIVE_RPDO, units)
+    assert struct.unpack("<Hi", encode(0x0F, 2.5)) == (0x0F, 30)
+    assert struct.unpack("<Hi", encode(0x0F, 1e308)) == (0x0F, 0)
+
+
+@pytest.mark.parametrize(
+    ("base", "places"),
+    [(0x180, (0x1800, 0x1A00)), (0x480, (0x1803, 0x1A03)), (0x200, (0x1400, 0x1600)), (0x300, (0x1401, 0x1601))],
+)
+def test_a_pdo_knows_its_parameters(base: int, places: tuple[int, int]) -> None:
+    layout = PdoLayout(base, ((od.STATUSWORD, 0, "H"),))
+    assert (layout.communication, layout.mapping_object) == places
+    assert layout.transmitted == (places[0] >= 0x1800)

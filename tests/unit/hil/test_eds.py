@@ -18,6 +18,7 @@ EDS = REPOSITORY / "config/eds"
 CELL, SLOPE, DRIVE, ENCODER, IO, SIMULATOR = FILES = (
     "tension_amplifier", "inclinometer", "cylinder_drive", "rail_encoder", "io_node", "simulator",
 )  # fmt: skip
+VARIANTS = ("fixed_tension_amplifier", "fixed_inclinometer", "stock_drive")
 BOOLEAN = datatypes.BOOLEAN
 U8, U16, U32 = datatypes.UNSIGNED8, datatypes.UNSIGNED16, datatypes.UNSIGNED32
 I8, I16, I32 = datatypes.INTEGER8, datatypes.INTEGER16, datatypes.INTEGER32
@@ -108,7 +109,7 @@ def node(file: str) -> canopen.LocalNode:
     return canopen.LocalNode(5, str(EDS / f"{file}.eds"))
 
 
-@pytest.mark.parametrize("file", FILES)
+@pytest.mark.parametrize("file", [*FILES, *VARIANTS])
 def test_canopen_reads_it_in_silence(file: str, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO, "canopen"):
         assert node(file).object_dictionary
@@ -149,7 +150,7 @@ def test_default_mapping_is_the_layout(file: str, mapping: int, layout: PdoLayou
         assert STRUCT_CODES[found.data_type] == code
 
 
-@pytest.mark.parametrize("file", FILES)
+@pytest.mark.parametrize("file", [*FILES, *VARIANTS])
 def test_every_object_is_listed_once_in_the_list_of_its_range(file: str) -> None:
     eds = configparser.RawConfigParser(inline_comment_prefixes=(";",))
     eds.read(EDS / f"{file}.eds")

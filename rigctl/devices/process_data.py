@@ -1,0 +1,85 @@
+"""The process data in use: which PDO carries what, in which order, and the drive's units.
+
+What the rig file asks for is `wanted`; what the devices have, as start-up read it back, is in its report, in
+``control.json`` and so in every recording. The control process compiles its codecs from the latter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import msgspec
+
+from rigctl.config import RigSettings
+from rigctl.devices import objects as od
+from rigctl.devices.objects import PdoLayout
+
+COMMAND = "command"
+DRIVE_SPEED, DRIVE_STATUS = "cylinder_speed", "cylinder_status"
+
+
+@dataclass(frozen=True)
+class DriveUnits:
+    """What one unit is of position (mm; 0x6064), speed (mm/s; 0x606C, 0x60FF) and ramp (mm/s2; 0x6085)."""
+
+    position_mm: float = od.MM_PER_POSITION_UNIT
+    speed_mm_s: float = od.MM_S_PER_VELOCITY_UNIT
+    ramp_mm_s2: float = od.MM_S_PER_VELOCITY_UNIT
+
+
+@dataclass(frozen=True)
+class ProcessData:
+    """PDOs by name: the rig file's section, `DRIVE_SPEED` and `DRIVE_STATUS` of the drive's others, `COMMAND`."""
+
+    frames: Mapping[str, PdoLayout]
+    units: DriveUnits = field(default_factory=DriveUnits)
+
+    def can_ids(self, settings: RigSettings) -> dict[str, int]:
+        """CAN identifier of each."""
+        nodes = settings.canopen_nodes
+        return {name: layout.cob_base + nodes.get(name, nodes["cylinder"]) for name, layout in self.frames.items()}
+
+    def as_json(self) -> dict[str, Any]:
+        """For control.json."""
+        return {"frames": {name: asdict(layout) for name, layout in self.frames.items()}, "units": asdict(self.units)}
+
+    @staticmethod
+    def of_json(document: object) -> ProcessData:
+        """What `as_json` has made.
+
+        Raises:
+            msgspec.ValidationError: it is something else.
+        """
+        return msgspec.convert(document, ProcessData)
+
+
+def wanted(settings: RigSettings) -> ProcessData:
+    """What the rig file asks for; the units are those of a drive in micrometres unless it says otherwise."""
+    cylinder, nodes = settings.cylinder, settings.canopen_nodes
+    sections = {"tension_cell": od.CELL_TPDO, "inclinometer": od.SLOPE_TPDO, "rail_encoder": od.ENCODER_TPDO}
+    frames = {name: layout for name, layout in sections.items() if name in nodes}
+    if settings.io is not None:
+        frames["io"] = od.inputs_tpdo(settings.io.block)
+    speed = ((cylinder.velocity_object, 0, "i" if cylinder.velocity_object == od.VELOCITY_ACTUAL else "h"),)
+    split = cylinder.velocity_pdo != cylinder.position_pdo
+    place = ((od.STATUSWORD, 0, "H"), (od.POSITION_ACTUAL, 0, "i"))
+    frames["cylinder"] = PdoLayout(od.tpdo_base(cylinder.position_pdo), place if split else place + speed)
+    if split:
+        frames[DRIVE_SPEED] = PdoLayout(od.tpdo_base(cylinder.velocity_pdo), speed)
+    if settings.status_divisor:
+        heat = ((cylinder.temperature_object, 0, "h"),) if cylinder.temperature_object is not None else ()
+        status = ((od.CURRENT_ACTUAL, 0, "h"), *heat, (od.DIGITAL_INPUTS, 0, "I"))
+        frames[DRIVE_STATUS] = PdoLayout(od.tpdo_base(cylinder.status_pdo), status)
+    frames[COMMAND] = od.DRIVE_RPDO
+    return ProcessData(frames, in_increments(settings, cylinder.increments_per_mm))
+
+
+def in_increments(settings: RigSettings, per_mm: float | None) -> DriveUnits:
+    """Units of a drive with so many increments of position per mm; those in micrometres where that is not known."""
+    if per_mm is None:
+        return DriveUnits()
+    cylinder = settings.cylinder
+    speed = cylinder.speed_units_per_mm_s or per_mm
+    return DriveUnits(1.0 / per_mm, 1.0 / speed, 1.0 / (cylinder.ramp_units_per_mm_s2 or speed))
