@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 import signal
 import socket
 import subprocess
@@ -26,18 +27,22 @@ from rigctl.commission import ledger
 from rigctl.commission.ledger import IN_FORCE, Standing
 from rigctl.config import RigSettings
 from rigctl.control.modes import Mode
+from rigctl.control.tension import Gains
 from rigctl.devices import busload
 from rigctl.devices.objects import DriveState, drive_state
 from rigctl.telemetry.events import worded
 from rigctl.telemetry.ring import RingReader
-from rigctl.telemetry.runtime import ACTIVE, AlreadyRunningError, Runtime
+from rigctl.telemetry.runtime import ACTIVE, AlreadyRunningError, FolderError, Runtime
 from rigctl.telemetry.supervision import Doing, Supervision
+from rigctl.termination import ENDING, on_signals
 
 POLL_S = 0.05
 START_LIMIT_S = 20.0
 STOP_LIMIT_S = 5.0
 BACKOFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
+LOOPING = 3  # ends in a row, from here on the operator is told how many
 STABLE_S = 10.0
+LOOK_S = 0.2  # how often the runtime folder is looked at
 WATCHDOG_PERIOD_NS = 500_000_000
 WATCHDOG_STALE_NS = 1_000_000_000
 
@@ -77,6 +82,8 @@ class Supervisor:
         self._runtime = Runtime.of(settings.rig)
         self._stopping = False
         self._feed_at_ns = 0
+        self._look_at = 0.0
+        self._folder_lost = ""
         self._modules = PROCESSES | (PAGE if settings.page is not None else {})
         self._children: dict[str, Child] = {}
         self._active: dict[str, Any] = {}
@@ -89,22 +96,20 @@ class Supervisor:
         """
         try:
             lock = self._runtime.claim()
-        except AlreadyRunningError as error:
+        except (AlreadyRunningError, FolderError) as error:
             raise CannotRunError(f"{self.settings.rig}: {error}") from None
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, self._on_signal)
+        on_signals(self._on_signal, *ENDING)
         try:
-            self._runtime.make_rings(self.settings)
-            events = self._runtime.event_reader()
-            records = self._runtime.record_reader()
-            self._supervision = Supervision(self._runtime.supervision_writer())
+            for found in self._runtime.cleared:
+                self._say(f"WARNING: {found}")
+            records, events = self._make_rings()
             self._start(records)
-            while not self._stopping:
+            while not self._stopping and not self._lost():
                 self._watch()
                 self._tell(events)
                 self._feed_watchdog(records)
                 time.sleep(POLL_S)
-            return self._stop(events)
+            return self._stop(records, events)
         except CannotRunError as error:
             self._note(Doing.DAEMON_REFUSED, reason=str(error))
             raise
@@ -114,6 +119,18 @@ class Supervisor:
             os.close(lock)
 
     # -- start ----------------------------------------------------------------------------------------------
+    def _make_rings(self) -> tuple[RingReader, RingReader]:
+        """Readers of records and events."""
+        try:
+            self._runtime.make_rings(self.settings, reserve=True)
+            self._supervision = Supervision(self._runtime.supervision_writer())
+            return self._runtime.record_reader(), self._runtime.event_reader()
+        except OSError as error:
+            raise CannotRunError(self._no_room(error)) from None
+
+    def _no_room(self, error: OSError) -> str:
+        return f"{self.settings.rig}: {self._runtime.directory} cannot be written: {error.strerror}"
+
     def _start(self, records: RingReader) -> None:
         settings = self.settings
         self._active = {
@@ -121,9 +138,10 @@ class Supervisor:
             "version": __version__,
             "started_wall_ns": time.time_ns(),
             "pid": os.getpid(),
+            "run_id": secrets.token_hex(8),
             "bus_load": busload.bus_load(settings),
         }
-        self._runtime.write_json(ACTIVE, self._active)
+        self._put_active()
         self._note(Doing.DAEMON_STARTED, reason=f"rigctl {__version__}")
         self._say_calibration()
         for name in self._modules:
@@ -138,15 +156,30 @@ class Supervisor:
             if time.monotonic() > until:
                 raise CannotRunError(f"{settings.rig}: the loop did not start within {START_LIMIT_S:.0f} s")
             time.sleep(0.005)
-        for applied in self._runtime.read_json("control.json").get("realtime", []):
-            mark = "" if applied["ok"] else f" - WARNING: {applied['warning']}"
-            self._say(f"real time: {applied['name']}: {applied['in_force']}{mark}")
+        self._say_real_time()
         channel = f"{settings.can.interface}:{settings.can.channel}"
         self._say(
             f"{settings.rig}: DISARMED, {settings.loop.rate_hz} Hz on {channel}, answering at "
             f"{settings.telemetry.listen}"
         )
         _notify("READY=1")
+
+    def _say_real_time(self) -> None:
+        try:
+            applied = self._runtime.read_json("control.json").get("realtime", [])
+        except (OSError, msgspec.MsgspecError) as error:
+            self._say(f"WARNING: control.json cannot be read ({error}); what real time is in force is not known")
+            return
+        for item in applied:
+            mark = "" if item["ok"] else f" - WARNING: {item['warning']}"
+            self._say(f"real time: {item['name']}: {item['in_force']}{mark}")
+
+    def _put_active(self) -> None:
+        self._active = msgspec.json.decode(msgspec.json.encode(self._active))  # as it will be read: lists, no tuples
+        try:
+            self._runtime.write_json(ACTIVE, self._active)
+        except OSError as error:
+            raise CannotRunError(self._no_room(error)) from None
 
     def _design(self) -> None:
         from rigctl.design.gain_file import design_in_use  # imports python-control: slow, beside the children's start
@@ -162,7 +195,7 @@ class Supervisor:
         self._say(f"design: {design.verdict()}")
         for warning in design.warnings():
             self._say(f"WARNING: design: {warning}")
-        self._runtime.write_json(ACTIVE, self._active)
+        self._put_active()
         self._note(Doing.DAEMON_DESIGNED, reason=design.verdict())
 
     def _note(self, kind: Doing, process: str = "", reason: str = "") -> None:
@@ -191,7 +224,10 @@ class Supervisor:
             self._say(f"WARNING: {error}; zero and scale stay as they were")
             return None
         standing = ledger.standing(self.settings, entries, time.time_ns())
-        self._runtime.write_json(IN_FORCE, standing)
+        try:
+            self._runtime.write_json(IN_FORCE, standing)
+        except OSError as error:
+            self._say(f"WARNING: {self._no_room(error)}; zero and scale stay as they were")
         return standing
 
     def _spawn(self, name: str) -> None:
@@ -213,13 +249,46 @@ class Supervisor:
     def _send_gains(self) -> None:
         """Those in force, which may have been changed since the start."""
         stdin: IO[bytes] | None = self._children["control"].process.stdin
-        gains = self._runtime.read_json(ACTIVE)["design"]["gains"]
+        gains = self._active["design"]["gains"]
         if stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 stdin.write(msgspec.json.encode(gains) + b"\n")
                 stdin.flush()
 
     # -- watch ----------------------------------------------------------------------------------------------
+    def _lost(self) -> bool:
+        """Whether the runtime folder is gone: no process could be started any more, so the daemon ends in order."""
+        now = time.monotonic()
+        if now < self._look_at:
+            return False
+        self._look_at = now + LOOK_S
+        if why := self._runtime.lost():
+            self._folder_lost = f"the runtime folder {self._runtime.directory} is lost: {why}"
+            self._note(Doing.FOLDER_LOST, reason=f"{why}; the daemon ends with the stroke held")
+            self._say(f"WARNING: {self._folder_lost}; the daemon ends with the stroke held")
+        return bool(why)
+
+    def _look_at_active(self) -> None:
+        """Before a process is started that reads it: what runs, as it was written, with the gains in force since.
+
+        The gateway writes other gains that the loop has taken into the same file.
+        """
+        try:
+            found = self._runtime.read_json(ACTIVE)
+            msgspec.convert(found["design"]["gains"], Gains)
+            rest = {name: value for name, value in found.items() if name != "design"}
+            if rest == {name: value for name, value in self._active.items() if name != "design"}:
+                self._active["design"] = found["design"]
+                return
+            why = "it is not what was written"
+        except (OSError, msgspec.MsgspecError, KeyError, TypeError) as error:
+            why = " ".join(str(error).split())
+        self._say(f"WARNING: {ACTIVE} in the runtime folder was damaged ({why}); it is written anew")
+        try:
+            self._runtime.write_json(ACTIVE, self._active)
+        except OSError as error:
+            self._say(f"WARNING: {self._no_room(error)}")
+
     def _watch(self) -> None:
         now = time.monotonic()
         for child in list(self._children.values()):
@@ -233,9 +302,12 @@ class Supervisor:
                 child.retry_at = now + wait
                 how = f"killed by signal {-code}" if code < 0 else f"ended with code {code}"
                 comes = "comes back DISARMED" if child.name == "control" else "comes back, the loop is unaffected"
+                if child.failures > LOOPING:
+                    comes += f" (it has ended {child.failures} times in a row, see what it said)"
                 self._note(Doing.PROCESS_ENDED, child.name, f"{how}; {comes} in {wait:g} s")
                 self._say(f"WARNING: {child.name} process {how}; {comes} in {wait:g} s")
             elif now >= child.retry_at:
+                self._look_at_active()
                 if child.name == "control":
                     self._put_calibration()
                 self._spawn(child.name)
@@ -262,16 +334,17 @@ class Supervisor:
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._stopping = True
 
-    def _stop(self, events: RingReader) -> int:
+    def _stop(self, records: RingReader, events: RingReader) -> int:
         """Control first: it holds the stroke and closes the brake; gateway and recorder tell of it, then end too."""
         _notify("STOPPING=1")
-        records = self._runtime.record_reader()
         clean = self._end("control")
         self._tell(events)
         last = records.latest()
         time.sleep(2.0 / self.settings.telemetry.rate_hz)
         self._end("gateway")
         code, how = _ending(last, clean)
+        if self._folder_lost:
+            code, how = 1, f"{how}; ended because {self._folder_lost}"
         self._note(Doing.DAEMON_STOPPED, reason=how)
         self._end("recorder")
         self._say(how if code == 0 else f"WARNING: {how}")

@@ -15,6 +15,7 @@ from types import FrameType
 import can
 import msgspec
 from can.typechecking import CanFilters
+from pydantic import ValidationError
 
 from rigctl.commission.ledger import in_force
 from rigctl.config import RigSettings
@@ -114,7 +115,11 @@ def run(directory: str) -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     realtime.die_with_parent(signal.SIGTERM)
     runtime = Runtime(directory)
-    settings = RigSettings.model_validate(runtime.read_json("active.json")["settings"])
+    try:
+        settings = RigSettings.model_validate(runtime.read_json("active.json").get("settings"))
+    except (OSError, msgspec.MsgspecError, ValidationError):
+        sys.stderr.write("rigctl: control: active.json holds no valid settings\n")
+        return EXIT_CANNOT_START
     try:
         bus = open_bus(settings)
         report = startup.bring_up(bus, settings)

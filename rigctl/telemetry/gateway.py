@@ -195,6 +195,7 @@ class Gateway:
             self._keeper,
             DeskBook(runtime.desk_writer()),
             self._preflight,
+            str(self._active.written.get("run_id", "")),
         )
         verdict = self._preflight.verdict(now)
         lease = self._keeper.shown(now)
