@@ -83,13 +83,14 @@ class Supervisor:
         self._stopping = False
         self._feed_at_ns = 0
         self._look_at = 0.0
+        self._supervision: Supervision | None = None
         self._folder_lost = ""
         self._modules = PROCESSES | (PAGE if settings.page is not None else {})
         self._children: dict[str, Child] = {}
         self._active: dict[str, Any] = {}
 
     def run(self) -> int:
-        """Run until SIGTERM or SIGINT; returns the exit code.
+        """Run until SIGTERM, SIGINT or SIGHUP; returns the exit code.
 
         Raises:
             CannotRunError: nothing was left running.
@@ -145,7 +146,10 @@ class Supervisor:
         self._note(Doing.DAEMON_STARTED, reason=f"rigctl {__version__}")
         self._say_calibration()
         for name in self._modules:
-            self._spawn(name)
+            try:
+                self._spawn(name)
+            except OSError as error:
+                raise CannotRunError(f"{settings.rig}: {name} cannot be started: {error.strerror}") from None
         self._design()
         self._send_gains()
         until = time.monotonic() + START_LIMIT_S
@@ -200,7 +204,8 @@ class Supervisor:
 
     def _note(self, kind: Doing, process: str = "", reason: str = "") -> None:
         """Something for the audit log."""
-        self._supervision.note(time.monotonic_ns(), kind, process=process, reason=reason)
+        if self._supervision is not None:  # there are rings
+            self._supervision.note(time.monotonic_ns(), kind, process=process, reason=reason)
 
     def _say_calibration(self) -> None:
         """What the ledger says of the cell, for the operator; from `_put_calibration`."""
@@ -310,7 +315,13 @@ class Supervisor:
                 self._look_at_active()
                 if child.name == "control":
                     self._put_calibration()
-                self._spawn(child.name)
+                try:
+                    self._spawn(child.name)
+                except OSError as error:
+                    child.retry_at = now + BACKOFF_S[-1]
+                    again = f"it is tried again in {BACKOFF_S[-1]:g} s"
+                    self._say(f"WARNING: {child.name} cannot be started: {error.strerror}; {again}")
+                    continue
                 if child.name == "control":
                     self._send_gains()
 

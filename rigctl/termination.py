@@ -14,11 +14,15 @@ ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 """Signals that end a process in order: told to, Ctrl-C, its terminal has gone."""
 
 
+def heeded(*numbers: signal.Signals) -> list[signal.Signals]:
+    """Those of them to act on: not a SIGHUP that this process was started to ignore, as ``nohup`` does."""
+    return [n for n in numbers if n is not signal.SIGHUP or signal.getsignal(n) is not signal.SIG_IGN]
+
+
 def on_signals(handler: Callable[[int, FrameType | None], object], *numbers: signal.Signals) -> None:
-    """Have ``handler`` called on these. A SIGHUP that is ignored stays so: ``nohup`` asked for it."""
-    for number in numbers:
-        if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, handler)
+    """Have ``handler`` called on those that are `heeded`."""
+    for number in heeded(*numbers):
+        signal.signal(number, handler)
 
 
 class Termination:

@@ -29,6 +29,7 @@ from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.devices import startup
 from rigctl.telemetry.runtime import Runtime
+from rigctl.termination import on_signals
 
 WARM_UP_TICKS = 50
 # Elsewhere python-can filters by itself, and a refused frame ends a drain: old samples would pile up behind it.
@@ -145,7 +146,7 @@ def run(directory: str) -> int:
         host_checks=Check.HOST,  # the gateway judges them before an operator can arm
         correction=correction,
     )
-    signal.signal(signal.SIGTERM, _stop_on_signal(loop))
+    on_signals(_stop_on_signal(loop), signal.SIGTERM, signal.SIGHUP)
     frozen = realtime.freeze_garbage_collector()  # before real time: it takes 100 ms, which another loop must not wait
     applied = [*realtime.apply(settings.loop), frozen]
     runtime.write_json(

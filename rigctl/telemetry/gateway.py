@@ -279,7 +279,7 @@ def main(arguments: list[str]) -> int:
     if len(arguments) != 1:
         sys.stderr.write("usage: python -m rigctl.telemetry.gateway RUNTIME_DIR\n")
         return 2
-    stop = Termination(signal.SIGTERM)
+    stop = Termination(signal.SIGTERM, signal.SIGHUP)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
     runtime = Runtime(pathlib.Path(arguments[0]))
