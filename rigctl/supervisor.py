@@ -22,7 +22,7 @@ from typing import IO, Any
 import msgspec
 import numpy as np
 
-from rigctl import __version__
+from rigctl import __version__, memory
 from rigctl.commission import ledger
 from rigctl.commission.ledger import IN_FORCE, Standing
 from rigctl.config import RigSettings
@@ -100,6 +100,7 @@ class Supervisor:
         except (AlreadyRunningError, FolderError) as error:
             raise CannotRunError(f"{self.settings.rig}: {error}") from None
         on_signals(self._on_signal, *ENDING)
+        memory.apply(memory.SUPERVISOR, os.getpid())
         try:
             for found in self._runtime.cleared:
                 self._say(f"WARNING: {found}")
@@ -239,6 +240,7 @@ class Supervisor:
         command = [sys.executable, "-m", self._modules[name], str(self._runtime.directory)]
         stdin = subprocess.PIPE if name == "control" else subprocess.DEVNULL
         process = subprocess.Popen(command, stdin=stdin, start_new_session=True)
+        memory.apply(memory.SHARES[name], process.pid)
         if name != "control":
             self._keep_off_the_loops_processor(process.pid)
         failures = self._children[name].failures if name in self._children else 0
