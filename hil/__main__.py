@@ -12,7 +12,8 @@ from typer.exceptions import TyperException
 
 from hil.scenario.errors import ScenarioError
 from hil.serve import ServeError, serve
-from rigctl import output_file, standard_output
+from rigctl import descriptors, output_file, standard_output
+from rigctl.termination import on_signals
 
 _INTERRUPTED = 130
 """What typer makes of Ctrl-C."""
@@ -114,7 +115,10 @@ def _announce(text: str) -> None:
 def main() -> int:
     """Run; every refusal is one line on stderr. Exit code 0 good, 1 the result is bad or no bus, 2 usage or files."""
     standard_output.guard()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what was started is ended, as with Ctrl-C
+    on_signals(signal.default_int_handler, signal.SIGTERM, signal.SIGHUP)  # what was started is ended, as with Ctrl-C
+    if lacking := descriptors.shortage():
+        sys.stderr.write(f"hil: {lacking}\n")
+        return 1
     code = _run()
     if unsaid := standard_output.complaint():
         sys.stderr.write(f"hil: {unsaid}\n")
@@ -139,6 +143,10 @@ def _run() -> int:
         return 2
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("hil: interrupted\n")
+        return 1
+    except OSError as error:  # a full or read-only disk, no memory, no folder for temporary files: nothing of ours
+        where = f"{error.filename}: " if error.filename is not None else ""
+        sys.stderr.write(f"hil: {where}{error.strerror or error}\n")
         return 1
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import os
 import pathlib
-import signal
 import sys
 import threading
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from hil.truth import TruthLog
 from rigctl import config, output_file
 from rigctl.config import RigSettings
 from rigctl.control import realtime
+from rigctl.termination import ENDING, on_signals
 
 WAIT_S = 0.001
 """Longest sleep: the rig's own clocks, heartbeats and time-outs go on at this pace without traffic."""
@@ -149,7 +149,7 @@ class Service:
 
 
 def serve(file: pathlib.Path, truth: pathlib.Path | None, announce: Callable[[str], None]) -> None:
-    """Serve the rig of ``file`` until SIGTERM or SIGINT.
+    """Serve the rig of ``file`` until SIGTERM, SIGINT or SIGHUP.
 
     Raises:
         ServeError: with what the operator should read, and the exit code.
@@ -167,8 +167,7 @@ def serve(file: pathlib.Path, truth: pathlib.Path | None, announce: Callable[[st
     finally:
         slow.cancel()
         slow.join()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: service.stop())
+    on_signals(lambda *_: service.stop(), *ENDING)
     try:
         _prepare_process(settings)
         announce(service.ready)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from typing import Annotated, cast
 
 import typer
 
-from rigctl import __version__, daemon, standard_output
+from rigctl import __version__, daemon, descriptors, standard_output
 from rigctl.bench import command as bench
 from rigctl.commission import command as commission
 from rigctl.commission import doctor
@@ -16,6 +17,7 @@ from rigctl.operator import audit, lease, recordings, status, verbs, watch
 from rigctl.page import command as page
 from rigctl.replay import command as replay
 from rigctl.report import command as report
+from rigctl.termination import on_signals
 
 app = typer.Typer(
     name="rigctl",
@@ -70,6 +72,10 @@ _UsageError = cast("type[typer.BadParameter]", typer.BadParameter.__bases__[0])
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and exit: 0 done, 1 refused or no daemon, 2 wrong usage or an output that cannot be written."""
     standard_output.guard()
+    on_signals(signal.default_int_handler, signal.SIGTERM, signal.SIGHUP)  # in order, as by Ctrl-C
+    if lacking := descriptors.shortage():
+        sys.stderr.write(f"rigctl: {lacking}\n")
+        raise SystemExit(1)
     try:
         code = app(args=arguments, standalone_mode=False)
     except _UsageError as error:
@@ -78,6 +84,10 @@ def main(arguments: list[str] | None = None) -> None:
         code = 2
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("rigctl: interrupted; the rig goes on by itself\n")
+        code = 1
+    except OSError as error:  # a full or read-only disk, no memory, no folder for temporary files: nothing of ours
+        where = f"{error.filename}: " if error.filename is not None else ""
+        sys.stderr.write(f"rigctl: {where}{error.strerror or error}\n")
         code = 1
     if unsaid := standard_output.complaint():
         sys.stderr.write(f"rigctl: {unsaid}\n")

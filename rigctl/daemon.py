@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pathlib
-import signal
 import time
 from typing import TYPE_CHECKING, Annotated
 
@@ -100,7 +99,7 @@ def run(
         str | None, typer.Option("--page-listen", metavar="HOST:PORT", help="The same, there [127.0.0.1:8080].")
     ] = None,
 ) -> None:
-    """Run the daemon until SIGTERM or Ctrl-C; it ends with the stroke held."""
+    """Run the daemon until SIGTERM, SIGHUP or Ctrl-C; it ends with the stroke held."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     settings = _with_page(_load(file), page, page_listen)
     from rigctl.check import accepted, verdict
@@ -143,7 +142,6 @@ def demo(
     if json is not None and json.resolve() == file.resolve():
         end(USAGE, f"--json: {json} is the rig file, allowed a file of its own")
     check_output("--json", json)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended in order, as by Ctrl-C
     try:
         summary = play(settings, settings.demo, Console(), recordings.resolve(), lockstep=lockstep)
     except DemoError as error:

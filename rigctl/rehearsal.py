@@ -1,10 +1,16 @@
-"""The simulated rig and a daemon in processes of their own, on a bus of their own: what demo and bench play on."""
+"""The simulated rig and a daemon of its own, for demo, bench and tests: their bus, rig name, endpoint and files too.
+
+A rig's own daemon may run on the same computer: nothing here reaches it. Every command carries the run id of the
+daemon that was started here, and no other daemon accepts it.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import pathlib
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -12,15 +18,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import yaml
 
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.config import RigSettings
 from rigctl.control.modes import Mode, Verb
+from rigctl.telemetry.runtime import ACTIVE, Runtime, is_free
 
-START_LIMIT_S = 20.0
+START_LIMIT_S = 60.0
 STOP_LIMIT_S = 10.0
 ARM_NS, ARM_AGAIN_S = 3_000_000_000, 0.1
+LONGEST_NAME = 32
 _POLL_S = 0.02
 
 
@@ -81,12 +90,48 @@ class Rehearsal:
             raise RehearsalError(str(error)) from None
 
 
+def own(settings: RigSettings, purpose: str) -> RigSettings:
+    """The rig's settings under a name and an endpoint of their own, with state files beside a rig file of their own.
+
+    Args:
+        settings: the rig's.
+        purpose: what the name begins with; one name for each rig, so that its recordings are limited as the rig's are.
+    """
+
+    def of(section: str, **changes: Any) -> Any:
+        return getattr(settings, section).model_copy(update=changes)
+
+    name = f"{purpose}_{settings.rig}"[:LONGEST_NAME]
+    changes: dict[str, Any] = {}
+    if settings.calibration is not None:
+        why = settings.calibration.waiver or f"{purpose}: the simulated rig, nothing hangs there"
+        changes["calibration"] = of("calibration", file=None, waiver=why)
+    return settings.model_copy(
+        update={
+            **changes,
+            "rig": name if is_free(name) else f"{purpose}_{os.getpid()}",
+            "can": of("can", interface="rigsim", bitrate_bit_s=None),
+            "telemetry": of("telemetry", listen=free_endpoint(), join=[]),
+            "audit": of("audit", file=None, trips="trips"),
+            "recording": of("recording", folder="recordings"),
+            "page": None,
+        }
+    )
+
+
+def free_endpoint() -> str:
+    """A loopback port nobody listens on."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
 @contextlib.contextmanager
 def rehearse(settings: RigSettings, folder: pathlib.Path, *options: str, quiet: bool = False) -> Iterator[Rehearsal]:
     """Run both until the block ends; it begins once the daemon is DISARMED.
 
     Args:
-        settings: the rig's, as they are to be played; the bus is replaced by a socket in ``folder``.
+        settings: as they are to be played, see `own`; the bus is replaced by a socket in ``folder``.
         folder: where rig file and bus socket stand meanwhile.
         options: further ones for ``python -m hil serve``.
         quiet: what the daemon tells of its way is not shown, its complaints are.
@@ -125,8 +170,17 @@ def process(*arguments: str, **options: Any) -> Iterator[subprocess.Popen[bytes]
             child.wait()
 
 
+def run_id_of(daemon: subprocess.Popen[bytes], rig: str) -> str | None:
+    """Run id of a daemon of ``rig`` that was started here; None as long as the runtime folder is not that one's."""
+    with contextlib.suppress(OSError, msgspec.MsgspecError):
+        written = Runtime.of(rig).read_json(ACTIVE)
+        if written.get("pid") == daemon.pid and isinstance(run_id := written.get("run_id"), str):
+            return run_id
+    return None
+
+
 def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], settings: RigSettings) -> Client:
-    """The operator's connection, once the loop runs."""
+    """The operator's connection to the daemon that was started here and to no other, once its loop runs."""
     limit_s = START_LIMIT_S + settings.start_up_limit_s
     until = time.monotonic() + limit_s
     while time.monotonic() < until:
@@ -134,8 +188,11 @@ def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], sett
             raise RehearsalError("the simulated rig could not start (see above)")
         if daemon.poll() is not None:
             raise RehearsalError("the daemon could not start (see above)")
+        if (run_id := run_id_of(daemon, settings.rig)) is None:
+            time.sleep(_POLL_S)
+            continue
         with contextlib.suppress(NoDaemonError):
-            client = Client(settings.telemetry.listen, settings.rig)
+            client = Client(settings.telemetry.listen, settings.rig, run_id)
             with contextlib.suppress(NoDaemonError):
                 if client.state().get("mode") == Mode.DISARMED.name:
                     return client
@@ -153,6 +210,8 @@ def rig_file(settings: RigSettings, folder: pathlib.Path) -> pathlib.Path:
         data[device]["eds"] = str(settings.file(data[device]["eds"]))
         if data[device].get("dbc"):
             data[device]["dbc"]["file"] = str(settings.file(data[device]["dbc"]["file"]))
+    if data["design"]["gains_file"] is not None:
+        data["design"]["gains_file"] = str(settings.file(data["design"]["gains_file"]))
     file = folder / "rig.yaml"
     file.write_text(yaml.safe_dump(data))
     return file

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 import signal
 import socket
 import subprocess
@@ -21,23 +22,27 @@ from typing import IO, Any
 import msgspec
 import numpy as np
 
-from rigctl import __version__
+from rigctl import __version__, memory
 from rigctl.commission import ledger
 from rigctl.commission.ledger import IN_FORCE, Standing
 from rigctl.config import RigSettings
 from rigctl.control.modes import Mode
+from rigctl.control.tension import Gains
 from rigctl.devices import busload
 from rigctl.devices.objects import DriveState, drive_state
 from rigctl.telemetry.events import worded
 from rigctl.telemetry.ring import RingReader
-from rigctl.telemetry.runtime import ACTIVE, AlreadyRunningError, Runtime
+from rigctl.telemetry.runtime import ACTIVE, AlreadyRunningError, FolderError, Runtime
 from rigctl.telemetry.supervision import Doing, Supervision
+from rigctl.termination import ENDING, on_signals
 
 POLL_S = 0.05
 START_LIMIT_S = 20.0
 STOP_LIMIT_S = 5.0
 BACKOFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
+LOOPING = 3  # ends in a row, from here on the operator is told how many
 STABLE_S = 10.0
+LOOK_S = 0.2  # how often the runtime folder is looked at
 WATCHDOG_PERIOD_NS = 500_000_000
 WATCHDOG_STALE_NS = 1_000_000_000
 
@@ -77,34 +82,36 @@ class Supervisor:
         self._runtime = Runtime.of(settings.rig)
         self._stopping = False
         self._feed_at_ns = 0
+        self._look_at = 0.0
+        self._supervision: Supervision | None = None
+        self._folder_lost = ""
         self._modules = PROCESSES | (PAGE if settings.page is not None else {})
         self._children: dict[str, Child] = {}
         self._active: dict[str, Any] = {}
 
     def run(self) -> int:
-        """Run until SIGTERM or SIGINT; returns the exit code.
+        """Run until SIGTERM, SIGINT or SIGHUP; returns the exit code.
 
         Raises:
             CannotRunError: nothing was left running.
         """
         try:
             lock = self._runtime.claim()
-        except AlreadyRunningError as error:
+        except (AlreadyRunningError, FolderError) as error:
             raise CannotRunError(f"{self.settings.rig}: {error}") from None
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, self._on_signal)
+        on_signals(self._on_signal, *ENDING)
+        memory.apply(memory.SUPERVISOR, os.getpid())
         try:
-            self._runtime.make_rings(self.settings)
-            events = self._runtime.event_reader()
-            records = self._runtime.record_reader()
-            self._supervision = Supervision(self._runtime.supervision_writer())
+            for found in self._runtime.cleared:
+                self._say(f"WARNING: {found}")
+            records, events = self._make_rings()
             self._start(records)
-            while not self._stopping:
+            while not self._stopping and not self._lost():
                 self._watch()
                 self._tell(events)
                 self._feed_watchdog(records)
                 time.sleep(POLL_S)
-            return self._stop(events)
+            return self._stop(records, events)
         except CannotRunError as error:
             self._note(Doing.DAEMON_REFUSED, reason=str(error))
             raise
@@ -114,6 +121,18 @@ class Supervisor:
             os.close(lock)
 
     # -- start ----------------------------------------------------------------------------------------------
+    def _make_rings(self) -> tuple[RingReader, RingReader]:
+        """Readers of records and events."""
+        try:
+            self._runtime.make_rings(self.settings, reserve=True)
+            self._supervision = Supervision(self._runtime.supervision_writer())
+            return self._runtime.record_reader(), self._runtime.event_reader()
+        except OSError as error:
+            raise CannotRunError(self._no_room(error)) from None
+
+    def _no_room(self, error: OSError) -> str:
+        return f"{self.settings.rig}: {self._runtime.directory} cannot be written: {error.strerror}"
+
     def _start(self, records: RingReader) -> None:
         settings = self.settings
         self._active = {
@@ -121,13 +140,17 @@ class Supervisor:
             "version": __version__,
             "started_wall_ns": time.time_ns(),
             "pid": os.getpid(),
+            "run_id": secrets.token_hex(8),
             "bus_load": busload.bus_load(settings),
         }
-        self._runtime.write_json(ACTIVE, self._active)
+        self._put_active()
         self._note(Doing.DAEMON_STARTED, reason=f"rigctl {__version__}")
         self._say_calibration()
         for name in self._modules:
-            self._spawn(name)
+            try:
+                self._spawn(name)
+            except OSError as error:
+                raise CannotRunError(f"{settings.rig}: {name} cannot be started: {error.strerror}") from None
         self._design()
         self._send_gains()
         limit_s = START_LIMIT_S + settings.start_up_limit_s
@@ -139,15 +162,30 @@ class Supervisor:
             if time.monotonic() > until:
                 raise CannotRunError(f"{settings.rig}: the loop did not start within {limit_s:.0f} s")
             time.sleep(0.005)
-        for applied in self._runtime.read_json("control.json").get("realtime", []):
-            mark = "" if applied["ok"] else f" - WARNING: {applied['warning']}"
-            self._say(f"real time: {applied['name']}: {applied['in_force']}{mark}")
+        self._say_real_time()
         channel = f"{settings.can.interface}:{settings.can.channel}"
         self._say(
             f"{settings.rig}: DISARMED, {settings.loop.rate_hz} Hz on {channel}, answering at "
             f"{settings.telemetry.listen}"
         )
         _notify("READY=1")
+
+    def _say_real_time(self) -> None:
+        try:
+            applied = self._runtime.read_json("control.json").get("realtime", [])
+        except (OSError, msgspec.MsgspecError) as error:
+            self._say(f"WARNING: control.json cannot be read ({error}); what real time is in force is not known")
+            return
+        for item in applied:
+            mark = "" if item["ok"] else f" - WARNING: {item['warning']}"
+            self._say(f"real time: {item['name']}: {item['in_force']}{mark}")
+
+    def _put_active(self) -> None:
+        self._active = msgspec.json.decode(msgspec.json.encode(self._active))  # as it will be read: lists, no tuples
+        try:
+            self._runtime.write_json(ACTIVE, self._active)
+        except OSError as error:
+            raise CannotRunError(self._no_room(error)) from None
 
     def _design(self) -> None:
         from rigctl.design.gain_file import design_in_use  # imports python-control: slow, beside the children's start
@@ -163,12 +201,13 @@ class Supervisor:
         self._say(f"design: {design.verdict()}")
         for warning in design.warnings():
             self._say(f"WARNING: design: {warning}")
-        self._runtime.write_json(ACTIVE, self._active)
+        self._put_active()
         self._note(Doing.DAEMON_DESIGNED, reason=design.verdict())
 
     def _note(self, kind: Doing, process: str = "", reason: str = "") -> None:
         """Something for the audit log."""
-        self._supervision.note(time.monotonic_ns(), kind, process=process, reason=reason)
+        if self._supervision is not None:  # there are rings
+            self._supervision.note(time.monotonic_ns(), kind, process=process, reason=reason)
 
     def _say_calibration(self) -> None:
         """What the ledger says of the cell, for the operator; from `_put_calibration`."""
@@ -192,13 +231,17 @@ class Supervisor:
             self._say(f"WARNING: {error}; zero and scale stay as they were")
             return None
         standing = ledger.standing(self.settings, entries, time.time_ns())
-        self._runtime.write_json(IN_FORCE, standing)
+        try:
+            self._runtime.write_json(IN_FORCE, standing)
+        except OSError as error:
+            self._say(f"WARNING: {self._no_room(error)}; zero and scale stay as they were")
         return standing
 
     def _spawn(self, name: str) -> None:
         command = [sys.executable, "-m", self._modules[name], str(self._runtime.directory)]
         stdin = subprocess.PIPE if name == "control" else subprocess.DEVNULL
         process = subprocess.Popen(command, stdin=stdin, start_new_session=True)
+        memory.apply(memory.SHARES[name], process.pid)
         if name != "control":
             self._keep_off_the_loops_processor(process.pid)
         failures = self._children[name].failures if name in self._children else 0
@@ -214,13 +257,46 @@ class Supervisor:
     def _send_gains(self) -> None:
         """Those in force, which may have been changed since the start."""
         stdin: IO[bytes] | None = self._children["control"].process.stdin
-        gains = self._runtime.read_json(ACTIVE)["design"]["gains"]
+        gains = self._active["design"]["gains"]
         if stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 stdin.write(msgspec.json.encode(gains) + b"\n")
                 stdin.flush()
 
     # -- watch ----------------------------------------------------------------------------------------------
+    def _lost(self) -> bool:
+        """Whether the runtime folder is gone: no process could be started any more, so the daemon ends in order."""
+        now = time.monotonic()
+        if now < self._look_at:
+            return False
+        self._look_at = now + LOOK_S
+        if why := self._runtime.lost():
+            self._folder_lost = f"the runtime folder {self._runtime.directory} is lost: {why}"
+            self._note(Doing.FOLDER_LOST, reason=f"{why}; the daemon ends with the stroke held")
+            self._say(f"WARNING: {self._folder_lost}; the daemon ends with the stroke held")
+        return bool(why)
+
+    def _look_at_active(self) -> None:
+        """Before a process is started that reads it: what runs, as it was written, with the gains in force since.
+
+        The gateway writes other gains that the loop has taken into the same file.
+        """
+        try:
+            found = self._runtime.read_json(ACTIVE)
+            msgspec.convert(found["design"]["gains"], Gains)
+            rest = {name: value for name, value in found.items() if name != "design"}
+            if rest == {name: value for name, value in self._active.items() if name != "design"}:
+                self._active["design"] = found["design"]
+                return
+            why = "it is not what was written"
+        except (OSError, msgspec.MsgspecError, KeyError, TypeError) as error:
+            why = " ".join(str(error).split())
+        self._say(f"WARNING: {ACTIVE} in the runtime folder was damaged ({why}); it is written anew")
+        try:
+            self._runtime.write_json(ACTIVE, self._active)
+        except OSError as error:
+            self._say(f"WARNING: {self._no_room(error)}")
+
     def _watch(self) -> None:
         now = time.monotonic()
         for child in list(self._children.values()):
@@ -234,12 +310,21 @@ class Supervisor:
                 child.retry_at = now + wait
                 how = f"killed by signal {-code}" if code < 0 else f"ended with code {code}"
                 comes = "comes back DISARMED" if child.name == "control" else "comes back, the loop is unaffected"
+                if child.failures > LOOPING:
+                    comes += f" (it has ended {child.failures} times in a row, see what it said)"
                 self._note(Doing.PROCESS_ENDED, child.name, f"{how}; {comes} in {wait:g} s")
                 self._say(f"WARNING: {child.name} process {how}; {comes} in {wait:g} s")
             elif now >= child.retry_at:
+                self._look_at_active()
                 if child.name == "control":
                     self._put_calibration()
-                self._spawn(child.name)
+                try:
+                    self._spawn(child.name)
+                except OSError as error:
+                    child.retry_at = now + BACKOFF_S[-1]
+                    again = f"it is tried again in {BACKOFF_S[-1]:g} s"
+                    self._say(f"WARNING: {child.name} cannot be started: {error.strerror}; {again}")
+                    continue
                 if child.name == "control":
                     self._send_gains()
 
@@ -263,16 +348,17 @@ class Supervisor:
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._stopping = True
 
-    def _stop(self, events: RingReader) -> int:
+    def _stop(self, records: RingReader, events: RingReader) -> int:
         """Control first: it holds the stroke and closes the brake; gateway and recorder tell of it, then end too."""
         _notify("STOPPING=1")
-        records = self._runtime.record_reader()
         clean = self._end("control")
         self._tell(events)
         last = records.latest()
         time.sleep(2.0 / self.settings.telemetry.rate_hz)
         self._end("gateway")
         code, how = _ending(last, clean)
+        if self._folder_lost:
+            code, how = 1, f"{how}; ended because {self._folder_lost}"
         self._note(Doing.DAEMON_STOPPED, reason=how)
         self._end("recorder")
         self._say(how if code == 0 else f"WARNING: {how}")

@@ -7,7 +7,6 @@ import os
 import pathlib
 import secrets
 import signal
-import socket
 import struct
 import subprocess
 import sys
@@ -19,10 +18,10 @@ from typing import Any
 import can
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from hil.faults import wall_clock
 from hil.truth import TRUTH_DTYPE
+from rigctl import rehearsal
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.config import RigSettings
 from rigctl.control.modes import Mode
@@ -54,18 +53,13 @@ class Live:
         self.folder = folder
         self.file = folder / "rig.yaml"
         name = f"faults_{secrets.token_hex(4)}"
-        self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
-        data = settings.model_dump(mode="json", exclude={"directory", "plain", "plain_messages"})
-        data["rig"] = name
-        data["can"]["interface"], data["can"]["channel"] = "rigsim", str(folder / "bus.sock")
-        data["telemetry"]["listen"] = self.endpoint
-        for device in ("tension_cell", "inclinometer", "cylinder", "rail_encoder", "io"):
-            if data.get(device):
-                data[device]["eds"] = str(settings.file(data[device]["eds"]))
-        self.file.write_text(yaml.safe_dump(data))
+        played = rehearsal.own(settings, "faults").model_copy(update={"rig": name})
+        bus = played.can.model_copy(update={"channel": str(folder / "bus.sock")})
+        rehearsal.rig_file(played.model_copy(update={"can": bus}), folder)
+        self.endpoint = played.telemetry.listen
         self.log = folder / "daemon.log"
         self._environment = wall_clock.prepare(folder)
-        self.runtime = Runtime.of(name)
+        self.rig, self.runtime = name, Runtime.of(name)
         self.target_n = settings.tension.target_n
         self._way_n, self._spare_n = WAY * self.target_n, SPARE * self.target_n
         self.daemon: subprocess.Popen[bytes] | None = None
@@ -89,6 +83,9 @@ class Live:
         if self.runtime.directory.exists():
             self.runtime.remove()
         self._records = None
+        if self._client is not None:  # which commands the daemon before this one, and no other
+            self._client.close()
+            self._client = None
         before = self.log.read_bytes().count(b": DISARMED,") if self.log.exists() else 0
         self.daemon = self._spawn("rigctl", "run", str(self.file), log=self.log.name)
         self._until(lambda: self.log.read_bytes().count(b": DISARMED,") > before, "the daemon")
@@ -137,7 +134,7 @@ class Live:
         while time.monotonic() < until:
             with contextlib.suppress(NoDaemonError):
                 if self._client is None:
-                    self._client = Client(self.endpoint)
+                    self._client = Client(self.endpoint, self.rig, self._run_id())
                 answer = self._client.command(verb, OPERATOR)
                 if not answer["accepted"]:
                     if verb != "reset":  # which is tried where arming was refused, and tells less
@@ -147,6 +144,13 @@ class Live:
                 return bool(answer["accepted"])
             time.sleep(0.1)
         raise LiveError(f"{verb}: nobody answers")
+
+    def _run_id(self) -> str:
+        """Of the daemon that was started here; no other is commanded."""
+        assert self.daemon is not None
+        if (run_id := rehearsal.run_id_of(self.daemon, self.rig)) is None:
+            raise NoDaemonError("the daemon that was started here does not run")
+        return run_id
 
     def latest(self) -> Any:
         """The newest record, or None."""
@@ -304,12 +308,6 @@ def _command_lines() -> Iterator[tuple[int, list[bytes]]]:
         if entry.name.isdigit():
             with contextlib.suppress(OSError):
                 yield int(entry.name), (entry / "cmdline").read_bytes().split(b"\0")
-
-
-def _free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])
 
 
 def alive(pid: int) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pathlib
-import signal
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -42,7 +41,6 @@ def bench(file: File, seconds: Seconds = 30.0, rate: Rates = None, json: Json = 
 
     _check_alone()
     rates = list(dict.fromkeys(rate or [settings.loop.rate_hz]))
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended in order, as by Ctrl-C
     try:
         with progress("bench", 2.0 * seconds * len(rates)) as advance:
             measured = [loop.measure(settings, rate_hz, seconds, advance) for rate_hz in rates]

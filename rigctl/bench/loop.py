@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import pathlib
-import socket
 import tempfile
 import time
 from collections.abc import Callable
@@ -17,7 +15,7 @@ import numpy as np
 from rigctl.bench import cyclictest
 from rigctl.config import RigSettings
 from rigctl.control.modes import Mode, Verb
-from rigctl.rehearsal import Rehearsal, RehearsalError, rehearse
+from rigctl.rehearsal import Rehearsal, RehearsalError, own, rehearse
 from rigctl.report import metrics
 from rigctl.telemetry.runtime import Runtime
 
@@ -60,7 +58,7 @@ class Rate:
 
 
 def rehearsed(settings: RigSettings, rate_hz: int) -> RigSettings:
-    """The rig's settings for a bench: another name, port and folders than the rig's own, and nothing that asks for it.
+    """The rig's settings for a bench: another name, port and folders than the rig's own, see `rigctl.rehearsal.own`.
 
     The simulated bus has no bit timing: 4 kHz would be 170 % of 1 Mbit/s. The design is judged at the rig's own rate.
     """
@@ -68,26 +66,10 @@ def rehearsed(settings: RigSettings, rate_hz: int) -> RigSettings:
     def of(section: str, **changes: Any) -> Any:
         return getattr(settings, section).model_copy(update=changes)
 
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        listen = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    changes: dict[str, Any] = {}
+    changes: dict[str, Any] = {"design": of("design", waiver=_WAIVER, gains_file=None)}
     if rate_hz != settings.loop.rate_hz:
-        changes = {"loop": of("loop", rate_hz=rate_hz), "inclinometer": of("inclinometer", rate_hz=INCLINOMETER_HZ)}
-    if settings.calibration is not None:
-        changes["calibration"] = of("calibration", file=None, waiver=_WAIVER)
-    return settings.model_copy(
-        update={
-            **changes,
-            "rig": f"bench_{os.getpid()}",
-            "can": of("can", interface="rigsim", bitrate_bit_s=None),
-            "design": of("design", waiver=_WAIVER, gains_file=None),
-            "telemetry": of("telemetry", listen=listen, join=[]),
-            "audit": of("audit", file=None, trips="trips"),
-            "recording": of("recording", folder="recordings"),
-            "page": None,
-        }
-    )
+        changes |= {"loop": of("loop", rate_hz=rate_hz), "inclinometer": of("inclinometer", rate_hz=INCLINOMETER_HZ)}
+    return own(settings, "bench").model_copy(update=changes)
 
 
 def measure(settings: RigSettings, rate_hz: int, seconds: float, advance: Callable[[float, str], None]) -> Rate:

@@ -87,11 +87,14 @@ def rigs(connect: str | None = None) -> list[str]:
 class Client:
     """Connection to the daemon of one rig."""
 
-    def __init__(self, connect: str | None = None, rig: str | None = None) -> None:
+    def __init__(self, connect: str | None = None, rig: str | None = None, run_id: str | None = None) -> None:
         """``connect``: endpoint, else ``RIGCTL_CONNECT``; ``rig``: name, else ``RIGCTL_RIG``, else the one there is.
 
+        ``run_id``: of the one daemon process that may be commanded; every command carries it, and any other daemon
+        that came to answer here refuses it (``other_run``).
+
         Raises:
-            NoDaemonError: nobody there, or not allowed.
+            NoDaemonError: nobody there, or not allowed, or another run than ``run_id``.
             ChoiceError: not an endpoint, not a name, or several rigs and none chosen.
         """
         self.endpoint = endpoint_of(connect)
@@ -102,9 +105,18 @@ class Client:
         self.session = _open(self.endpoint)
         try:
             self.keys = Keys(self._choose(wanted))
+            self._run_id = run_id
+            self._check_run()
         except (NoDaemonError, ChoiceError):
             close(self.session)
             raise
+
+    def _check_run(self) -> None:
+        if self._run_id is not None and (found := self.active().get("run_id")) != self._run_id:
+            raise NoDaemonError(
+                f"another daemon answers at {self.endpoint}: found run {found}, allowed run {self._run_id}; "
+                f"it was not commanded"
+            )
 
     def _choose(self, wanted: str | None) -> str:
         rigs = _rigs(self.session)
@@ -195,6 +207,7 @@ class Client:
     def _commanded(self, name: str, operator: str, body: dict[str, Any], limit_s: float = COMMAND_S) -> dict[str, Any]:
         shown = self.leases.get(operator)
         body = {"operator": operator} | ({"lease": shown} if shown else {}) | body
+        body |= {"run_id": self._run_id} if self._run_id is not None else {}
         _, payload = self.ask(self.keys.command(name), msgspec.json.encode(body), limit_s)
         answer = dict(msgspec.json.decode(payload))
         if isinstance(held := answer.get("lease"), dict) and "id" in held:

@@ -78,8 +78,8 @@ class Clerk:
 
     def put_in_force(self, filed: Filed) -> None:
         """The loop has taken it."""
-        if filed.design is not None:
-            self._runtime.write_json(ACTIVE, {**self._runtime.read_json(ACTIVE), "design": filed.design})
+        if filed.design is not None and (active := self._runtime.known(ACTIVE)):
+            self._write(ACTIVE, {**active, "design": filed.design})
         if filed.standing is not None:
             self._show(filed.standing)
 
@@ -93,7 +93,7 @@ class Clerk:
         if now_ns < self._look_ns:
             return ()
         self._look_ns = now_ns + LOOK_NS
-        self.standing = in_force(self._runtime)
+        self.standing = in_force(self._runtime, self.standing)
         told = [*self._bring_together(now_ns, wall_ns)]
         passed = self.standing.due is not None and self.standing.due <= ledger.utc(wall_ns)
         if passed and not self.standing.overdue:
@@ -141,7 +141,14 @@ class Clerk:
     def _show(self, standing: Standing) -> None:
         with self._showing:
             self.standing = standing
-            self._runtime.write_json(IN_FORCE, standing)
+            self._write(IN_FORCE, standing)
+
+    def _write(self, name: str, value: object) -> None:
+        """A file that cannot be written ends no thread: the loop goes by what it was told all the same."""
+        try:
+            self._runtime.write_json(name, value)
+        except OSError as error:
+            self._say(f"{self._runtime.directory / name} cannot be written: {error.strerror}")
 
     def _serve(self) -> None:
         while (work := self._work.get()) is not None:

@@ -232,8 +232,7 @@ def _cpu_of(folder: pathlib.Path) -> int | None:
     import msgspec
 
     try:
-        found = msgspec.json.decode((folder / "active.json").read_bytes())
-        cpu = found["settings"]["loop"]["cpu"]
+        cpu = runtime.Runtime(folder).read_json("active.json")["settings"]["loop"]["cpu"]
     except (OSError, msgspec.MsgspecError, KeyError, TypeError):
         return None
     return cpu if isinstance(cpu, int) else None

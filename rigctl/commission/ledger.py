@@ -17,13 +17,14 @@ from typing import Any
 
 import msgspec
 
-from rigctl import __version__
+from rigctl import __version__, input_file
 from rigctl.config import RigSettings
 from rigctl.control.correction import SCALE_BOUND, Correction, tare_limit_n
 from rigctl.one_line import printable
 from rigctl.telemetry.runtime import Runtime
 
 IN_FORCE = "calibration.json"  # in the runtime folder
+_LARGEST_BYTES = 64 << 20  # a hundred years of a tare an hour
 CLOCKS_DIFFER = timedelta(days=1)  # at most, between the wall clocks of two starts
 
 
@@ -72,12 +73,15 @@ class Standing:
         return Correction(self.zero_n, self.scale, self.overdue and self.waiver is None)
 
 
-def in_force(runtime: Runtime) -> Standing:
-    """What supervisor or gateway last put in force; the plain cell before that."""
+def in_force(runtime: Runtime, before: Standing | None = None) -> Standing:
+    """What supervisor or gateway last put in force; the plain cell before that.
+
+    ``before``: what holds on where the file cannot be believed; without it the plain cell, which is not armed with.
+    """
     try:
         return msgspec.convert(runtime.read_json(IN_FORCE), Standing)
     except (OSError, msgspec.MsgspecError):
-        return Standing()
+        return before if before is not None else Standing(overdue=True)
 
 
 def utc(wall_ns: int) -> str:
@@ -123,12 +127,12 @@ def read(settings: RigSettings) -> list[Entry]:
     if path is None:
         return []
     try:
-        found = msgspec.json.decode(path.read_bytes(), type=_File)
+        found: _File = input_file.decoded(input_file.read(path, largest=_LARGEST_BYTES, links=True), _File)
     except FileNotFoundError:
         return []
     except OSError as error:
         raise LedgerError(f"{path}: cannot be read: {error.strerror}") from None
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+    except msgspec.MsgspecError as error:
         raise LedgerError(f"{path}: no calibration ledger: {printable(' '.join(str(error).split()))}") from None
     if found.rig != settings.rig:
         raise LedgerError(f"{path}: found the ledger of {found.rig!r}, allowed that of {settings.rig!r}")

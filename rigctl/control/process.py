@@ -15,6 +15,7 @@ from types import FrameType
 import can
 import msgspec
 from can.typechecking import CanFilters
+from pydantic import ValidationError
 
 from rigctl.commission.ledger import in_force
 from rigctl.config import RigSettings
@@ -29,6 +30,7 @@ from rigctl.devices import objects as od
 from rigctl.devices import startup
 from rigctl.devices.process_data import COMMAND, ProcessData
 from rigctl.telemetry.runtime import Runtime
+from rigctl.termination import on_signals
 
 WARM_UP_TICKS = 50
 # Elsewhere python-can filters by itself, and a refused frame ends a drain: old samples would pile up behind it.
@@ -115,7 +117,11 @@ def run(directory: str) -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     realtime.die_with_parent(signal.SIGTERM)
     runtime = Runtime(directory)
-    settings = RigSettings.model_validate(runtime.read_json("active.json")["settings"])
+    try:
+        settings = RigSettings.model_validate(runtime.read_json("active.json").get("settings"))
+    except (OSError, msgspec.MsgspecError, ValidationError):
+        sys.stderr.write("rigctl: control: active.json holds no valid settings\n")
+        return EXIT_CANNOT_START
     try:
         bus = open_bus(settings)
         report = startup.bring_up(bus, settings, _say)
@@ -142,7 +148,7 @@ def run(directory: str) -> int:
         correction=correction,
         process_data=report.process_data,
     )
-    signal.signal(signal.SIGTERM, _stop_on_signal(loop))
+    on_signals(_stop_on_signal(loop), signal.SIGTERM, signal.SIGHUP)
     frozen = realtime.freeze_garbage_collector()  # before real time: it takes 100 ms, which another loop must not wait
     applied = [*realtime.apply(settings.loop), frozen]
     runtime.write_json(

@@ -11,6 +11,11 @@ from rigctl.config import DemoSettings, RigSettings
 from rigctl.control.modes import Mode
 from rigctl.demo.script import Moment
 from rigctl.demo.summary import Summary, rows
+from rigctl.rehearsal import own
+from rigctl.telemetry.runtime import daemons
+
+GIVES_WAY = 20
+"""Priorities below a daemon's loop; the simulated rig runs 10 below the loop it serves."""
 
 
 def run(
@@ -21,14 +26,18 @@ def run(
     Raises:
         DemoError: it could not be played to its end.
     """
-    kept = settings.recording.model_copy(update={"folder": str(recordings)})
-    settings = settings.model_copy(update={"recording": kept})
+    shown = settings.rig
+    settings = own_settings(settings, recordings)
     how = "simulated time" if lockstep else "real time"
     console.print(
-        f"[bold]{settings.rig}[/]: arm, tension to {settings.tension.target_n:g} N, {demo.angle_deg:g} deg out and "
+        f"[bold]{shown}[/]: arm, tension to {settings.tension.target_n:g} N, {demo.angle_deg:g} deg out and "
         f"back at {demo.speed_deg_s:g} deg/s, release, disarm ({how})",
         highlight=False,
     )
+
+    if not lockstep:
+        where = f"rigctl watch --connect {settings.telemetry.listen}"
+        console.print(f"its own daemon is {settings.rig}: {where}", highlight=False, soft_wrap=True)
 
     def show(moment: Moment, step: str) -> None:
         console.print(_line(moment, step), highlight=False, soft_wrap=True)
@@ -40,6 +49,19 @@ def run(
     summary = play(settings, demo, show)
     _print_summary(summary, demo, console)
     return summary
+
+
+def own_settings(settings: RigSettings, recordings: pathlib.Path) -> RigSettings:
+    """The demo's own settings, see `rigctl.rehearsal.own`; its recording goes to ``recordings``.
+
+    Beside a daemon that runs on this computer, whose loop may hold a load, the demo's loop gives way.
+    """
+    played = own(settings, "demo")
+    changes: dict[str, object] = {"recording": played.recording.model_copy(update={"folder": str(recordings)})}
+    if daemons() and played.loop.priority:
+        priority = max(1, played.loop.priority - GIVES_WAY)
+        changes["loop"] = played.loop.model_copy(update={"priority": priority})
+    return played.model_copy(update=changes)
 
 
 def _line(moment: Moment, step: str) -> str:

@@ -159,7 +159,7 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
 
 def _recording(settings: RigSettings) -> pathlib.Path | None:
     """First part of the daemon's recording."""
-    told = Runtime.of(settings.rig).read_json(RECORDED).get("recording")
+    told = Runtime.of(settings.rig).known(RECORDED).get("recording")
     if not told or not told.get("file"):
         return None
     return parts.of_same_run(pathlib.Path(told["folder"]) / told["file"])[0]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import signal
 import socket
 import sys
 import threading
@@ -19,6 +18,7 @@ from rigctl.page.guard import Guard
 from rigctl.page.picture import Picture
 from rigctl.page.server import Page
 from rigctl.page.source import Source
+from rigctl.termination import ENDING, heeded
 
 CLOSE_S = 1  # for browsers to let go
 
@@ -35,7 +35,7 @@ class _Server(uvicorn.Server):
 def serve(
     listening: socket.socket, endpoint: str, rig: str | None, guard: Guard, operator: str | None = None
 ) -> NoReturn:
-    """Serve until SIGINT or SIGTERM, and end the process. ``operator``: who commands, None for a read-only page."""
+    """Serve until a signal of ``ENDING``, and end the process. ``operator``: who commands, None: a read-only page."""
     picture, stop = Picture(endpoint), threading.Event()
     source = Source(picture, rig, stop)
     desk = Desk(operator, rig, picture) if operator is not None else None
@@ -54,7 +54,7 @@ def serve(
 
     async def until_told() -> None:
         loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in heeded(*ENDING):
             loop.add_signal_handler(number, setattr, server, "should_exit", True)
         await server.serve(sockets=[listening])
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
+from rigctl import input_file
 from rigctl.recorder.chain import ORIGIN, ChainError, Entry, line_of, read_line
 
 TAIL_BYTES = 1 << 16  # no line is longer
@@ -92,7 +93,7 @@ class AuditLog:
             self._found.append(("tampered", "the log was changed or taken away while the daemon ran", details))
         self._at_least = 0
         if self._torn.exists():
-            part = self._torn.read_bytes()
+            part = input_file.read(self._torn, largest=64 * TAIL_BYTES)
             details = {"bytes": len(part), "sha256": hashlib.sha256(part).hexdigest(),
                        "begins": part[:KEPT_OF_TORN].decode("ascii", "backslashreplace")}  # fmt: skip
             if not any(what == "repaired" for what, _, _ in self._found):
@@ -103,7 +104,8 @@ class AuditLog:
             self.read = dict(found.read) if found else {}
 
     def _keep(self, torn: bytes) -> None:
-        with self._torn.open("ab") as file:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NONBLOCK | os.O_CLOEXEC  # a pipe is not waited for
+        with open(os.open(self._torn, flags, 0o640), "ab") as file:  # noqa: PTH123 - a descriptor
             file.write(torn)
             file.flush()
             os.fsync(file.fileno())

@@ -18,7 +18,7 @@ from typing import Any
 
 import msgspec
 
-from rigctl import __version__
+from rigctl import __version__, input_file
 from rigctl.config import RigSettings
 from rigctl.recorder import parts
 from rigctl.recorder.appender import Appender
@@ -238,7 +238,12 @@ class Continuous:
             with contextlib.suppress(OSError):
                 status = path.stat()
                 if self._attached.get(name) != (status.st_mtime_ns, status.st_ino):
-                    data = path.read_bytes()
+                    of_daemon = path.parent == self._runtime.directory
+                    data = (
+                        msgspec.json.encode(self._runtime.known(name))
+                        if of_daemon
+                        else input_file.read(path, largest=PENDING_MAX, links=True)
+                    )
                     part.attach(name, data, now_ns, max(0, time.time_ns() - status.st_mtime_ns))
                     self._attached[name] = (status.st_mtime_ns, status.st_ino)
 
@@ -267,6 +272,8 @@ class Continuous:
 def _lines_after(audit_log: pathlib.Path, number: int) -> list[bytes]:
     """Lines of the audit log after an entry, as far as they stand near its end."""
     try:
+        if not audit_log.is_file():
+            return []
         with audit_log.open("rb") as stream:
             stream.seek(0, os.SEEK_END)
             stream.seek(max(0, stream.tell() - _AUDIT_TAIL))

@@ -81,8 +81,8 @@ class Recorder:
             AuditError: the log is another rig's, or none.
         """
         self._runtime, self._settings = runtime, settings
-        self._run = int(runtime.read_json(ACTIVE).get("started_wall_ns", 0))
-        told = runtime.read_json(RECORDED)
+        self._run = int(runtime.known(ACTIVE).get("started_wall_ns", 0))
+        told = runtime.known(RECORDED)
         mine = told.get("run") == self._run
         self.log = AuditLog(settings.audit_log, settings.rig, int(told.get("entries", 0)) if mine else 0)
         self.trouble = Trouble()
@@ -93,8 +93,9 @@ class Recorder:
         self._tell_ns = 0
         try:
             self.log.open()
-        except OSError as error:
-            self.trouble.begins("audit log", f"{self.log.path} cannot be written: {error.strerror}", now_ns)
+        except (OSError, AuditError) as error:  # it was good when the daemon started: recording and dumps go on
+            why = f"{self.log.path} cannot be written: {error.strerror}" if isinstance(error, OSError) else str(error)
+            self.trouble.begins("audit log", why, now_ns)
         read = self.log.read if self.log.read.get("run") == self._run else {"run": self._run}
         self._read = read  # once all that waits is written
         self._rings = Rings(runtime, read)
@@ -159,7 +160,7 @@ class Recorder:
 
     def _enriched(self, item: Item) -> Item:
         """The daemon's start and design with the figures behind them."""
-        active = self._runtime.read_json(ACTIVE)
+        active = self._runtime.known(ACTIVE)
         if item.what == Doing.DAEMON_STARTED.name.lower():
             more = {"version": active.get("version"), "pid": active.get("pid"), "calibration_waiver": None,
                     "settings_sha256": ledger.digest(self._settings), "host": os.uname().nodename}  # fmt: skip

@@ -160,7 +160,7 @@ class Trips:
             for item in Rings(runtime, {}).take_all(offset_ns)
             if item.seq and group.start_ns <= item.t_ns <= group.end_ns
         ]
-        active = runtime.read_json(ACTIVE)
+        active = runtime.known(ACTIVE)
         file.describe(
             "rigctl",
             {
@@ -179,7 +179,7 @@ class Trips:
         )
         file.describe("audit", audit)
         for name in _ATTACHED:
-            file.attach(name, msgspec.json.encode(runtime.read_json(name)), wall_ns)
+            file.attach(name, msgspec.json.encode(runtime.known(name)), wall_ns)
         file.attach("schema.json", msgspec.json.encode(schema(self._settings.rig)), wall_ns)
         if (book := self._settings.ledger) is not None and book.is_file():
             file.attach("calibration_ledger.json", book.read_bytes(), wall_ns)

@@ -123,8 +123,13 @@ class Desk:
         keeper: Keeper,
         book: DeskBook,
         preflight: Preflight,
+        run_id: str = "",
     ) -> None:
-        """``sight``: what the newest record says; ``limits_n``: lowest and highest target. ``book``: for the record."""
+        """``sight``: what the newest record says; ``limits_n``: lowest and highest target. ``book``: for the record.
+
+        ``run_id``: of this daemon; a command that is meant for another is refused.
+        """
+        self._run_id = run_id
         self._book, self._preflight = book, preflight
         self._clerk, self._keeper = clerk, keeper
         self._keys, self._commands, self._replies = keys, commands, replies
@@ -182,9 +187,13 @@ class Desk:
     def _do(self, asked: Asked | LeaseAsked | LeaseLapsed | Recorded | Refused | Told) -> None:
         match asked:
             case Asked(query, request):
+                if message := self._meant_for_another(request.run_id, request.verb.name.lower(), request.operator):
+                    self._answer(query, request, message)
+                    return
                 self._give(query, request)
             case LeaseAsked(query, wanted):
-                message = self._keeper.decide(wanted, time.monotonic_ns())
+                message = self._meant_for_another(wanted.run_id, wanted.act.value, wanted.operator)
+                message = message or self._keeper.decide(wanted, time.monotonic_ns())
                 send_answer(query, self._keys.command(wanted.act.value), message)
                 self._book.answered(time.monotonic_ns(), 0, self._holder(), message)
             case Refused(message):
@@ -195,6 +204,13 @@ class Desk:
                 self._put_in_force(asked)
             case Told(setting, value):
                 self._write(setting, value)
+
+    def _meant_for_another(self, run_id: str, name: str, operator: str) -> dict[str, Any] | None:
+        """The refusal of a command that a program gave to the daemon it started, and which reached this one."""
+        if not run_id or run_id == self._run_id:
+            return None
+        text = f"found the run id of another daemon, allowed {self._run_id}; nothing was done here"
+        return refused(name, operator, "other_run", text)
 
     def _write(self, code: Verb | Setting, value: float) -> int:
         """Hand the loop a command; returns its id: never that of one given before, by this gateway or another."""

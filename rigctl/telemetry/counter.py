@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import signal
 import sys
 import time
 from typing import Any
@@ -17,7 +16,7 @@ import msgspec
 
 from rigctl.client.connection import ChoiceError, Client, NoDaemonError
 from rigctl.client.fast import FastReader
-from rigctl.termination import Termination
+from rigctl.termination import ENDING, Termination
 
 _PERIOD_S = 0.02
 _LAST_S = 5.0  # after it was told to end, so long for what is on its way, or for a gateway that is just coming back
@@ -64,7 +63,7 @@ def main() -> int:
     parser.add_argument("--rig", help="name of the rig")
     parser.add_argument("--records", type=int, help="end after so many")
     options = parser.parse_args()
-    stop = Termination(signal.SIGTERM, signal.SIGINT)
+    stop = Termination(*ENDING)
     try:
         with Client(options.connect, options.rig) as client:
             figures = count(client, stop, options.records)

@@ -6,29 +6,37 @@ repeated rather than lost, and a subscriber sees it by the sequence number.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pathlib
+import stat
 import struct
 import time
+import zlib
 
 _LAYOUT = struct.Struct("<8sQQQQQQ??")
-_MAGIC = b"rigcurs1"
+_CHECKSUM = struct.Struct("<I")
+_MAGIC = b"rigcurs2"
 
 
 class Cursor:
     """Positions of the fast stream, the events and the notes, tied to the ring they count in."""
 
     def __init__(self, path: pathlib.Path, ring: pathlib.Path, head: int) -> None:
-        """``ring``: the records; ``head``: its last sequence number. A cursor of another ring is not used."""
-        self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        """``ring``: the records; ``head``: its last sequence number. A cursor of another ring is not used.
+
+        Raises:
+            OSError: it can be neither read nor made anew.
+        """
+        self._fd = _open(path)
         self._ring = ring.stat().st_ino
         self.stream = time.time_ns()
         self.fast_seq = self.fast_lost = self.event_seq = self.note_seq = 0
         self.fast_listened = self.events_listened = False
         self.resumed = False
-        raw = os.pread(self._fd, _LAYOUT.size, 0)
-        if len(raw) == _LAYOUT.size:
-            magic, inode, stream, fast_seq, lost, event_seq, note_seq, *listened = _LAYOUT.unpack(raw)
+        raw = os.pread(self._fd, _LAYOUT.size + _CHECKSUM.size, 0)
+        if raw and _sealed(raw[: _LAYOUT.size]) == raw:
+            magic, inode, stream, fast_seq, lost, event_seq, note_seq, *listened = _LAYOUT.unpack_from(raw)
             if magic == _MAGIC and inode == self._ring and fast_seq <= head:
                 self.stream, self.fast_seq, self.fast_lost = stream, fast_seq, lost
                 self.event_seq, self.note_seq, self.resumed = event_seq, note_seq, True
@@ -38,8 +46,24 @@ class Cursor:
     def save(self) -> None:
         """Write the positions down."""
         positions = (self._ring, self.stream, self.fast_seq, self.fast_lost, self.event_seq, self.note_seq)
-        os.pwrite(self._fd, _LAYOUT.pack(_MAGIC, *positions, self.fast_listened, self.events_listened), 0)
+        os.pwrite(self._fd, _sealed(_LAYOUT.pack(_MAGIC, *positions, self.fast_listened, self.events_listened)), 0)
 
     def close(self) -> None:
         """Let go of the file."""
         os.close(self._fd)
+
+
+def _open(path: pathlib.Path) -> int:
+    """The file; what stands in its place and is none is taken away."""
+    with contextlib.suppress(FileNotFoundError):
+        mode = path.lstat().st_mode
+        if stat.S_ISDIR(mode):
+            path.rmdir()
+        elif not stat.S_ISREG(mode):
+            path.unlink()
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+
+
+def _sealed(data: bytes) -> bytes:
+    """With its checksum: damaged positions would leave out events, or repeat all of them."""
+    return data + _CHECKSUM.pack(zlib.crc32(data)) if len(data) == _LAYOUT.size else b""

@@ -195,6 +195,7 @@ class Gateway:
             self._keeper,
             DeskBook(runtime.desk_writer()),
             self._preflight,
+            str(self._active.written.get("run_id", "")),
         )
         verdict = self._preflight.verdict(now)
         lease = self._keeper.shown(now)
@@ -278,7 +279,7 @@ def main(arguments: list[str]) -> int:
     if len(arguments) != 1:
         sys.stderr.write("usage: python -m rigctl.telemetry.gateway RUNTIME_DIR\n")
         return 2
-    stop = Termination(signal.SIGTERM)
+    stop = Termination(signal.SIGTERM, signal.SIGHUP)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
     runtime = Runtime(pathlib.Path(arguments[0]))

@@ -21,16 +21,18 @@ class _Payload(msgspec.Struct, forbid_unknown_fields=True):
     operator: str
     lease: Any = None
     reason: str = ""
+    run_id: str = ""
 
 
 @dataclass(frozen=True)
 class LeaseRequest:
-    """What an operator wants of the lease; ``reason`` is empty without one."""
+    """What an operator wants of the lease; ``reason`` is empty without one. ``run_id``: see `Request`."""
 
     act: Act
     operator: str
     lease: str | None = None
     reason: str = ""
+    run_id: str = ""
 
 
 def parse_lease(act: Act, payload: bytes | None) -> LeaseRequest:
@@ -45,4 +47,4 @@ def parse_lease(act: Act, payload: bytes | None) -> LeaseRequest:
         raise RequestError(f"found reason, allowed {_ALLOWED[act]}")
     if len(reason) > _REASON_LENGTH or not reason.isprintable():
         raise RequestError(f"found reason {reason[:80]!r}, allowed up to {_REASON_LENGTH} printable letters")
-    return LeaseRequest(act, operator_of(found.operator), lease_of(found.lease), reason)
+    return LeaseRequest(act, operator_of(found.operator), lease_of(found.lease), reason, found.run_id)

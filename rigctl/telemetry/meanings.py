@@ -74,11 +74,13 @@ PAYLOAD: Rows = (
     ("near_end", "boolean", "", "arm at an end of the stroke, to drive away from it"),
     ("gain_file", "string", "", "text of a gain file"),
     ("name", "string", "", "its name, for the record"),
+    ("run_id", "string", "", "run of the daemon it is meant for, from the active configuration; any other refuses it"),
 )
 LEASE_PAYLOAD: Rows = (
     ("operator", "string", "", "who asks; required"),
     ("lease", "string", "", "id from an earlier answer"),
     ("reason", "string", "", "why it is taken over from another"),
+    ("run_id", "string", "", "run of the daemon it is meant for; any other refuses it"),
 )
 ANSWER: Rows = (
     ("accepted", "boolean", "", "whether it was carried out; a refusal comes as an error reply"),
@@ -118,6 +120,7 @@ ACTIVE_CONFIGURATION: Rows = (
     ("version", "string", "", "of the daemon"),
     ("started_wall_ns", "integer", "ns", "when the daemon started, since 1970 UTC"),
     ("pid", "integer", "", "of the daemon"),
+    ("run_id", "string", "", "of this start of the daemon: a command that carries another is refused"),
     ("bus_load", "number", "", "worst-case load of the bus, of 1"),
     ("design", "object", "", "law in use: gains, margins, where they come from"),
     ("control", "object", "", "read back by the control process: real time, devices, their own stop settings"),

@@ -50,6 +50,7 @@ class _Payload(msgspec.Struct, forbid_unknown_fields=True):
     near_end: bool = False
     gain_file: str = ""
     name: str = ""
+    run_id: str = ""
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ class Request:
     ``near_end``: ARM at an end of the stroke, to drive away from it.
     ``gain_file``, ``name``: text and name of a gain file, for GAINS.
     ``lease``: id of the lease it is given under, None where none is shown.
+    ``run_id``: run of the daemon it is meant for, empty for whichever answers.
     """
 
     verb: Verb
@@ -73,6 +75,7 @@ class Request:
     gain_file: str = ""
     name: str = ""
     near_end: bool = False
+    run_id: str = ""
 
     @property
     def number(self) -> float:
@@ -173,6 +176,7 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
         found.gain_file,
         found.name,
         near_end=found.near_end,
+        run_id=found.run_id,
     )
 
 

@@ -23,35 +23,62 @@ _HEAD = struct.Struct("<Q")
 _HEAD_OFFSET = 16
 _DATA_OFFSET = 64
 _MAGIC = b"rigring1"
+_FLAGS = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
 class RingError(ValueError):
     """The file is not the ring that was expected."""
 
 
-def create(path: pathlib.Path, dtype: np.dtype[Any], capacity: int) -> None:
-    """Make an empty ring of ``capacity`` slots of ``dtype``, whose first field is ``seq`` (u64)."""
+def create(path: pathlib.Path, dtype: np.dtype[Any], capacity: int, *, reserve: bool = False) -> None:
+    """Make an empty ring of ``capacity`` slots of ``dtype``, whose first field is ``seq`` (u64).
+
+    ``reserve``: take its memory now. A file without it is taken page by page as it is written, and a memory-backed
+    disk that is full by then ends the writer with SIGBUS.
+
+    Raises:
+        OSError: there is no room, or the folder is gone.
+    """
     if dtype.names is None or dtype.names[0] != "seq":
         raise RingError(f"{path.name}: the first field of a slot is its sequence number")
     size = _DATA_OFFSET + capacity * dtype.itemsize
     part = path.with_suffix(".new")
-    with part.open("wb") as file:
+    part.unlink(missing_ok=True)
+    fd = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    with open(fd, "wb") as file:  # noqa: PTH123 - a descriptor
         file.truncate(size)
+        if reserve:
+            os.posix_fallocate(fd, 0, size)
         file.write(_HEADER.pack(_MAGIC, dtype.itemsize, capacity, 0))
     part.rename(path)
 
 
+def identity(path: pathlib.Path) -> tuple[int, bytes]:
+    """What a ring keeps from the moment it is made: its inode, and its header but for the head.
+
+    Raises:
+        OSError: it is not there, or cannot be read.
+    """
+    fd = os.open(path, _FLAGS | os.O_RDONLY)
+    try:
+        return os.fstat(fd).st_ino, os.pread(fd, _HEAD_OFFSET, 0)
+    finally:
+        os.close(fd)
+
+
 def _map(path: pathlib.Path, slot_size: int, *, writable: bool) -> tuple[mmap.mmap, int]:
-    fd = os.open(path, os.O_RDWR if writable else os.O_RDONLY)
+    fd = os.open(path, _FLAGS | (os.O_RDWR if writable else os.O_RDONLY))
     try:
         access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
         memory = mmap.mmap(fd, 0, access=access)
+    except ValueError:
+        raise RingError(f"{path.name}: empty, no ring") from None
     finally:
         os.close(fd)
     if len(memory) < _DATA_OFFSET:
         raise RingError(f"{path.name}: too short to be a ring")
     magic, size, capacity, _ = _HEADER.unpack_from(memory, 0)
-    if magic != _MAGIC or size != slot_size or len(memory) != _DATA_OFFSET + capacity * size:
+    if magic != _MAGIC or not capacity or size != slot_size or len(memory) != _DATA_OFFSET + capacity * size:
         raise RingError(f"{path.name}: made by another version")
     return memory, capacity
 

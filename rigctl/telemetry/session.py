@@ -9,6 +9,10 @@ from typing import Any
 
 import zenoh
 
+LARGEST_IN_BYTES = 256 << 10
+"""A router that is alone takes commands (16 KiB at most) and questions; what is larger is dropped piece by piece."""
+LARGEST_RELAYED_BYTES = 16 << 20
+"""One that joins others also relays what their rigs publish and still hold."""
 _BATCHES = 16  # of 64 KB per client and priority before DROP drops: rides out 1 s of a busy client at 4 kHz
 
 
@@ -16,7 +20,7 @@ class SessionError(RuntimeError):
     """A session that could not be opened; ``str()`` is one line."""
 
 
-def _config(mode: str, listen: list[str], connect: list[str]) -> zenoh.Config:
+def _config(mode: str, listen: list[str], connect: list[str], largest_bytes: int | None = None) -> zenoh.Config:
     tree: dict[str, Any] = {
         "mode": mode,
         "listen": {"endpoints": listen, "timeout_ms": 0, "exit_on_failure": True},
@@ -46,6 +50,8 @@ def _config(mode: str, listen: list[str], connect: list[str]) -> zenoh.Config:
             },
         },
     }
+    if largest_bytes is not None:  # of what is put together of the pieces of one message; 1 GiB without it
+        tree["transport"]["link"]["rx"] = {"max_message_size": largest_bytes}
     return zenoh.Config.from_json5(json.dumps(tree))
 
 
@@ -75,7 +81,8 @@ def open_router(listen: list[str], join: Sequence[str] = ()) -> zenoh.Session:
         SessionError: naming the endpoint and why.
     """
     try:
-        return zenoh.open(_config("router", listen, list(join)))
+        largest = LARGEST_RELAYED_BYTES if join else LARGEST_IN_BYTES
+        return zenoh.open(_config("router", listen, list(join), largest))
     except zenoh.ZError as error:
         raise SessionError(f"cannot listen on {listen[0]}: {_reason(error)}") from None
 

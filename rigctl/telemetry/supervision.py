@@ -17,6 +17,7 @@ class Doing(IntEnum):
     DAEMON_STOPPED = 4  # reason: how it was left
     PROCESS_STARTED = 5  # reason: its process id
     PROCESS_ENDED = 6  # reason: how, and when it comes back
+    FOLDER_LOST = 60  # reason: what became of the runtime folder
 
 
 OVER = frozenset({Doing.DAEMON_REFUSED, Doing.DAEMON_STOPPED})
@@ -38,6 +39,6 @@ def worded(kind: int, process: str, reason: str) -> tuple[str, str]:
     """Name and one line of a note."""
     with contextlib.suppress(ValueError):
         known = Doing(kind)
-        what = f"{process} process" if process else "daemon"
+        what = f"{process} process" if process else "runtime folder" if known is Doing.FOLDER_LOST else "daemon"
         return known.name.lower(), f"{what} {known.name.split('_')[1].lower()}{f': {reason}' if reason else ''}"
     return str(kind), f"{process} {reason}"

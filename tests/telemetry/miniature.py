@@ -53,6 +53,7 @@ def stop(process: subprocess.Popen[Any]) -> None:
     until(standing, "the process to stand")
 
 
+RUN_ID = "0123456789abcdef"
 DESIGN = {"ms": 1, "accepted": True, "waiver": None, "verdict": "Ms 1"}
 
 
@@ -66,7 +67,9 @@ class Daemon:
         telemetry = settings.telemetry.model_copy(update={"listen": self.endpoint, "join": list(join)})
         self.settings = settings.model_copy(update={"rig": rig, "telemetry": telemetry})
         self.runtime.make_rings(self.settings)
-        self.runtime.write_json("active.json", {"settings": self.settings.model_dump(mode="json"), "design": DESIGN})
+        self.runtime.write_json(
+            "active.json", {"settings": self.settings.model_dump(mode="json"), "design": DESIGN, "run_id": RUN_ID}
+        )
         self.processes: list[subprocess.Popen[str]] = []
         self.gateway: subprocess.Popen[str] | None = None
 

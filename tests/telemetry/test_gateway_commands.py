@@ -9,11 +9,11 @@ from typing import Any
 import msgspec
 import pytest
 
-from rigctl.client.connection import Client
+from rigctl.client.connection import Client, NoDaemonError
 from rigctl.control.modes import Setting, Verb
 from rigctl.control.safety import Check
 from rigctl.telemetry.events import CHECK_TEXT
-from tests.telemetry.miniature import Daemon, running, until
+from tests.telemetry.miniature import RUN_ID, Daemon, running, until
 
 
 @pytest.fixture(scope="module")
@@ -156,3 +156,23 @@ def test_every_arm_comes_right_after_what_the_host_says(own: Daemon) -> None:
         preflight = own.state(client)["preflight"]
         assert preflight["failing"] == {}
         assert set(preflight["waived"]) == {"CALIBRATION", "TARE"}
+
+
+def test_a_command_that_is_meant_for_another_daemon_is_not_carried_out(own: Daemon) -> None:
+    commands = own.runtime.command_reader(from_start=True)
+    with own.client() as client:
+        active = client.active()
+        assert active["run_id"] == RUN_ID
+        given = commands.read()
+        for verb in ("arm", "hold"):
+            refused = client.command(verb, "kim", run_id="another")
+            assert (refused["accepted"], refused["reason"]) == (False, "other_run")
+            assert RUN_ID in refused["text"]
+        client._run_id = "another"
+        assert client.take_lease("kim")["reason"] == "other_run"
+        assert client.state()["lease"] is None
+        assert not {Verb.ARM, Verb.HOLD} & {int(code) for code in commands.read()["verb"]}, given
+    with pytest.raises(NoDaemonError, match=f"found run {RUN_ID}, allowed run another; it was not commanded"):
+        Client(own.endpoint, own.settings.rig, "another")
+    with Client(own.endpoint, own.settings.rig, RUN_ID) as mine:
+        assert mine.command("arm", "kim")["accepted"]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import time
 
+import pytest
 import zenoh
 
 from rigctl.client.fast import FastReader
@@ -130,3 +132,25 @@ def test_counter_without_a_daemon_is_one_line(own: Daemon) -> None:
     _, complaint = counter.communicate(timeout=15)
     assert counter.returncode == 1
     assert complaint == f"no daemon answers at {own.endpoint} (absent, or not allowed)\n"
+
+
+@pytest.mark.parametrize("damage", [b"\xff", b"[" * 100_000, b"", b"9" * 5000, None])
+def test_a_gateway_comes_back_with_whatever_stands_in_the_place_of_its_files(own: Daemon, damage: bytes | None) -> None:
+    with own.client() as client:
+        assert client.command("arm", "kim")["accepted"]
+    own.kill_gateway()
+    for name in ("lease.json", "gateway.cursor", "calibration.json", "recorder.json", "control.json"):
+        file = own.runtime.directory / name
+        file.unlink(missing_ok=True)
+        if damage is None:
+            os.mkfifo(file)
+        else:
+            file.write_bytes(damage)
+    own.start_gateway()
+    with own.client() as client:
+        assert own.state(client)["lease"] is None
+        told = client.past_events()
+        assert "lease.json holds no lease to be believed; nobody holds it" in [event["text"] for event in told]
+        assert client.command("hold", "kim")["accepted"]
+        assert own.gateway is not None
+        assert own.gateway.poll() is None

@@ -17,6 +17,7 @@ from rigctl.commission.doctor_host import Finding, Severity
 from rigctl.config import CanSettings
 from rigctl.control.safety import Check
 from rigctl.telemetry import events
+from rigctl.telemetry.runtime import Runtime
 from tests.conftest import Command
 
 ROOT = pathlib.Path(__file__).parents[3]
@@ -96,7 +97,7 @@ def test_other_daemons_are_told_and_one_on_the_same_processor_is_a_warning(tmp_p
         folder = tmp_path / f"rigctl-{rig}"
         folder.mkdir()
         (folder / "lock").write_text(f"{pid}\n")
-        (folder / "active.json").write_text(json.dumps({"settings": {"loop": {"cpu": cpu}}}))
+        Runtime(folder).write_json("active.json", {"settings": {"loop": {"cpu": cpu}}})
 
     assert doctor_host.other_daemons(RIG, tmp_path).found == "none"
     lock(RIG.rig, os.getpid(), 1)

@@ -41,7 +41,7 @@ GOOD: dict[str, Any] = {
     "standing": Standing(due=stamp(-100), tared=stamp(1)),
     "active": {"design": {"accepted": True, "waiver": None, "verdict": "Ms 1.5"}},
     "control": {
-        "realtime": [{"name": "scheduler", "ok": True, "warning": ""}],
+        "realtime": [{"name": "scheduler", "in_force": "SCHED_FIFO 80", "ok": True, "warning": ""}],
         "supervision": [{"name": "deadline", "object": "0x1400:05", "wanted": 30, "found": 30, "ok": True, "why": ""}],
     },
     "folders": [Folder(pathlib.Path("/data"), 10_000)],

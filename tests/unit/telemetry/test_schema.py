@@ -83,7 +83,7 @@ def test_every_verb_is_there_with_just_what_it_takes() -> None:
 def test_the_lease_is_there_with_just_what_it_takes() -> None:
     verbs = SCHEMA["lease"]["verbs"]
     assert set(verbs) == {act.value for act in Act}
-    assert described(SCHEMA["lease"]["payload"]) == {"operator", "lease", "reason"}
+    assert described(SCHEMA["lease"]["payload"]) == {"operator", "lease", "reason", "run_id"}
     for act in Act:
         body = msgspec.json.encode({"operator": "kim", "reason": "tea"})
         if "reason" in verbs[act.value]["options"]:
