@@ -17,7 +17,6 @@ from rigctl.commission import ledger
 from rigctl.commission.clerk import Clerk, Filed
 from rigctl.commission.preflight import Preflight
 from rigctl.control.modes import FILED, Setting, Verb
-from rigctl.control.safety import Fault
 from rigctl.telemetry.keys import Keys
 from rigctl.telemetry.lease import ACTS
 from rigctl.telemetry.lease_keeper import Keeper
@@ -294,15 +293,3 @@ class Desk:
         """Who holds the lease."""
         lease = self._keeper.shown(time.monotonic_ns())
         return str(lease["holder"]) if lease is not None else ""
-
-
-def sight_of(records: RingReader) -> Sight:
-    """What the newest record says about the rig."""
-    record = records.latest()
-    if record is None:
-        return Sight()
-    try:
-        fault = Fault(int(record["fault"]))
-    except ValueError:
-        fault = Fault.NONE
-    return Sight(fault, float(record["stroke_mm"]), float(record["tension_n"]), float(record["target_n"]))

@@ -47,6 +47,7 @@ KINDS: dict[Kind, str] = {
     Kind.SEND_FAILED: "a frame could not be sent; text: why",
     Kind.STARTED: "the loop runs",
     Kind.STOPPED: "the loop ended; value: stroke in mm, limit: tension in N",
+    Kind.LOCAL_HOLD: "HOLD was taken from the local socket; a: user id, b: process, text: operator; see the MODE event",
     Kind.CLOCK: "the loop could not keep its rate; a: ticks skipped at once",
     Kind.CORRECTION: "tare or calibration in force; value: zero in N, limit: scale",
     Kind.GAINS: "gains changed; text: K_T, K_v, K_i now in force",
