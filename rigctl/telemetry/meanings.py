@@ -62,6 +62,7 @@ NOTES: dict[Note, str] = {
     Note.LEASE_RETURNED: "operator gives the lease back",
     Note.LEASE_LAPSED: "the lease of operator has lapsed",
     Note.HOLD_WITHOUT_LEASE: "operator gives HOLD without the lease, which other holds",
+    Note.TOO_MANY_COMMANDS: "commands of an operator were refused because there were too many; reason: how many",
     Note.LEASE_NOT_BELIEVED: "what was written down about a lease is none; nobody holds it",
 }
 

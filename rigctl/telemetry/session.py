@@ -9,6 +9,13 @@ from typing import Any
 
 import zenoh
 
+MESSAGE_BYTES = 1 << 16
+"""The longest message the daemon takes: a command has 16 KiB at most, and what comes in fragments is held in memory."""
+_RELAYED_BYTES = 1 << 22  # a router that joins others relays their answers: the events still held are up to 3 MB
+_SESSIONS_MAX = 128  # a control room has ten; each costs the gateway 50 states and blocks a second
+# Connections that are half open: each is closed after accept_timeout and costs a few KiB until then, and among a flood
+# of them one that opens as it should must still find a place.
+_ACCEPTING_MAX = 512
 _BATCHES = 16  # of 64 KB per client and priority before DROP drops: rides out 1 s of a busy client at 4 kHz
 
 
@@ -16,7 +23,8 @@ class SessionError(RuntimeError):
     """A session that could not be opened; ``str()`` is one line."""
 
 
-def _config(mode: str, listen: list[str], connect: list[str]) -> zenoh.Config:
+def _config(mode: str, listen: list[str], connect: list[str], rx_bytes: int = 0) -> zenoh.Config:
+    """``rx_bytes``: the longest message that is taken in, 0 for Zenoh's own limit."""
     tree: dict[str, Any] = {
         "mode": mode,
         "listen": {"endpoints": listen, "timeout_ms": 0, "exit_on_failure": True},
@@ -31,8 +39,14 @@ def _config(mode: str, listen: list[str], connect: list[str]) -> zenoh.Config:
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "transport": {
             "shared_memory": {"enabled": False},  # loses messages over 3 KB without a word
-            "unicast": {"open_timeout": 1500, "accept_timeout": 1500},
+            "unicast": {
+                "open_timeout": 1500,
+                "accept_timeout": 1500,
+                "accept_pending": _ACCEPTING_MAX,
+                "max_sessions": _SESSIONS_MAX,
+            },
             "link": {
+                **({"rx": {"max_message_size": rx_bytes}} if rx_bytes else {}),
                 "tx": {
                     "queue": {
                         "size": {"data_high": _BATCHES, "data": _BATCHES, "data_low": _BATCHES},
@@ -41,8 +55,8 @@ def _config(mode: str, listen: list[str], connect: list[str]) -> zenoh.Config:
                             # An answer blocks if the asker chose so: one who does not read is cut off (microseconds).
                             "block": {"wait_before_close": 200_000},
                         },
-                    }
-                }
+                    },
+                },
             },
         },
     }
@@ -75,7 +89,7 @@ def open_router(listen: list[str], join: Sequence[str] = ()) -> zenoh.Session:
         SessionError: naming the endpoint and why.
     """
     try:
-        return zenoh.open(_config("router", listen, list(join)))
+        return zenoh.open(_config("router", listen, list(join), _RELAYED_BYTES if join else MESSAGE_BYTES))
     except zenoh.ZError as error:
         raise SessionError(f"cannot listen on {listen[0]}: {_reason(error)}") from None
 
