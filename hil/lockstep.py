@@ -73,7 +73,7 @@ class Lockstep:
         self.clock = SkippingClock(settings.loop.period_ns, self._advance, self.rig_ns)
         self._records = runtime.record_reader()
         self._replies = runtime.reply_reader()
-        self._commands = runtime.command_writer()
+        self._commands, self._holds = runtime.command_writer(), runtime.hold_writer()
         self.events = runtime.event_reader()
         self.loop = Loop(
             settings,
@@ -150,13 +150,22 @@ class Lockstep:
         """Give a command, ``age_ns`` ago, through the command ring and run until it is answered."""
         self._id += 1
         self._commands.write(self.clock.now() - age_ns, self._id, verb, value)
+        return self._answer(verb.name, limit_s)
+
+    def hold(self, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
+        """Give HOLD, ``age_ns`` ago, through its own ring and run until it is answered."""
+        self._id += 1
+        self._holds.write(self.clock.now() - age_ns, self._id, 0, 0, b"test")
+        return self._answer("HOLD", limit_s)
+
+    def _answer(self, what: str, limit_s: float) -> Refusal:
         for _ in range(round(limit_s * self.settings.loop.rate_hz)):
             self.loop.tick()
             for reply in self._replies.read():
                 if reply["id"] == self._id:
                     self.reply = reply
                     return Refusal(int(reply["reason"]))
-        raise TimeoutError(f"{verb.name} was not answered within {limit_s} s")
+        raise TimeoutError(f"{what} was not answered within {limit_s} s")
 
     def run_until(self, mode: Mode, limit_s: float) -> None:
         """Run until the loop is in ``mode``.

@@ -1,4 +1,4 @@
-"""``rigctl run``: validates, designs, spawns recorder, control and gateway, watches them, tells the service manager.
+"""``rigctl run``: validates, designs, spawns recorder, control, hold service and gateway, and watches them.
 
 The control process comes up while the gains are designed; a gateway that dies is replaced, a control process that
 dies is replaced and comes up DISARMED: drive off, brake closed, the load carried.
@@ -54,6 +54,7 @@ class CannotRunError(RuntimeError):
 PROCESSES = {
     "recorder": "rigctl.recorder",
     "control": "rigctl.control",
+    "hold": "rigctl.hold",
     "gateway": "rigctl.telemetry.gateway",
 }
 """Module of each process that is kept alive, in the order in which they are started."""

@@ -33,13 +33,14 @@ class Rings:
     replies: RingWriter
     frames: RingWriter
     commands: RingReader
+    holds: RingReader
 
     @classmethod
     def of(cls, runtime: Runtime) -> Rings:
         """The loop's ends of a runtime folder's rings."""
         return cls(
             runtime.record_writer(), runtime.event_writer(), runtime.reply_writer(), runtime.frame_writer(),
-            runtime.command_reader(),
+            runtime.command_reader(), runtime.hold_reader(),
         )  # fmt: skip
 
 
@@ -56,9 +57,12 @@ class Logbook:
 
     def record(
         self, t_ns: int, lateness_ns: int, work_ns: int, machine: Machine, observer: Observer, law: TensionLaw,
-        outbox: Outbox, command_seq: int,
+        outbox: Outbox, command_seq: int, hold_seq: int,
     ) -> None:  # fmt: skip
-        """One record of this tick; ``work_ns`` is the tick before's, ``command_seq`` the last command taken."""
+        """One record of this tick.
+
+        ``work_ns`` is the tick before's, ``command_seq`` and ``hold_seq`` the last command and hold taken.
+        """
         inbox, sight, kalman, slope = observer.inbox, observer.sight, observer.filter, observer.inclination
         x = kalman.state
         flags = law.limits | (_ENABLED if sight.drive_enabled else 0) | (_ARMING if machine.arming else 0)
@@ -125,6 +129,7 @@ class Logbook:
             sight.drive_temperature_c,
             sight.failed_checks,
             command_seq,
+            hold_seq,
         )
 
     def event(

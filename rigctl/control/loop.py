@@ -30,7 +30,7 @@ from rigctl.telemetry.record import Flag
 STOPPED_MM_S = 0.05
 STOP_LIMIT_NS = 2_000_000_000
 SAFE_FRAMES = 10  # commands of no speed in a row before the drive is switched on, and before it is switched off
-COMMANDS_PER_TICK = 4
+COMMANDS_PER_TICK = HOLDS_PER_TICK = 4
 SKIP_NOTICE = 5  # ticks skipped at once that are worth an event
 LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]
 
@@ -68,7 +68,7 @@ class Loop:
         self.exceptions_untold = 0
         self.finished = False
         self.stop_requested = False
-        self._clock, self._commands = clock, rings.commands
+        self._clock, self._commands, self._holds = clock, rings.commands, rings.holds
         self._watch, self._signs = Watch(settings, limits.rows(settings)), SignCheck(settings)
         self._plausibility = Plausibility(settings)
         self._commanded_ns = started_ns = clock.now()
@@ -78,7 +78,7 @@ class Loop:
             settings, self.machine, self.observer, self.law, self._watch, logbook, supervised=supervised
         )
         self._work_ns = self._stop_until = self._off_until = 0
-        logbook.event(started_ns, Kind.STARTED, rings.commands.cursor)
+        logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.cursor)
         self.observer.sight.host_checks = host_checks
         if correction is not None:
             self.observer.sight.calibration_overdue = correction.overdue
@@ -137,9 +137,7 @@ class Loop:
         trip = self._watch.trips(sight, machine.mode, t_ns)
         if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
             self._logbook.trip(t_ns, Kind.TRIP, trip)
-        for slot in self._commands.read(COMMANDS_PER_TICK):
-            if orders.take(slot, t_ns):
-                self._commanded_ns = t_ns
+        self._take_orders(t_ns)
         if self.stop_requested and not machine.stopping:
             self._stop_until = t_ns + STOP_LIMIT_NS
             machine.stop()
@@ -160,6 +158,15 @@ class Loop:
             if change.after in (Mode.TENSIONING, Mode.RELEASING):
                 law.begin(estimate.tension_n * self.observer.cosine, estimate.speed_mm_s)
                 self._signs.begin(estimate.stroke_mm, self.observer.tension_n)
+
+    def _take_orders(self, t_ns: int) -> None:
+        """Holds come before commands: no number of commands that wait delays one."""
+        for slot in self._holds.read(HOLDS_PER_TICK):
+            self._orders.take_hold(slot, t_ns)
+            self._commanded_ns = t_ns
+        for slot in self._commands.read(COMMANDS_PER_TICK):
+            if self._orders.take(slot, t_ns):
+                self._commanded_ns = t_ns
 
     def _speed(self, estimate: Estimate) -> float:
         law, mode, cosine, trial = self.law, self.machine.mode, self.observer.cosine, self._orders.trial
@@ -197,8 +204,8 @@ class Loop:
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
         logbook, machine, observer = self._logbook, self.machine, self.observer
-        taken = self._commands.cursor
-        logbook.record(t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox, taken)
+        given = self._commands.cursor, self._holds.cursor
+        logbook.record(t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox, *given)
         logbook.mode_changes(t_ns, machine, self.outbox.safe_frames)
         for limit, begins in self._watch.crossed:
             logbook.trip(t_ns, Kind.LIMIT if begins else Kind.LIMIT_OVER, limit)

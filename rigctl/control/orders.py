@@ -43,6 +43,7 @@ class Orders:
         self._look_ns = 0
         self._near_end = False  # the last command was an ARM that drives away from an end of the stroke
         self._found = (0.0, 0.0)  # value and spread of the last trial
+        self._held_ns = 0  # when the last HOLD from the ring of holds was given
         self._gains: list[float] = []  # those of a set that have come
 
     def take(self, slot: object, t_ns: int) -> bool:
@@ -52,12 +53,25 @@ class Orders:
             self._reply(t_ns, id_, Refusal.UNKNOWN)
         elif abs(t_ns - given_ns) > COMMAND_LIFETIME_NS:
             self._reply(t_ns, id_, Refusal.EXPIRED)
+        elif code in _VERBS and given_ns < self._held_ns:  # a command that waited must not undo the later HOLD
+            self._reply(t_ns, id_, Refusal.ABORTED)
         elif code in _SETTINGS:
             refusal = self._set(Setting(code), value, t_ns)
             self._reply(t_ns, id_, refusal, value=value)
         else:
             self._obey(id_, Verb(code), value, t_ns)
         return code in _VERBS
+
+    def take_hold(self, slot: object, t_ns: int) -> None:
+        """One slot of the ring of holds: HOLD, whoever gives it."""
+        names = ("t_ns", "id", "uid", "pid", "operator")
+        given_ns, id_, uid, pid, operator = (slot[name].item() for name in names)  # type: ignore[index]
+        self._logbook.event(t_ns, Kind.LOCAL_HOLD, uid, pid, text=operator[:80])
+        if abs(t_ns - given_ns) > COMMAND_LIFETIME_NS:
+            self._reply(t_ns, id_, Refusal.EXPIRED)
+        else:
+            self._held_ns = given_ns
+            self._obey(id_, Verb.HOLD, 0.0, t_ns)
 
     def attend(self, t_ns: int) -> None:
         """Show the trial this tick; its answer is due when it is over, or when something has put an end to it."""

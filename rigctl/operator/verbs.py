@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
 import time
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -66,8 +68,22 @@ def release(
 
 
 def hold(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
-    """Stop and hold the stroke where it is. Anyone may, always: it needs no lease and takes none."""
-    _give("hold", json, connect, rig, operator)
+    """Stop and hold the stroke where it is. Anyone may, always: it needs no lease and takes none.
+
+    To a daemon of this computer and user it goes past the network, on a socket of its own (FOLDER/hold.sock in memory),
+    and works while the gateway is flooded, hangs or is gone; to any other as every command.
+    """
+    from rigctl.client import local_hold
+    from rigctl.client.connection import ChoiceError, endpoint_of
+
+    answer = None
+    with contextlib.suppress(ChoiceError):  # said below, where every command says it
+        named = rig or os.environ.get("RIGCTL_RIG") or None
+        answer = local_hold.hold(endpoint_of(connect), named, operator_name(operator))
+    if answer is None:
+        _give("hold", json, connect, rig, operator)
+    else:
+        _tell(answer, json)
 
 
 def disarm(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
@@ -101,12 +117,16 @@ def _give(
     with daemon(connect, rig) as client:
         states = client.follow(client.keys.state) if wait else None
         answer = give(client, verb, operator_name(operator), value, near_end=near_end)
-        accepted = bool(answer.get("accepted"))
-        if accepted and states is not None:
+        if bool(answer.get("accepted")) and states is not None:
             if not json:
                 say(str(answer["text"]))
             answer = _finish(client, verb, answer, states)
-            accepted = bool(answer["accepted"])
+    _tell(answer, json)
+
+
+def _tell(answer: dict[str, Any], json: bool) -> NoReturn:
+    """Print the answer and end the command."""
+    accepted = bool(answer.get("accepted"))
     if json:
         put_json(answer)
     elif accepted:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from rigctl.client import local_hold
 from rigctl.client.connection import ChoiceError, Client, NoDaemonError
 from rigctl.operator.figures import number
 from rigctl.page.picture import Picture
@@ -97,13 +98,19 @@ class Desk:
         if (value is not None) != (verb == "target"):
             raise RefusedError("found " + ("no value" if value is None else "a value") + ", allowed with target alone")
         if verb == "hold":
-            return self._ask(lambda client: client.command("hold", self.operator))
+            return self._hold()
         if not self._has_id:
             raise RefusedError(f"{verb.upper()} refused: take the lease first")
         state = self._picture.state or {}
         self._proposal = Proposal(secrets.token_hex(8), verb, value, state.get("mode"), time.monotonic() + CONFIRM_S)
         text = meaning(verb, value, state)
         return {"accepted": True, "confirm": self._proposal.id, "text": text, "for_s": CONFIRM_S}
+
+    def _hold(self) -> Answer:
+        """HOLD, past the network where the daemon is on this computer: neither a flood nor a hung gateway delays it."""
+        shown = (self._picture.state or {}).get("rig") or self._rig
+        answer = local_hold.hold(self._picture.endpoint, shown, self.operator)
+        return answer or self._ask(lambda client: client.command("hold", self.operator))
 
     def confirm(self, id_: str) -> Answer:
         """Give the command that was proposed last.

@@ -31,6 +31,7 @@ def tables(recording: Recording) -> dict[str, list[Column]]:
     found = {}
     for name, slots in (
         ("records", recording.records), ("frames", recording.frames), ("commands", recording.commands),
+        ("holds", recording.holds),
     ):  # fmt: skip
         if len(slots):
             found[name] = _slots(name, slots, recording)

@@ -77,6 +77,7 @@ def figures(recording: Recording) -> dict[str, Any]:
         "records": len(records),
         "frames": len(recording.frames),
         "commands": len(recording.commands),
+        "holds": len(recording.holds),
         "said": {topic: len(items) for topic, items in sorted(recording.said.items()) if topic != RECORDER},
         "events": dict(Counter(event.what for event in recording.events)),
         "modes": modes(recording),

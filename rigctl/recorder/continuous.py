@@ -27,6 +27,7 @@ from rigctl.recorder.chain import ChainError, read_line
 from rigctl.recorder.part_file import PartFile
 from rigctl.recorder.part_reader import RecordingError, progress_of
 from rigctl.recorder.sources import Rings
+from rigctl.telemetry.ring import RingReader
 from rigctl.telemetry.runtime import ACTIVE, Runtime
 from rigctl.telemetry.schema import schema
 
@@ -60,6 +61,7 @@ class Continuous:
         self._records = runtime.record_reader(from_start=True)
         self._frames = runtime.frame_reader()
         self._commands = runtime.command_reader(from_start=True)
+        self._holds = runtime.hold_reader(from_start=True)
         self._audit: list[tuple[int, int, bytes]] = []
         self._audit_written = 0
         self._part: PartFile | None = None
@@ -91,14 +93,19 @@ class Continuous:
             self.audit(_lines_after(audit_log, read["audit"]))
         return (mine[-1].number if mine else 0), read
 
+    @property
+    def _slots(self) -> dict[str, RingReader]:
+        """Readers of the rings that are recorded as slots, by the name their progress has in a part."""
+        return {"records": self._records, "frames": self._frames, "slots": self._commands, "hold_slots": self._holds}
+
     def _go_back(self, read: dict[str, int]) -> None:
-        for name, reader in (("records", self._records), ("frames", self._frames), ("slots", self._commands)):
+        for name, reader in self._slots.items():
             reader.cursor = min(read.get(name, 0), reader.head)
         self._words.go_back(read)
 
     def _position(self, audit: int) -> dict[str, int]:
-        return {"records": self._records.cursor, "frames": self._frames.cursor, "slots": self._commands.cursor,
-                "audit": audit, **self._words.position}  # fmt: skip
+        cursors = {name: reader.cursor for name, reader in self._slots.items()}
+        return {**cursors, "audit": audit, **self._words.position}
 
     # -- what comes in ------------------------------------------------------------------------------------------
     def audit(self, lines: Sequence[bytes]) -> None:
@@ -217,14 +224,15 @@ class Continuous:
     # -- its content -------------------------------------------------------------------------------------------
     def _write(self, part: PartFile, now_ns: int) -> None:
         self._attach(part, now_ns)
-        records, frames, commands = self._records.read(), self._frames.read(), self._commands.read()
-        said = [item for item in self._words.take_all(part.offset_ns) if item.source != "commands"]
+        records, frames = self._records.read(), self._frames.read()
+        commands, holds = self._commands.read(), self._holds.read()
+        said = [item for item in self._words.take_all(part.offset_ns) if item.source not in ("commands", "holds")]
         audit, self._audit = self._audit, []
         place = self._position(audit[-1][0] if audit else self._audit_written)
         self._audit_written = place["audit"]
-        lost = {"records": self._records.lost, "frames": self._frames.lost, "slots": self._commands.lost}
+        lost = {name: reader.lost for name, reader in self._slots.items()}
         said.append(Item(now_ns, now_ns + part.offset_ns, WRITTEN, "", details={"read": place, "lost": lost}))
-        part.write(records, frames, commands, said, audit)
+        part.write(records, frames, commands, holds, said, audit)
         self._places.append(Place(part.size, place))
         self.records += len(records)
         self.frames += len(frames)

@@ -17,11 +17,11 @@ from mcap.writer import CompressionType, Writer
 
 from rigctl import __version__
 from rigctl.recorder.audit_log import Item
-from rigctl.recorder.protobuf import Encoding
-from rigctl.telemetry.record import FRAME, RECORD
+from rigctl.recorder.protobuf import Encoding, numbers_of
+from rigctl.telemetry.record import FRAME, HOLD, RECORD
 
 CHUNK_BYTES = 1 << 18
-DUMPED = MappingProxyType({"records": Encoding(RECORD), "frames": Encoding(FRAME)})
+DUMPED = MappingProxyType({"records": Encoding(RECORD), "frames": Encoding(FRAME), "holds": Encoding(numbers_of(HOLD))})
 _LATEST_NS = 2**63 - 1
 SAID_SCHEMA = {
     "title": "rigctl.Said",

@@ -16,11 +16,15 @@ from rigctl.recorder import frame_block
 from rigctl.recorder.appender import Appender
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.mcap_file import McapFile, Message
-from rigctl.recorder.protobuf import Encoding
-from rigctl.telemetry.record import COMMAND, RECORD
+from rigctl.recorder.protobuf import Encoding, numbers_of
+from rigctl.telemetry.record import COMMAND, HOLD, RECORD
 
 FORMAT = "1"
-SLOTS = {"records": Encoding(RECORD, exact={"command_mm_s"}), "commands": Encoding(COMMAND)}
+SLOTS = {
+    "records": Encoding(RECORD, exact={"command_mm_s"}),
+    "commands": Encoding(COMMAND),
+    "holds": Encoding(numbers_of(HOLD)),
+}
 AUDIT_SCHEMA = {"title": "rigctl.AuditEntry", "type": "object", "description": "a line of the audit log, see its chain"}
 _LIBRARIES = (
     "numpy", "python-can", "canopen", "cantools", "filterpy", "control", "scipy", "eclipse-zenoh", "msgspec",
@@ -92,11 +96,11 @@ class PartFile:
 
     def write(
         self, records: npt.NDArray[np.void], frames: npt.NDArray[np.void], commands: npt.NDArray[np.void],
-        said: Iterable[Item], audit: Iterable[tuple[int, int, bytes]],
+        holds: npt.NDArray[np.void], said: Iterable[Item], audit: Iterable[tuple[int, int, bytes]],
     ) -> None:  # fmt: skip
         """What is new, closed as a chunk and given to the disk. ``audit``: number, time and line of its entries."""
         file, offset = self._file, self.offset_ns
-        for topic, slots in (("records", records), ("commands", commands)):
+        for topic, slots in (("records", records), ("commands", commands), ("holds", holds)):
             if len(slots):
                 file.add(file.slots(topic, slots))
         file.add(

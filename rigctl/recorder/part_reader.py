@@ -21,9 +21,10 @@ from mcap.data_stream import ReadDataStream
 from rigctl.recorder import frame_block, mcap_scan
 from rigctl.recorder.layout import HEAD, Layout, LayoutError
 from rigctl.recorder.mcap_scan import Buffer, DamageError, Scan, ScanError
-from rigctl.telemetry.record import COMMAND, FRAME, RECORD, Slot
+from rigctl.recorder.protobuf import numbers_of
+from rigctl.telemetry.record import COMMAND, FRAME, HOLD, RECORD, Slot
 
-SLOTS: dict[str, Slot] = {"records": RECORD, "frames": FRAME, "commands": COMMAND}
+SLOTS: dict[str, Slot] = {"records": RECORD, "frames": FRAME, "commands": COMMAND, "holds": numbers_of(HOLD)}
 RECORDER = "recorder"
 _WRITTEN = "written"
 _DAMAGED = (struct.error, UnicodeDecodeError, ValueError, mcap.exceptions.McapError)

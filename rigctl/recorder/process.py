@@ -25,6 +25,7 @@ from rigctl.control.realtime import die_with_parent
 from rigctl.recorder.audit_log import AuditError, AuditLog, Item
 from rigctl.recorder.continuous import Continuous
 from rigctl.recorder.sources import Rings, sourced
+from rigctl.recorder.thinning import Thinning
 from rigctl.recorder.trips import Trips
 from rigctl.telemetry.ring import RingError
 from rigctl.telemetry.runtime import ACTIVE, RECORDED, Runtime
@@ -88,6 +89,7 @@ class Recorder:
         self.trouble = Trouble()
         self.trip_dump: str | None = told.get("trip_dump") if mine else None
         self.over = False
+        self._thinning = Thinning()
         self._waiting: list[tuple[Item, dict[str, int]]] = []
         self._told: dict[str, Any] = {}
         self._tell_ns = 0
@@ -109,7 +111,8 @@ class Recorder:
         """Take what is new, write it, write the dumps that are due. ``final``: there will be no other time."""
         if len(self._waiting) < WAITING_MAX:
             items = self._rings.take(wall_ns - now_ns)
-            self._add(*(self._enriched(item) for item in items))
+            thinned = self._thinning.thin(items, now_ns, wall_ns, final=final)
+            self._add(*(self._enriched(item) for item in thinned))
             self.over = self.over or any(item.what in _OVER for item in items)
         self._write(now_ns, final=final)
         self._dump(now_ns, wall_ns, final=final)

@@ -72,6 +72,11 @@ class Encoding:
         return [raw[start : start + int(end)] for start, end in zip(range(0, len(raw), width), ends, strict=True)]
 
 
+def numbers_of(slot: Slot) -> Slot:
+    """A table without its texts, whose width is not fixed; what they say is recorded in words beside it."""
+    return Slot(slot.name, tuple(field for field in slot.fields if field.code in _KINDS))
+
+
 def tag(number: int, wire: int) -> bytes:
     """What stands before a field: its number and how it is laid out."""
     value = number << 3 | wire

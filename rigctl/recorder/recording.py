@@ -51,7 +51,8 @@ class Recording:
     """What one or several parts of a run hold; arrays in the order of ``seq``, each slot once.
 
     ``records``: ``RECORD`` slots; signals have the precision of 32-bit floats where the file has (trip dumps: 64), all
-    else is exact. ``frames``: ``FRAME`` slots, ``commands``: ``COMMAND`` slots, both exact. ``said``: by topic.
+    else is exact. ``frames``: ``FRAME`` slots, ``commands``: ``COMMAND`` slots, ``holds``: ``HOLD`` slots
+    without the operator (none in a recording from before there were any); all exact. ``said``: by topic.
     ``sha256``: of the file; of several the hash of their hashes, one a line.
     """
 
@@ -64,6 +65,7 @@ class Recording:
     records: npt.NDArray[np.void]
     frames: npt.NDArray[np.void]
     commands: npt.NDArray[np.void]
+    holds: npt.NDArray[np.void]
     said: dict[str, list[Said]]
     generations: list[Attachment]
     gaps: list[Gap]

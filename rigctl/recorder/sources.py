@@ -71,6 +71,12 @@ def _order(slot: np.void) -> Words:
     return "order", "", text, {"id": int(slot["id"]), "verb": code, "value": value}
 
 
+def _hold(slot: np.void) -> Words:
+    who, uid, pid = _text(slot, "operator"), int(slot["uid"]), int(slot["pid"])
+    text = f"HOLD via the local socket, from process {pid} of uid {uid}"
+    return "local_hold_given", who, text, {"id": int(slot["id"]), "uid": uid, "pid": pid}
+
+
 def _reply(slot: np.void) -> Words:
     accepted, reason = bool(slot["accepted"]), _name(Refusal, int(slot["reason"]))
     mode, checks = _name(Mode, int(slot["mode"])), failed_checks(int(slot["checks"]))
@@ -108,6 +114,7 @@ class Source:
 SOURCES = (
     Source("supervision", lambda runtime: runtime.supervision_reader(), _doing),
     Source("commands", lambda runtime: runtime.command_reader(from_start=True), _order),
+    Source("holds", lambda runtime: runtime.hold_reader(from_start=True), _hold),
     Source("events", lambda runtime: runtime.event_reader(from_start=True), _event),
     Source("replies", lambda runtime: runtime.reply_reader(from_start=True), _reply),
     Source("notes", lambda runtime: runtime.note_reader(from_start=True), _note),

@@ -155,10 +155,11 @@ class Trips:
         file = McapFile(stream, offset_ns)
         records = _window(runtime.record_reader(from_start=True), group)
         frames = _window(runtime.frame_reader(), group)
+        holds = _window(runtime.hold_reader(from_start=True), group)
         said = [
             item
             for item in Rings(runtime, {}).take_all(offset_ns)
-            if item.seq and group.start_ns <= item.t_ns <= group.end_ns
+            if item.seq and item.source != "holds" and group.start_ns <= item.t_ns <= group.end_ns
         ]
         active = runtime.known(ACTIVE)
         file.describe(
@@ -183,7 +184,8 @@ class Trips:
         file.attach("schema.json", msgspec.json.encode(schema(self._settings.rig)), wall_ns)
         if (book := self._settings.ledger) is not None and book.is_file():
             file.attach("calibration_ledger.json", book.read_bytes(), wall_ns)
-        file.write([*file.slots("records", records), *file.slots("frames", frames), *file.said(said)])
+        slots = (("records", records), ("frames", frames), ("holds", holds))
+        file.write([*(message for topic, found in slots for message in file.slots(topic, found)), *file.said(said)])
         file.finish()
         return len(records), len(frames)
 

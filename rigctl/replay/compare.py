@@ -15,7 +15,7 @@ from rigctl.replay.feed import Slots
 from rigctl.replay.play import Batch
 from rigctl.telemetry.record import RECORD
 
-NOT_COMPARED = ("seq", "command_seq")
+NOT_COMPARED = ("seq", "command_seq", "hold_seq")
 """Numbers of slots: the replay has rings of its own."""
 EXACT = frozenset({"command_mm_s"} | {row.name for row in RECORD.fields if row.code != "d"})
 """Kept whole in a recording; the others with the precision of a float32."""

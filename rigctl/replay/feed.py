@@ -1,10 +1,11 @@
-"""A recording as the loop's world: a clock, a bus and a command ring that give it again what it was given then."""
+"""A recording as the loop's world: clock, bus, commands and holds, which give it again what it was given then."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import can
 import numpy as np
@@ -31,17 +32,19 @@ class Tick:
     stopping: bool
     received: list[can.Message]
     sent: list[tuple[int, bytes]]
-    commands: list[tuple[int, int, int, float]]  # given at, id, verb, value
+    commands: list[tuple[Any, ...]]  # given at, id, verb, value
+    holds: list[tuple[Any, ...]]  # given at, id, user, process
 
 
-def ticks(records: Slots, frames: Slots, commands: Slots, taken: int) -> Iterator[Tick]:
+def ticks(records: Slots, frames: Slots, commands: Slots, holds: Slots, taken: tuple[int, int]) -> Iterator[Tick]:
     """The ticks of ``records``, which follow one another without a gap.
 
     Args:
         records: of one control process, from its first.
         frames: of the same time and more.
         commands: slots of the command ring.
-        taken: number of the last one that was there before the first tick.
+        holds: slots of the ring of holds.
+        taken: number of the last command and of the last hold that were there before the first tick.
     """
     woke = records["t_ns"] + records["lateness_ns"]
     # A frame received carries the wake-up of its tick, one that was sent an instant between that and the next wake-up.
@@ -51,18 +54,31 @@ def ticks(records: Slots, frames: Slots, commands: Slots, taken: int) -> Iterato
     failures = np.diff(records["send_failures"].astype(np.int64), prepend=0).tolist()
     ended = (woke[:-1] + records["work_ns"][1:]).tolist() + woke[-1:].tolist()
     stopping = (records["flags"] & _STOPPING != 0).tolist()
-    upto = records["command_seq"].tolist()
-    orders = deque(commands[commands["seq"] > taken])
+    ordered = _Given(commands, taken[0], ("t_ns", "id", "verb", "value"))
+    held = _Given(holds, taken[1], ("t_ns", "id", "uid", "pid"))
+    upto = zip(records["command_seq"].tolist(), records["hold_seq"].tolist(), strict=True)
     rows = zip(records["t_ns"].tolist(), woke.tolist(), ended, skipped, failures, stopping, upto, strict=True)
-    for i, (t_ns, woke_ns, ended_ns, missed, failed, stops, last) in enumerate(rows):
+    for i, (t_ns, woke_ns, ended_ns, missed, failed, stops, (last, last_hold)) in enumerate(rows):
         received, sent, sent_ns = _frames(frames[begins[i] : begins[i + 1]])
-        given = []
-        while orders and orders[0]["seq"] <= last:
-            slot = orders.popleft()
-            given.append((int(slot["t_ns"]), int(slot["id"]), int(slot["verb"]), float(slot["value"])))
         yield Tick(
-            t_ns, woke_ns, sent_ns or woke_ns, ended_ns, missed, failed, stops, received, sent, given
+            t_ns, woke_ns, sent_ns or woke_ns, ended_ns, missed, failed, stops, received, sent,
+            ordered.upto(last), held.upto(last_hold),
         )  # fmt: skip
+
+
+class _Given:
+    """Slots of a ring the loop reads, given out in the ticks in which it took them."""
+
+    def __init__(self, slots: Slots, taken: int, names: tuple[str, ...]) -> None:
+        self._slots, self._names = deque(slots[slots["seq"] > taken]), names
+
+    def upto(self, last: int) -> list[tuple[Any, ...]]:
+        """Values of those up to the number ``last`` that have not been given out."""
+        given = []
+        while self._slots and self._slots[0]["seq"] <= last:
+            slot = self._slots.popleft()
+            given.append(tuple(slot[name].item() for name in self._names))
+        return given
 
 
 def _end_of_last(frames: Slots, begin: int) -> int:

@@ -39,7 +39,7 @@ class Span:
 
     records: Slots
     started_ns: int
-    taken: int  # number of the last command slot before it
+    taken: tuple[int, int]  # numbers of the last slots of commands and holds before it
     settings: RigSettings
     gains: Gains
     correction: Correction
@@ -98,7 +98,7 @@ def _span(recording: Recording, records: Slots) -> Span:
         raise ReplayError(f"what the loop was started with cannot be read: {error}") from None
     whole, cut_short = _without_gap(recording, records)
     supervised = all(bool(stop.get("ok")) for stop in control.get("supervision", []))
-    taken = int(started[-1].details.get("a", 0))
+    taken = int(started[-1].details.get("a", 0)), int(started[-1].details.get("b", 0))
     host = int(control.get("host_checks", Check.HOST))
     return Span(whole, started[-1].t_ns, taken, settings, gains, correction, supervised, host, process_data, cut_short)
 
@@ -121,7 +121,7 @@ def _without_gap(recording: Recording, records: Slots) -> tuple[Slots, str]:
     holes = np.flatnonzero(np.diff(records["seq"].astype(np.int64)) != 1)
     end, why = (int(holes[0]) + 1, "records are missing") if len(holes) else (len(records), "")
     for gap in recording.gaps:
-        if gap.ring in ("frames", "commands"):
+        if gap.ring in ("frames", "commands", "holds"):
             at = int(np.searchsorted(records["t_ns"], gap.t_ns))
             if 0 < at < end:
                 end, why = at, f"{gap.ring} are missing"
@@ -149,14 +149,16 @@ def play(
             supervised=span.supervised, host_checks=span.host_checks, correction=span.correction,
             process_data=span.process_data,
         )  # fmt: skip
-        replayed, orders = runtime.record_reader(), runtime.command_writer()
+        replayed, orders, holds = runtime.record_reader(), runtime.command_writer(), runtime.hold_writer()
         batch: list[Tick] = []
         now: list[list[tuple[int, bytes]]] = []
         at = 0
         try:
-            for tick in ticks(span.records, recording.frames, recording.commands, span.taken):
+            for tick in ticks(span.records, recording.frames, recording.commands, recording.holds, span.taken):
                 for order in tick.commands:
                     orders.write(*order)
+                for hold in tick.holds:
+                    holds.write(*hold, b"")
                 loop.stop_requested |= tick.stopping
                 clock.begin(tick)
                 bus.begin(tick)

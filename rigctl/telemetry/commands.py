@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +19,7 @@ from rigctl.commission import ledger
 from rigctl.commission.clerk import Clerk, Filed
 from rigctl.commission.preflight import Preflight
 from rigctl.control.modes import FILED, Setting, Verb
-from rigctl.control.safety import Fault
+from rigctl.telemetry.flow import Flow
 from rigctl.telemetry.keys import Keys
 from rigctl.telemetry.lease import ACTS
 from rigctl.telemetry.lease_keeper import Keeper
@@ -26,7 +28,7 @@ from rigctl.telemetry.notes import DeskBook
 from rigctl.telemetry.record import COMMAND_LIFETIME_NS
 from rigctl.telemetry.request import Request, RequestError, Sight, answer, parse, refused, silent, verb_of
 from rigctl.telemetry.ring import RingReader, RingWriter
-from rigctl.telemetry.session import finish
+from rigctl.telemetry.session import MESSAGE_BYTES, finish
 
 POLL_S = 0.002
 ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # after its lifetime the loop would not carry it out any more
@@ -36,7 +38,9 @@ WAIT_NS = {
     Verb.CALIBRATE: ANSWER_NS + 2_000_000_000,
     Verb.IDENTIFY: ANSWER_NS + 10_000_000_000,
 }
-_PENDING_MAX = 64  # and as many more of HOLD, so that no crowd of others keeps it out
+_PENDING_MAX = 64  # of all but HOLD
+_NAMES_ON_RECORD = 8  # of those who share a HOLD
+_HOLD_SPACING_NS = 20_000_000  # between two HOLDs for the loop; those that come in between share the next one
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,7 @@ class Pending:
     request: Request
     until_ns: int
     recorded: Recorded | None = None  # waits for the loop to take what is on record
+    sharing: tuple[Asked, ...] = ()  # HOLDs that came with it, and get the same answer
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,16 @@ class LeaseAsked:
 
     query: zenoh.Query
     request: LeaseRequest
+
+
+@dataclass(frozen=True)
+class HoldAsked:
+    """HOLD waits in its own queue."""
+
+
+@dataclass(frozen=True)
+class Crowded:
+    """Commands were refused because there were too many, and that is to be told."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +110,7 @@ class Told:
     value: float
 
 
-_Any = Asked | LeaseAsked | LeaseLapsed | Recorded | Refused | Told | None
+_Any = Asked | HoldAsked | Crowded | LeaseAsked | LeaseLapsed | Recorded | Refused | Told | None
 
 
 def send_answer(query: zenoh.Query, key: str, message: dict[str, Any]) -> None:
@@ -107,6 +122,20 @@ def send_answer(query: zenoh.Query, key: str, message: dict[str, Any]) -> None:
         else:
             query.reply_err(payload, encoding=zenoh.Encoding.APPLICATION_JSON)
     finish(query)
+
+
+def _payload_of(query: zenoh.Query) -> bytes | None:
+    """A query's payload, not copied where it is too long to be a command."""
+    if query.payload is None:
+        return None
+    if len(query.payload) > MESSAGE_BYTES:
+        raise RequestError(f"found {len(query.payload)} bytes, allowed {MESSAGE_BYTES}")
+    return bytes(query.payload)
+
+
+def _by_operator(asked: list[Asked]) -> list[Request]:
+    """One request of each operator, of a few at most: the others are answered, but not on record by name."""
+    return list({one.request.operator: one.request for one in asked}.values())[:_NAMES_ON_RECORD]
 
 
 class Desk:
@@ -135,6 +164,9 @@ class Desk:
         self._keys, self._commands, self._replies = keys, commands, replies
         self._sight, self._limits_n = sight, limits_n
         self._asked: queue.SimpleQueue[_Any] = queue.SimpleQueue()
+        self._holds: deque[Asked] = deque()  # served before all others
+        self._hold_ns = 0  # not before is the loop given another
+        self._flow = Flow(time.monotonic_ns())
         self._pending: dict[int, Pending] = {}
         self._last_id = 0
         self._thread = threading.Thread(target=self._serve, name="desk", daemon=True)
@@ -152,6 +184,8 @@ class Desk:
         """See that a lease that has lapsed is struck out, also while nobody asks anything."""
         if self._keeper.has_lapsed(now_ns):
             self._asked.put(LeaseLapsed())
+        if self._flow.due(now_ns):
+            self._asked.put(Crowded())
 
     def close(self) -> None:
         """Answer no more."""
@@ -159,33 +193,49 @@ class Desk:
         self._thread.join(timeout=1.0)
 
     def _take(self, query: zenoh.Query) -> None:
-        """Zenoh's thread: check and queue, nothing that waits."""
+        """Zenoh's thread: check, limit and queue, nothing that waits; what is too many is written nowhere."""
         key = str(query.key_expr)
         name = key.rsplit("/", 1)[-1]
+        asked: Asked | LeaseAsked | Refused
         try:
             if key != self._keys.command(name):
                 raise RequestError(f"found the key {key}, allowed one rig and one command")
-            payload = bytes(query.payload) if query.payload is not None else None
+            payload = _payload_of(query)
             if (act := ACTS.get(name)) is not None:
-                self._asked.put(LeaseAsked(query, parse_lease(act, payload)))
+                asked = LeaseAsked(query, parse_lease(act, payload))
             else:
-                self._asked.put(Asked(query, parse(verb_of(name), payload)))
+                asked = Asked(query, parse(verb_of(name), payload))
         except RequestError as error:
-            message = refused(name, "", "bad_request", str(error))
-            send_answer(query, key, message)
-            self._asked.put(Refused(message))
+            asked = Refused(refused(name, "", "bad_request", str(error)))
+        if isinstance(asked, Asked) and asked.request.verb is Verb.HOLD:
+            self._holds.append(asked)
+            self._asked.put(HoldAsked())
+            return
+        request = None if isinstance(asked, Refused) else asked.request
+        operator, now = request.operator if request is not None else "", time.monotonic_ns()
+        holder = request is not None and self._keeper.is_holder(operator, request.lease, now)
+        if why := self._flow.admit(operator, now, holder=holder):
+            send_answer(query, key, refused(name, operator, "too_many", why))
+            return
+        if isinstance(asked, Refused):
+            send_answer(query, key, asked.message)
+        self._asked.put(asked)
 
     def _serve(self) -> None:
         while True:
             with contextlib.suppress(queue.Empty):
-                asked = self._asked.get(timeout=POLL_S if self._pending else None)
+                asked = self._asked.get(timeout=POLL_S if self._pending or self._holds else None)
                 if asked is None:
                     return
+                self._give_holds(time.monotonic_ns())
                 self._do(asked)
+            self._give_holds(time.monotonic_ns())
             self._collect(time.monotonic_ns())
 
-    def _do(self, asked: Asked | LeaseAsked | LeaseLapsed | Recorded | Refused | Told) -> None:
+    def _do(self, asked: Asked | HoldAsked | Crowded | LeaseAsked | LeaseLapsed | Recorded | Refused | Told) -> None:
         match asked:
+            case Crowded():
+                self._keeper.note_crowd(self._flow.told(), time.monotonic_ns())
             case Asked(query, request):
                 if message := self._meant_for_another(request.run_id, request.verb.name.lower(), request.operator):
                     self._answer(query, request, message)
@@ -220,19 +270,18 @@ class Desk:
         return self._last_id
 
     def _give(self, query: zenoh.Query, request: Request) -> None:
-        if len(self._pending) >= (2 if request.verb is Verb.HOLD else 1) * _PENDING_MAX:
+        if len(self._pending) >= _PENDING_MAX:
             self._answer(query, request, silent(request.verb.name.lower(), request.operator))
             return
         if (why := self._clerk.impossible(request)) is not None:
             self._answer(query, request, refused(request.verb.name.lower(), request.operator, "not_possible", why))
             return
         now = time.monotonic_ns()
-        if request.verb is not Verb.HOLD:  # hold is safe: given by anyone, and before anything else is done about it
-            admitted = self._keeper.admit(request, now)
-            if not isinstance(admitted, Request):
-                self._answer(query, request, admitted)
-                return
-            request = admitted
+        admitted = self._keeper.admit(request, now)
+        if not isinstance(admitted, Request):
+            self._answer(query, request, admitted)
+            return
+        request = admitted
         until_ns = now + WAIT_NS.get(request.verb, ANSWER_NS)
         if request.verb is Verb.ARM:  # never on what the loop was told a while ago
             self._write(Setting.HOST_CHECKS, float(self._preflight.verdict(now).host_checks))
@@ -240,8 +289,19 @@ class Desk:
         self._pending[number] = Pending(query, request, until_ns)
         name = request.verb.name.lower()
         self._book.given(now, number, name, request.operator, self._holder(), request.number)
-        if request.verb is Verb.HOLD:
-            self._keeper.note_hold(request, now)
+
+    def _give_holds(self, now_ns: int) -> None:
+        """HOLD is safe: given by anyone, before all else, and never too many; a flood of them becomes a few."""
+        if not self._holds or now_ns < self._hold_ns:
+            return
+        self._hold_ns = now_ns + _HOLD_SPACING_NS
+        asked = [self._holds.popleft() for _ in range(len(self._holds))]
+        number = self._write(Verb.HOLD, math.nan)
+        first = asked[0]
+        self._pending[number] = Pending(first.query, first.request, now_ns + ANSWER_NS, sharing=tuple(asked[1:]))
+        for request in _by_operator(asked):
+            self._book.given(now_ns, number, "hold", request.operator, self._holder(), request.number)
+            self._keeper.note_hold(request, now_ns)
 
     def _put_in_force(self, recorded: Recorded) -> None:
         """What is on record now takes effect; the operator is answered when the loop has taken it."""
@@ -273,6 +333,7 @@ class Desk:
                 self._clerk.unanswered(given.recorded.filed)
             name, operator = given.request.verb.name.lower(), given.request.operator
             self._answer(given.query, given.request, silent(name, operator), number)
+            self._answer_sharing(given, lambda request: silent("hold", request.operator))
 
     def _answered(self, given: Pending, reply: Any, number: int) -> None:
         """The loop's reply goes to the operator; that of a trial goes to the clerk first."""
@@ -294,6 +355,14 @@ class Desk:
             self._clerk.file(request, reply, lambda filed: self._asked.put(Recorded(query, request, message, filed)))
             return
         self._answer(query, request, message, number, given.recorded)
+        self._answer_sharing(given, lambda request: {**message, "operator": request.operator})
+
+    def _answer_sharing(self, given: Pending, answer_to: Callable[[Request], dict[str, Any]]) -> None:
+        """The answer of a HOLD goes to those who asked for it at the same time; it is on record once."""
+        now = time.monotonic_ns()
+        for query, request in ((asked.query, asked.request) for asked in given.sharing):
+            message = self._keeper.with_lease(request.operator, request.lease, answer_to(request), now)
+            send_answer(query, self._keys.command("hold"), message)
 
     def _answer(
         self, query: zenoh.Query, request: Request, message: dict[str, Any], number: int = 0,
@@ -310,15 +379,3 @@ class Desk:
         """Who holds the lease."""
         lease = self._keeper.shown(time.monotonic_ns())
         return str(lease["holder"]) if lease is not None else ""
-
-
-def sight_of(records: RingReader) -> Sight:
-    """What the newest record says about the rig."""
-    record = records.latest()
-    if record is None:
-        return Sight()
-    try:
-        fault = Fault(int(record["fault"]))
-    except ValueError:
-        fault = Fault.NONE
-    return Sight(fault, float(record["stroke_mm"]), float(record["tension_n"]), float(record["target_n"]))

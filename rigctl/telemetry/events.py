@@ -24,7 +24,7 @@ class Kind(IntEnum):
     EXCEPTION = 6  # text: exception and place
     BUS_ERROR = 7  # a: error class bits of the frame's id, b: see rigctl.telemetry.can_errors.details
     SEND_FAILED = 8  # text: why
-    STARTED = 9  # loop running
+    STARTED = 9  # loop running; a, b: slots of the command ring and of the ring of holds from before it
     STOPPED = 10  # loop ended, value: stroke, limit: tension
     CLOCK = 11  # a: ticks skipped at once
     CORRECTION = 12  # value: zero of the tension cell in N, limit: its scale
@@ -32,6 +32,7 @@ class Kind(IntEnum):
     LIMIT = 15  # a: fault, b: action (LOG), value, limit, text: a limit of the rig file is passed ...
     LIMIT_OVER = 16  # ... and is kept again
     RECEIVE_FAILED = 17  # text: why
+    LOCAL_HOLD = 65  # a: user, b: process it came from, text: operator; what came of it is in the reply
     SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
 
 
@@ -259,6 +260,9 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     ),
     Kind.CORRECTION: lambda _a, _b, v, m, _t: Worded("info", f"tension cell: zero {v:+z.3f} N, scale {m:.5f}"),
     Kind.GAINS: lambda _a, _b, _v, _m, t: Worded("info", f"gains changed: K_T, K_v, K_i = {t}"),
+    Kind.LOCAL_HOLD: lambda a, b, _v, _l, t: Worded(
+        "info", f"HOLD from {t} via the local socket (uid {a}, process {b})"
+    ),
     Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{a} ticks skipped at once"),
 }  # fmt: skip
 

@@ -25,11 +25,12 @@ from rigctl.control.modes import Setting
 from rigctl.control.realtime import die_with_parent
 from rigctl.control.safety import HOST_CHECKS
 from rigctl.telemetry.active import Active, Written
-from rigctl.telemetry.commands import Desk, sight_of
+from rigctl.telemetry.commands import Desk
 from rigctl.telemetry.cursor import Cursor
 from rigctl.telemetry.keys import Keys
 from rigctl.telemetry.lease_keeper import Keeper
 from rigctl.telemetry.notes import DeskBook
+from rigctl.telemetry.request import sight_of
 from rigctl.telemetry.ring import RingError
 from rigctl.telemetry.runtime import RECORDED, Runtime
 from rigctl.telemetry.schema import schema

@@ -1,6 +1,6 @@
 """The keeper of the lease in the gateway: the book, its place in the runtime folder, its notes and its words.
 
-Changed by the desk's thread alone; ``shown`` and ``has_lapsed`` may be asked by any.
+Changed by the desk's thread alone; ``shown``, ``has_lapsed`` and ``is_holder`` may be asked by any.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from rigctl.telemetry.flow import Crowd
 from rigctl.telemetry.lease import Act, Book, Change, Denial, Lease, Turn, is_id
 from rigctl.telemetry.lease_request import LeaseRequest
 from rigctl.telemetry.notes import Note
@@ -25,6 +26,7 @@ _NOTE_OF = {
     Turn.LAPSED: Note.LEASE_LAPSED,
 }
 _TAKE = "rigctl lease take"
+CROWDS_TOLD = 4
 
 
 def believed(written: Any, duration_ns: int, now_ns: int) -> Lease | None:
@@ -85,6 +87,19 @@ class Keeper:
         if not self._book.is_holder(request.operator, request.lease, now_ns):
             lease = self._book.lease(now_ns)
             self._note(now_ns, Note.HOLD_WITHOUT_LEASE, request.operator, lease.holder if lease else "")
+
+    def is_holder(self, operator: str, id_: str | None, now_ns: int) -> bool:
+        """Whether both name and id are those of the lease in force; may be asked from any thread."""
+        return self._book.is_holder(operator, id_, now_ns)
+
+    def note_crowd(self, crowds: list[Crowd], now_ns: int) -> None:
+        """Tell of commands that were refused because there were too many: the worst few by name, the rest as one."""
+        worst, rest = crowds[:CROWDS_TOLD], crowds[CROWDS_TOLD:]
+        if rest:
+            worst.append(Crowd(f"{len(rest)} others", sum(crowd.count for crowd in rest), rest[0].since_ns))
+        for crowd in worst:
+            text = f"{crowd.count} commands in {(now_ns - crowd.since_ns) / 1e9:.0f} s"
+            self._note(now_ns, Note.TOO_MANY_COMMANDS, crowd.operator, reason=text)
 
     def decide(self, request: LeaseRequest, now_ns: int) -> dict[str, Any]:
         """Take the lease or give it back; the answer."""

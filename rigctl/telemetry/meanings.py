@@ -47,6 +47,7 @@ KINDS: dict[Kind, str] = {
     Kind.SEND_FAILED: "a frame could not be sent; text: why",
     Kind.STARTED: "the loop runs",
     Kind.STOPPED: "the loop ended; value: stroke in mm, limit: tension in N",
+    Kind.LOCAL_HOLD: "HOLD was taken from the local socket; a: user id, b: process, text: operator; see the MODE event",
     Kind.CLOCK: "the loop could not keep its rate; a: ticks skipped at once",
     Kind.CORRECTION: "tare or calibration in force; value: zero in N, limit: scale",
     Kind.GAINS: "gains changed; text: K_T, K_v, K_i now in force",
@@ -61,6 +62,7 @@ NOTES: dict[Note, str] = {
     Note.LEASE_RETURNED: "operator gives the lease back",
     Note.LEASE_LAPSED: "the lease of operator has lapsed",
     Note.HOLD_WITHOUT_LEASE: "operator gives HOLD without the lease, which other holds",
+    Note.TOO_MANY_COMMANDS: "commands of an operator were refused because there were too many; reason: how many",
     Note.LEASE_NOT_BELIEVED: "what was written down about a lease is none; nobody holds it",
 }
 

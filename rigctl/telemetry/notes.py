@@ -21,6 +21,7 @@ class Note(IntEnum):
     LEASE_LAPSED = 4
     HOLD_WITHOUT_LEASE = 5  # other: who holds the lease
     LEASE_NOT_BELIEVED = 6  # what the runtime folder says of a lease is none
+    TOO_MANY_COMMANDS = 65  # reason: how many of the operator's were refused, and in what time
 
 
 def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str]:
@@ -39,6 +40,8 @@ def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str
             return "warning", f"HOLD given by {operator} without the lease, which {other} holds"
         case Note.HOLD_WITHOUT_LEASE:
             return "info", f"HOLD given by {operator} without a lease; nobody holds it"
+        case Note.TOO_MANY_COMMANDS:
+            return "warning", f"{reason} from {operator or 'nobody'} refused: too many; HOLD is taken all the same"
         case Note.LEASE_NOT_BELIEVED:
             return "warning", "lease.json holds no lease to be believed; nobody holds it"
 

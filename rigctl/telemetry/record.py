@@ -132,6 +132,7 @@ RECORD = Slot(
         Field("drive_temperature_c", "d", "deg C", "of the drive; NaN while it is not known"),
         Field("checks", "Q", "", "preflight checks that fail, bits, see checks; not looked at while armed"),
         Field("command_seq", "Q", "", "sequence number of the last slot the loop has taken from the command ring"),
+        Field("hold_seq", "Q", "", "sequence number of the last slot the loop has taken from the ring of holds"),
     ),
 )
 
@@ -162,6 +163,19 @@ COMMAND = Slot(
         ),
     ),
 )
+
+HOLD = Slot(
+    "hold",
+    (
+        Field("t_ns", "q", "ns", "when it was given; an old one is not carried out"),
+        Field("id", "Q", "", "comes back in the reply; never one of a command's, see HOLD_ID"),
+        Field("uid", "I", "", "user of the process that gave it, as the kernel says (SO_PEERCRED)"),
+        Field("pid", "I", "", "that process"),
+        Field("operator", "256s", "", "who gave it, in that process's words"),
+    ),
+)
+
+HOLD_ID = 1 << 62  # set in the id of every hold: no command's id, which is a time of CLOCK_MONOTONIC, comes near it
 
 REPLY = Slot(
     "reply",

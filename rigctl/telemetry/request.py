@@ -15,6 +15,7 @@ from rigctl.control.safety import Check, Fault
 from rigctl.one_line import on_one_line
 from rigctl.telemetry.events import failed_checks, refusal_text
 from rigctl.telemetry.lease import ACTS, ID_BYTES, is_id
+from rigctl.telemetry.ring import RingReader
 
 VERBS = {verb.name.lower(): verb for verb in Verb}
 _OPERATOR_LENGTH = 64
@@ -188,6 +189,18 @@ class Sight:
     stroke_mm: float = math.nan
     tension_n: float = math.nan
     target_n: float = math.nan
+
+
+def sight_of(records: RingReader) -> Sight:
+    """What the newest record says about the rig."""
+    record = records.latest()
+    if record is None:
+        return Sight()
+    try:
+        fault = Fault(int(record["fault"]))
+    except ValueError:
+        fault = Fault.NONE
+    return Sight(fault, float(record["stroke_mm"]), float(record["tension_n"]), float(record["target_n"]))
 
 
 def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:

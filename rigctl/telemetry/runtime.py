@@ -1,7 +1,8 @@
 """The running daemon's folder in memory: rings, the resolved configuration, and the lock that makes it the only one.
 
-``/dev/shm/rigctl-<rig>/``: ``records events frames commands replies notes desk supervision`` (rings), ``active.json``
-(what runs), ``recorder.json`` (what the recorder has kept),
+``/dev/shm/rigctl-<rig>/``: ``records events frames commands holds replies notes desk supervision`` (rings),
+``hold.sock`` (where HOLD is taken from this computer's operators), ``active.json`` (what runs), ``recorder.json`` (what
+the recorder has kept),
 ``control.json`` (what the control process read back), ``calibration.json`` (the cell's zero, scale and due date in
 force), ``lease.json`` (who may command), ``gateway.*`` (the gateway's own), ``lock`` (held by the supervisor, with its
 pid in it).
@@ -291,6 +292,7 @@ class Runtime:
             self.records: (record.RECORD.dtype, settings.loop.rate_hz * settings.telemetry.history_s),
             self.events: (record.EVENT.dtype, _SMALL_RING),
             self.commands: (record.COMMAND.dtype, _SMALL_RING),
+            self.holds: (record.HOLD.dtype, _NOTES),
             self.replies: (record.REPLY.dtype, _SMALL_RING),
             self.notes: (record.NOTE.dtype, _NOTES),
             self.desk: (record.DESK.dtype, _NOTES),
@@ -336,6 +338,16 @@ class Runtime:
     def commands(self) -> pathlib.Path:
         """Ring of ``record.COMMAND``, written by the gateway."""
         return self.directory / "commands"
+
+    @property
+    def holds(self) -> pathlib.Path:
+        """Ring of ``record.HOLD``, written by the hold service."""
+        return self.directory / "holds"
+
+    @property
+    def hold_socket(self) -> pathlib.Path:
+        """Where the hold service takes HOLD from processes of this computer."""
+        return self.directory / "hold.sock"
 
     @property
     def replies(self) -> pathlib.Path:
@@ -388,6 +400,10 @@ class Runtime:
         """A reader of the commands given from now on, or still held."""
         return RingReader(self.commands, record.COMMAND.dtype, from_start=from_start)
 
+    def hold_reader(self, *, from_start: bool = False) -> RingReader:
+        """A reader of the holds given from now on, or still held."""
+        return RingReader(self.holds, record.HOLD.dtype, from_start=from_start)
+
     def reply_reader(self, *, from_start: bool = False) -> RingReader:
         """A reader of the replies given from now on, or still held."""
         return RingReader(self.replies, record.REPLY.dtype, from_start=from_start)
@@ -415,6 +431,10 @@ class Runtime:
     def command_writer(self) -> RingWriter:
         """The writer of the commands (gateway)."""
         return RingWriter(self.commands, record.COMMAND.layout)
+
+    def hold_writer(self) -> RingWriter:
+        """The writer of the holds (hold service)."""
+        return RingWriter(self.holds, record.HOLD.layout)
 
     def reply_writer(self) -> RingWriter:
         """The writer of the replies (control process)."""

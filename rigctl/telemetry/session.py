@@ -9,10 +9,13 @@ from typing import Any
 
 import zenoh
 
-LARGEST_IN_BYTES = 256 << 10
-"""A router that is alone takes commands (16 KiB at most) and questions; what is larger is dropped piece by piece."""
-LARGEST_RELAYED_BYTES = 16 << 20
-"""One that joins others also relays what their rigs publish and still hold."""
+MESSAGE_BYTES = 1 << 16
+"""The longest message the daemon takes: a command has 16 KiB at most, and what comes in fragments is held in memory."""
+_RELAYED_BYTES = 1 << 22  # a router that joins others relays their answers: the events still held are up to 3 MB
+_SESSIONS_MAX = 128  # a control room has ten; each costs the gateway 50 states and blocks a second
+# Connections that are half open: each is closed after accept_timeout and costs a few KiB until then, and among a flood
+# of them one that opens as it should must still find a place.
+_ACCEPTING_MAX = 512
 _BATCHES = 16  # of 64 KB per client and priority before DROP drops: rides out 1 s of a busy client at 4 kHz
 
 
@@ -20,7 +23,8 @@ class SessionError(RuntimeError):
     """A session that could not be opened; ``str()`` is one line."""
 
 
-def _config(mode: str, listen: list[str], connect: list[str], largest_bytes: int | None = None) -> zenoh.Config:
+def _config(mode: str, listen: list[str], connect: list[str], rx_bytes: int = 0) -> zenoh.Config:
+    """``rx_bytes``: the longest message that is taken in, 0 for Zenoh's own limit."""
     tree: dict[str, Any] = {
         "mode": mode,
         "listen": {"endpoints": listen, "timeout_ms": 0, "exit_on_failure": True},
@@ -35,8 +39,14 @@ def _config(mode: str, listen: list[str], connect: list[str], largest_bytes: int
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "transport": {
             "shared_memory": {"enabled": False},  # loses messages over 3 KB without a word
-            "unicast": {"open_timeout": 1500, "accept_timeout": 1500},
+            "unicast": {
+                "open_timeout": 1500,
+                "accept_timeout": 1500,
+                "accept_pending": _ACCEPTING_MAX,
+                "max_sessions": _SESSIONS_MAX,
+            },
             "link": {
+                **({"rx": {"max_message_size": rx_bytes}} if rx_bytes else {}),
                 "tx": {
                     "queue": {
                         "size": {"data_high": _BATCHES, "data": _BATCHES, "data_low": _BATCHES},
@@ -45,13 +55,11 @@ def _config(mode: str, listen: list[str], connect: list[str], largest_bytes: int
                             # An answer blocks if the asker chose so: one who does not read is cut off (microseconds).
                             "block": {"wait_before_close": 200_000},
                         },
-                    }
-                }
+                    },
+                },
             },
         },
     }
-    if largest_bytes is not None:  # of what is put together of the pieces of one message; 1 GiB without it
-        tree["transport"]["link"]["rx"] = {"max_message_size": largest_bytes}
     return zenoh.Config.from_json5(json.dumps(tree))
 
 
@@ -81,8 +89,7 @@ def open_router(listen: list[str], join: Sequence[str] = ()) -> zenoh.Session:
         SessionError: naming the endpoint and why.
     """
     try:
-        largest = LARGEST_RELAYED_BYTES if join else LARGEST_IN_BYTES
-        return zenoh.open(_config("router", listen, list(join), largest))
+        return zenoh.open(_config("router", listen, list(join), _RELAYED_BYTES if join else MESSAGE_BYTES))
     except zenoh.ZError as error:
         raise SessionError(f"cannot listen on {listen[0]}: {_reason(error)}") from None
 

@@ -80,6 +80,10 @@ def drill(rig: Lockstep) -> None:
     rig.inject(frame(0x182, bytes([0, 0, 0, 0, 1])))
     rig.run(0.5)
     rig.command(Verb.RESET)
+    assert rig.hold() is Refusal.NONE
+    rig.command(Verb.RELEASE)
+    rig.run(0.2)
+    assert rig.hold() is Refusal.NONE
     rig.command(Verb.RELEASE)
     rig.run(1.0)
 
@@ -147,6 +151,14 @@ def test_a_command_the_loop_was_not_given_is_found(paper: tuple[Recording, Span]
     same, found = replayed(dataclasses.replace(recording, commands=recording.commands[~tension]), span)
     assert {"mode"} <= {row.field for row in found.differences}
     assert span.records["mode"][same] == Mode.TENSIONING
+
+
+def test_a_hold_the_loop_was_not_given_is_found(paper: tuple[Recording, Span]) -> None:
+    recording, span = paper
+    assert len(recording.holds) == 2
+    same, found = replayed(dataclasses.replace(recording, holds=recording.holds[:1]), span)
+    assert "mode" in {row.field for row in found.differences}
+    assert span.records["mode"][same] == Mode.HOLD
 
 
 def test_a_gap_ends_what_is_replayed(paper: tuple[Recording, Span]) -> None:

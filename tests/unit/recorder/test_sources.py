@@ -113,7 +113,7 @@ def test_a_slot_of_any_bits_makes_an_entry(source: object, data: st.DataObject) 
     assert isinstance(source, Source)
     dtype = {
         "events": record.EVENT, "commands": record.COMMAND, "replies": record.REPLY, "notes": record.NOTE,
-        "desk": record.DESK, "supervision": record.NOTE,
+        "desk": record.DESK, "holds": record.HOLD, "supervision": record.NOTE,
     }[source.name].dtype  # fmt: skip
     raw = data.draw(st.binary(min_size=dtype.itemsize, max_size=dtype.itemsize))
     slot = np.frombuffer(raw, dtype)[0].copy()

@@ -15,7 +15,7 @@ from rigctl.control.modes import Mode
 from rigctl.recorder.appender import Appender
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.part_file import PartFile
-from rigctl.telemetry.record import COMMAND, FRAME, RECORD
+from rigctl.telemetry.record import COMMAND, FRAME, HOLD, RECORD
 from tests import daemons
 
 RATE_HZ = 1000
@@ -114,7 +114,7 @@ def write(
         batch = records[at : at + _BATCH]
         shown = frames(batch, sent) if with_frames else np.empty(0, FRAME.dtype)
         sent += len(shown)
-        part.write(batch, shown, none, waiting, [])
+        part.write(batch, shown, none, np.empty(0, HOLD.dtype), waiting, [])
         waiting = []
     part.finish()
     assert disk.join(60.0), disk.error

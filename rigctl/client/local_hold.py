@@ -1,0 +1,66 @@
+"""HOLD to a daemon of this computer and user, past the network: see `rigctl.hold.service`."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+import re
+import socket
+from typing import Any
+
+import msgspec
+
+from rigctl.telemetry import runtime
+from rigctl.telemetry.runtime import ACTIVE, Runtime
+
+CONNECT_S = 0.5
+ANSWER_S = 2.5  # the service answers within 1.5 s, also when the loop says nothing
+_ANSWER_BYTES = 1 << 16
+_EVERY_ADDRESS = r"(0\.0\.0\.0|\[::\])"
+_LOOPBACK = r"(localhost|127\.0\.0\.1|\[::1\])"
+
+
+def same_endpoint(asked: str, listen: str) -> bool:
+    """Whether a client told ``asked`` reaches the gateway that listens at ``listen`` on this computer."""
+    if asked == listen:
+        return True
+    protocol, _, where = listen.partition("/")
+    port = where.rpartition(":")[2]
+    listens = re.fullmatch(rf"{_EVERY_ADDRESS}:\d+|{_LOOPBACK}:\d+", where) is not None
+    return listens and re.fullmatch(rf"{re.escape(protocol)}/{_LOOPBACK}:{port}", asked) is not None
+
+
+def socket_of(endpoint: str, rig: str | None) -> pathlib.Path | None:
+    """Hold socket of the daemon of this user and computer that listens at ``endpoint``, and is called ``rig`` if given.
+
+    None for a daemon elsewhere: HOLD for that one must never end at another one here.
+    """
+    for name, _ in runtime.daemons(runtime.BASE):
+        with contextlib.suppress(OSError, msgspec.MsgspecError, RecursionError, KeyError, TypeError):
+            found = Runtime.of(name)
+            if rig not in (None, name) or found.directory.lstat().st_uid != os.geteuid():
+                continue
+            if same_endpoint(endpoint, str(found.read_json(ACTIVE)["settings"]["telemetry"]["listen"])):
+                return found.hold_socket
+    return None
+
+
+def hold(endpoint: str, rig: str | None, operator: str) -> dict[str, Any] | None:
+    """Give HOLD on the local socket; the answer, or None where there is no such way: then give it over the network.
+
+    HOLD twice is HOLD: it does no harm that one without an answer may have been carried out.
+    """
+    path = socket_of(endpoint, rig)
+    if path is None:
+        return None
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
+            connection.settimeout(CONNECT_S)
+            connection.connect(str(path))
+            connection.send(msgspec.json.encode({"operator": operator}))
+            connection.settimeout(ANSWER_S)
+            found = msgspec.json.decode(connection.recv(_ANSWER_BYTES))
+    except (OSError, msgspec.MsgspecError):
+        return None
+    return found if isinstance(found, dict) and {"accepted", "text"} <= found.keys() else None

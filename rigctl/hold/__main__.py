@@ -1,0 +1,12 @@
+"""``python -m rigctl.hold RUNTIME_DIR``."""
+
+import signal
+import sys
+
+from rigctl.termination import Termination
+
+stop = Termination(signal.SIGTERM)  # before the other imports: a daemon may end within them
+
+from rigctl.hold.service import main  # noqa: E402
+
+raise SystemExit(main(sys.argv[1:], stop))

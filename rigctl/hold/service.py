@@ -1,0 +1,220 @@
+"""The hold service: a local socket, and a ring to the loop that carries nothing but HOLD.
+
+It uses no network and needs no gateway, so neither a flood at the gateway nor a gateway that hangs can hold it up. One
+thread; every wait in it is bounded. A request is one packet with the payload of the command ``hold``, the answer is one
+packet with the gateway's answer to it and ``"via": "local socket"``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+import selectors
+import signal
+import socket
+import struct
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+
+from rigctl.control.modes import Mode, Verb
+from rigctl.control.realtime import die_with_parent
+from rigctl.telemetry.record import COMMAND_LIFETIME_NS, HOLD_ID
+from rigctl.telemetry.request import Request, RequestError, answer, parse, refused, sight_of, silent
+from rigctl.telemetry.ring import RingError
+from rigctl.telemetry.runtime import Runtime
+from rigctl.termination import Termination
+
+POLL_S = 0.001  # while a hold waits for the loop
+IDLE_S = 0.2
+REQUEST_BYTES = 1024
+CONNECTIONS_MAX = 64  # the one that has said nothing for longest goes for a new one: idle ones never fill the service
+SAYS_NOTHING_NS = 500_000_000  # so long a connection may be open without a request
+ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # after its lifetime the loop would not carry it out any more
+SPACING_NS = 20_000_000  # between two slots of the ring; requests that come in between share the next one
+VIA = "local socket"
+_CREDENTIALS = struct.Struct("3i")  # struct ucred: pid, uid, gid
+
+
+@dataclass(eq=False)
+class Peer:
+    """A connection, and the process at its other end."""
+
+    socket: socket.socket
+    pid: int
+    uid: int
+    since_ns: int
+    request: Request | None = None
+
+
+@dataclass
+class Given:
+    """A slot that was written, and who waits for what comes of it."""
+
+    until_ns: int
+    peers: list[Peer] = field(default_factory=list)
+
+
+class HoldService:
+    """HOLD in at the socket, ``HOLD`` slots out, ``REPLY`` slots in, answers out."""
+
+    def __init__(self, runtime: Runtime) -> None:
+        """Listen.
+
+        Raises:
+            OSError: the socket cannot be made.
+            RingError: the rings are another version's.
+        """
+        self._holds, self._replies = runtime.hold_writer(), runtime.reply_reader()
+        self._records = runtime.record_reader()
+        self._peers: dict[int, Peer] = {}  # by file descriptor, the oldest first
+        self._waiting: list[Peer] = []
+        self._given: dict[int, Given] = {}
+        self._last_id = self._next_ns = 0
+        runtime.hold_socket.unlink(missing_ok=True)  # of a service that was killed
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._listener.setblocking(False)
+        self._listener.bind(str(runtime.hold_socket))
+        runtime.hold_socket.chmod(0o600)
+        self._listener.listen(CONNECTIONS_MAX)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ)
+
+    def serve(self, stop: Termination) -> None:
+        """Until told to stop."""
+        while not stop.requested:
+            self.turn(POLL_S if self._waiting or self._given else IDLE_S)
+
+    def turn(self, wait_s: float) -> None:
+        """Wait for what comes, at most so long, and do what is due."""
+        found = self._selector.select(wait_s)
+        now_ns = time.monotonic_ns()
+        for key, _ in found:
+            if key.fileobj is self._listener:
+                self._accept(now_ns)
+            elif (peer := self._peers.get(key.fd)) is not None:
+                self._read(peer)
+        self._give(now_ns)
+        self._collect(now_ns)
+        for peer in [*self._peers.values()]:
+            if peer.request is None and now_ns - peer.since_ns > SAYS_NOTHING_NS:
+                self._close(peer)
+
+    def close(self) -> None:
+        """Take nothing more."""
+        for peer in [*self._peers.values()]:
+            self._close(peer)
+        self._selector.close()
+        self._listener.close()
+
+    def _accept(self, now_ns: int) -> None:
+        with contextlib.suppress(OSError):  # it has gone again, or no descriptor is left
+            connection, _ = self._listener.accept()
+            connection.setblocking(False)
+            found = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+            pid, uid, _gid = _CREDENTIALS.unpack(found)
+            if len(self._peers) >= CONNECTIONS_MAX:
+                idle = (peer for peer in self._peers.values() if peer.request is None)
+                self._close(next(idle, next(iter(self._peers.values()))))
+            self._peers[connection.fileno()] = Peer(connection, pid, uid, now_ns)
+            self._selector.register(connection, selectors.EVENT_READ)
+
+    def _read(self, peer: Peer) -> None:
+        try:
+            payload = peer.socket.recv(REQUEST_BYTES + 1)
+        except BlockingIOError:
+            return
+        except OSError:
+            payload = b""
+        if not payload or peer.request is not None:  # who goes away after asking has given HOLD all the same
+            self._selector.unregister(peer.socket)
+            if peer.request is None:
+                self._drop(peer)
+            return
+        try:
+            if peer.uid not in (os.geteuid(), 0):
+                raise RequestError(f"found a process of uid {peer.uid}, allowed one of the daemon's user")
+            if len(payload) > REQUEST_BYTES:
+                raise RequestError(f"found more than {REQUEST_BYTES} bytes, allowed a hold")
+            peer.request = parse(Verb.HOLD, payload)
+        except RequestError as error:
+            self._answer(peer, refused("hold", "", "bad_request", str(error)))
+            return
+        self._waiting.append(peer)
+
+    def _give(self, now_ns: int) -> None:
+        """Hand the loop what waits, as one slot."""
+        if not self._waiting or now_ns < self._next_ns:
+            return
+        if not self._given:
+            self._replies.cursor = self._replies.head
+        self._next_ns = now_ns + SPACING_NS
+        self._last_id = id_ = max(self._last_id + 1, HOLD_ID | now_ns)
+        names = dict.fromkeys(peer.request.operator for peer in self._waiting if peer.request is not None)
+        first = self._waiting[0]
+        self._holds.write(now_ns, id_, first.uid, first.pid, ", ".join(names).encode()[:256])
+        self._given[id_] = Given(now_ns + ANSWER_NS, self._waiting)
+        self._waiting = []
+
+    def _collect(self, now_ns: int) -> None:
+        if not self._given:
+            return
+        for reply in self._replies.read():
+            if (given := self._given.pop(int(reply["id"]), None)) is not None:
+                sight = sight_of(self._records)  # the record of the tick that took it, or a newer one
+                for peer in given.peers:
+                    if peer.request is not None:
+                        self._answer(peer, answer(peer.request, reply, sight, (0.0, 0.0)))
+        for id_ in [id_ for id_, given in self._given.items() if now_ns > given.until_ns]:
+            for peer in self._given.pop(id_).peers:
+                self._answer(peer, self._unanswered(peer, now_ns))
+
+    def _unanswered(self, peer: Peer, now_ns: int) -> dict[str, Any]:
+        """What is known of the rig when the loop says nothing."""
+        message = silent("hold", peer.request.operator if peer.request is not None else "")
+        record = self._records.latest()
+        if record is None:
+            return message
+        mode, age_s = int(record["mode"]), (now_ns - int(record["t_ns"])) / 1e9
+        name = Mode(mode).name if mode in Mode._value2member_map_ else str(mode)
+        message["text"] += (
+            f"; its last record, {age_s:.1f} s old, shows {name}, stroke {record['stroke_mm']:.2f} mm, "
+            f"tension {record['tension_n']:z.1f} N"
+        )
+        return message
+
+    def _answer(self, peer: Peer, message: dict[str, Any]) -> None:
+        with contextlib.suppress(OSError):
+            peer.socket.send(msgspec.json.encode(message | {"via": VIA}))
+        self._close(peer)
+
+    def _close(self, peer: Peer) -> None:
+        with contextlib.suppress(KeyError, ValueError):
+            self._selector.unregister(peer.socket)
+        self._drop(peer)
+
+    def _drop(self, peer: Peer) -> None:
+        self._peers.pop(peer.socket.fileno(), None)
+        peer.socket.close()
+
+
+def main(arguments: Sequence[str], stop: Termination) -> int:
+    """Run the hold service of the runtime folder named until ``stop``; exit code."""
+    if len(arguments) != 1:
+        sys.stderr.write("usage: python -m rigctl.hold RUNTIME_DIR\n")
+        return 2
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    die_with_parent(signal.SIGTERM)
+    try:
+        service = HoldService(Runtime(pathlib.Path(arguments[0])))
+    except (OSError, RingError) as error:
+        sys.stderr.write(f"hold: no socket for HOLD: {error}\n")
+        return 1
+    service.serve(stop)
+    service.close()
+    return 0

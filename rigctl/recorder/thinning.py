@@ -1,0 +1,135 @@
+"""What keeps the audit log from growing without end: repeats become one entry, and what is too much is counted.
+
+Never left out are accepted commands (HOLD and what is done with the lease become one entry when they repeat), trips,
+changes of mode, what the supervisor did, and whatever is not named here. All else is written at most ``RATE_HZ`` times
+and ``RATE_BYTES`` bytes a second in the long run, after ``BURST`` entries or ``BURST_BYTES`` at once; what is left out
+is counted, and the count is an entry.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from rigctl.recorder.audit_log import Item
+
+WINDOW_NS = 10_000_000_000
+WRITTEN_FIRST = 3  # of the same within a window, before the others are only counted
+RATE_HZ, BURST = 20, 2_000
+RATE_BYTES, BURST_BYTES = 16_384, 1 << 20
+SAME_MAX = 512  # that are watched for repeats at a time
+ENTRY_BYTES = 420  # of an entry beside its words: hashes, times, how far the rings are in it
+
+_SAME: dict[str, tuple[str, ...]] = {
+    "command_refused": ("verb", "reason"),
+    "limit": ("a",),
+    "limit_over": ("text",),
+    "local_hold_given": ("uid",),
+    "local_hold": ("a",),
+    "lease_taken": (),
+    "lease_taken_over": ("other",),
+    "lease_returned": (),
+    "hold_without_lease": ("other",),
+    "too_many_commands": (),
+    "clock": (),
+}
+"""Kinds whose repeats become one entry, by what is the same about them beside kind and operator."""
+_REPEATED_VERBS = frozenset({"hold", "lease_take", "lease_return"})
+_COUNTED = frozenset({*_SAME, "command_given", "order", "reply", "bus_error", "emergency", "node_state", "send_failed"})
+"""Kinds that are counted rather than written when they come too fast."""
+
+
+@dataclass
+class _Same:
+    first: Item
+    last: Item
+    count: int = 0  # beyond those that were written
+    written: int = 1
+
+
+def _key(item: Item) -> tuple[Any, ...] | None:
+    """What repeats of an item have in common; None if each is written."""
+    if item.what in _SAME:
+        about = tuple(item.text if name == "text" else item.details.get(name) for name in _SAME[item.what])
+        return (item.source, item.what, item.who, *about)
+    if item.what == "command_accepted" and item.details.get("verb") in _REPEATED_VERBS:
+        return (item.source, item.what, item.who, item.details["verb"])
+    return None
+
+
+def size_of(item: Item) -> int:
+    """About how many bytes its entry has."""
+    return ENTRY_BYTES + len(item.text) + len(item.who) + len(str(item.details))
+
+
+class Thinning:
+    """Items in, those to be written out, with the counts of those that are not."""
+
+    def __init__(self) -> None:
+        self._same: dict[tuple[Any, ...], _Same] = {}
+        self._left_out: Counter[str] = Counter()
+        self._left_out_ns = 0
+        self._entries, self._bytes, self._seen_ns = float(BURST), float(BURST_BYTES), 0
+
+    def thin(self, items: Iterable[Item], now_ns: int, wall_ns: int, *, final: bool = False) -> list[Item]:
+        """What is to be written of ``items``, and what is due of the counts; ``final``: all of them."""
+        kept = [item for item in items if not self._repeats(item) and self._affords(item, now_ns)]
+        return [*kept, *self._counts(now_ns, wall_ns, final=final)]
+
+    def _repeats(self, item: Item) -> bool:
+        key = _key(item)
+        if key is None:
+            return False
+        same = self._same.get(key)
+        if same is None:
+            if len(self._same) < SAME_MAX:
+                self._same[key] = _Same(item, item)
+            return False
+        if same.written < WRITTEN_FIRST:
+            same.written += 1
+            return False
+        same.count += 1
+        same.last = item
+        return True
+
+    def _affords(self, item: Item, now_ns: int) -> bool:
+        passed_s = max(0, now_ns - self._seen_ns) * 1e-9 if self._seen_ns else 0.0
+        self._seen_ns = now_ns
+        self._entries = min(BURST, self._entries + passed_s * RATE_HZ)
+        self._bytes = min(BURST_BYTES, self._bytes + passed_s * RATE_BYTES)
+        size = size_of(item)
+        if item.what in _COUNTED and (self._entries < 1.0 or self._bytes < size):
+            self._left_out[item.what] += 1
+            self._left_out_ns = self._left_out_ns or item.t_ns
+            return False
+        self._entries = max(0.0, self._entries - 1.0)
+        self._bytes = max(0.0, self._bytes - size)
+        return True
+
+    def _counts(self, now_ns: int, wall_ns: int, *, final: bool) -> list[Item]:
+        found = []
+        for key, same in list(self._same.items()):
+            if final or now_ns - same.first.t_ns >= WINDOW_NS:
+                del self._same[key]
+                if same.count:
+                    found.append(_repeated(same, now_ns, wall_ns))
+        if self._left_out and (final or now_ns - self._left_out_ns >= WINDOW_NS):
+            count, seconds = self._left_out.total(), (now_ns - self._left_out_ns) * 1e-9
+            kinds = ", ".join(f"{what} {number}" for what, number in self._left_out.most_common())
+            text = (
+                f"{count} entries left out in {seconds:.0f} s, more than {RATE_HZ} entries or {RATE_BYTES >> 10} KiB "
+                f"a second: {kinds}"
+            )
+            found.append(Item(now_ns, wall_ns, "left_out", text, details=dict(self._left_out)))
+            self._left_out, self._left_out_ns = Counter(), 0
+        return found
+
+
+def _repeated(same: _Same, now_ns: int, wall_ns: int) -> Item:
+    last, seconds = same.last, (same.last.t_ns - same.first.t_ns) * 1e-9
+    kind = "refusal" if last.what == "command_refused" else last.what.replace("_", " ")
+    text = f"the same {kind} {same.count} times more in {seconds:.0f} s: {last.text}"
+    details = {"count": same.count, "what": last.what, "source": last.source, "up_to": last.seq}
+    return Item(now_ns, wall_ns, "repeated", text, last.who, details)

@@ -1,0 +1,60 @@
+"""HOLD through its own ring: before every command that waits, and not undone by one that was given before it."""
+
+from __future__ import annotations
+
+from hil.lockstep import Lockstep, lockstep
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.control.tension import Gains
+from rigctl.telemetry.events import Kind, worded
+from rigctl.telemetry.record import HOLD_ID
+
+
+def tensioning(rig: Lockstep) -> None:
+    rig.run(0.3)
+    rig.command(Setting.HOST_CHECKS, 0.0)
+    assert rig.command(Verb.ARM) is Refusal.NONE
+    assert rig.command(Verb.TENSION) is Refusal.NONE
+    rig.run(0.5)
+    assert rig.loop.machine.mode is Mode.TENSIONING
+
+
+def test_a_hold_is_taken_in_the_next_tick_and_the_record_shows_it(settings: RigSettings, gains: Gains) -> None:
+    with lockstep(settings, gains) as rig:
+        tensioning(rig)
+        replies = rig.runtime.reply_reader()
+        rig._holds.write(rig.clock.now(), HOLD_ID | 1, 1000, 4711, "Zoë".encode())
+        (record,) = rig.run(0.001)
+        assert (record["mode"], record["hold_seq"], record["command_seq"]) == (Mode.HOLD, 1, 3)
+        (reply,) = replies.read()
+        assert (reply["id"], reply["accepted"], reply["mode"]) == (HOLD_ID | 1, 1, Mode.HOLD)
+        slot = next(slot for slot in rig.events.read() if slot["kind"] == Kind.LOCAL_HOLD)
+        event = worded(Kind.LOCAL_HOLD, int(slot["a"]), int(slot["b"]), 0.0, 0.0, slot["text"].decode())
+        assert event.text == "HOLD from Zoë via the local socket (uid 1000, process 4711)"
+
+
+def test_commands_that_wait_neither_delay_nor_undo_a_hold(settings: RigSettings, gains: Gains) -> None:
+    with lockstep(settings, gains) as rig:
+        tensioning(rig)
+        given_ns = rig.clock.now()
+        for number in range(400):  # a hundred ticks' worth
+            rig._commands.write(given_ns, 1000 + number, Verb.RELEASE if number % 2 else Verb.TENSION, 0.0)
+        rig._holds.write(given_ns + 1, HOLD_ID, 0, 0, b"kim")
+        replies = rig.runtime.reply_reader()
+        records = rig.run(0.2)
+        assert set(records["mode"]) == {Mode.HOLD}
+        assert records["hold_seq"][0] == 1
+        found = replies.read()
+        (held,) = found[found["id"] == HOLD_ID]
+        assert (held["accepted"], held["t_ns"]) == (1, records["t_ns"][0])
+        others = found[found["id"] != HOLD_ID]
+        assert set(others["reason"]) == {Refusal.ABORTED}
+        assert len(others) == 400
+        assert rig.command(Verb.TENSION) is Refusal.NONE  # one given after it is carried out
+
+
+def test_a_hold_that_is_too_old_is_not_carried_out(settings: RigSettings, gains: Gains) -> None:
+    with lockstep(settings, gains) as rig:
+        tensioning(rig)
+        assert rig.hold(age_ns=1_100_000_000) is Refusal.EXPIRED
+        assert rig.loop.machine.mode is Mode.TENSIONING

@@ -1,0 +1,98 @@
+"""The audit log under a flood: repeats are counted, the rate has an end, and what was carried out is all there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from rigctl.recorder import thinning
+from rigctl.recorder.audit_log import Item
+from rigctl.recorder.thinning import BURST, RATE_BYTES, RATE_HZ, WRITTEN_FIRST, Thinning, size_of
+
+S = 1_000_000_000
+
+
+def item(t_ns: int, what: str, text: str = "", who: str = "kim", source: str = "desk", **details: Any) -> Item:
+    return Item(t_ns, t_ns, what, text, who, details, source, max(1, t_ns // 1_000_000))
+
+
+def refusal(t_ns: int, who: str = "kim") -> Item:
+    return item(
+        t_ns, "command_refused", f"TENSION refused: anna, since {t_ns // S} s", who, verb="tension", reason="held"
+    )
+
+
+def flood(thin: Thinning, items: list[Item], poll_ns: int = S // 20) -> list[Item]:
+    """``items`` in the polls in which a recorder finds them."""
+    written, at = [], 0
+    for now in range(items[0].t_ns, items[-1].t_ns + 2 * poll_ns, poll_ns):
+        new = []
+        while at < len(items) and items[at].t_ns <= now:
+            new.append(items[at])
+            at += 1
+        written += thin.thin(new, now, now)
+    return written
+
+
+def test_the_same_refusal_becomes_one_entry_with_its_count() -> None:
+    written = flood(Thinning(), [refusal(S + number * 10_000_000) for number in range(1200)])
+    assert [one.what for one in written[:WRITTEN_FIRST]] == ["command_refused"] * WRITTEN_FIRST
+    counted = [one for one in written if one.what == "repeated"]
+    (first,) = counted
+    assert first.who == "kim"
+    assert first.text.startswith(f"the same refusal {first.details['count']} times more in 10 s: TENSION refused: anna")
+    assert 990 <= first.details["count"] <= 1000
+    assert len(written) == 2 * WRITTEN_FIRST + 1
+
+
+def test_counts_are_written_before_the_recorder_ends() -> None:
+    thin = Thinning()
+    flood(thin, [refusal(S + number) for number in range(100)])
+    (last,) = thin.thin([], 2 * S, 2 * S, final=True)
+    assert last.details["count"] == 100 - WRITTEN_FIRST
+
+
+def test_another_operators_refusal_is_not_the_same() -> None:
+    written = flood(Thinning(), [refusal(S + number, f"user{number}") for number in range(20)])
+    assert len(written) == 20
+
+
+@pytest.mark.parametrize("who", ["kim", "user{}"], ids=["one operator", "a new name each time"])
+def test_the_log_grows_no_faster_than_stated_and_loses_no_accepted_command_and_no_trip(who: str) -> None:
+    per_s, seconds = 500, 120
+    items: list[Item] = []
+    for number in range(per_s * seconds):
+        t_ns = S + number * (S // per_s)
+        items.append(refusal(t_ns, who.format(number)))
+        items.append(item(t_ns, "order", "TENSION", "", "commands", id=number))
+        if not number % per_s:
+            items.append(item(t_ns, "command_accepted", "TARGET: 280 N", "anna", verb="target"))
+            items.append(item(t_ns, "trip", "trip TENSION_HIGH", "", "events"))
+    written = flood(Thinning(), items)
+    kinds = [one.what for one in written]
+    assert kinds.count("command_accepted") == kinds.count("trip") == seconds
+    thinned = [one for one in written if one.what not in ("command_accepted", "trip")]
+    assert len(thinned) <= BURST + (RATE_HZ + 1) * seconds
+    assert sum(size_of(one) for one in thinned) <= thinning.BURST_BYTES + 1.2 * RATE_BYTES * seconds
+    counted = sum(sum(one.details.values()) for one in written if one.what == "left_out")
+    repeated = sum(one.details["count"] for one in written if one.what == "repeated")
+    plain = sum(one.what not in ("left_out", "repeated") for one in written)
+    last = Thinning()
+    assert last.thin([], S, S, final=True) == []
+    # all but those of the last window, whose count is not due yet
+    assert len(items) - (counted + repeated + plain) <= 2 * per_s * 11
+
+
+def test_what_is_not_named_is_always_written() -> None:
+    items = [item(S + number, "mode", "HOLD -> FAULT", "", "events") for number in range(5000)]
+    assert flood(Thinning(), items) == items
+
+
+def test_a_tension_that_hovers_about_a_limit_does_not_fill_the_log() -> None:
+    items = []
+    for number in range(5000):
+        t_ns = S + number * 2_000_000
+        items.append(item(t_ns, "limit", f"limit: tension above 300 ({300 + number})", "", "events", a=12))
+        items.append(item(t_ns + 1_000_000, "limit_over", "limit: no longer tension above 300", "", "events", a=12))
+    assert len(flood(Thinning(), items)) <= 2 * (WRITTEN_FIRST + 1) * 2
