@@ -231,7 +231,6 @@ class _Answer(msgspec.Struct, kw_only=True):
 
 class _Refusal(_Answer):
     accepted: bool = False
-    text: Line = "refused"
 
 
 _Shape = TypeVar("_Shape")
@@ -313,4 +312,4 @@ def answer(payload: bytes) -> Message:
 
 def refusal(payload: bytes) -> Message:
     """An error reply, as an answer that refuses."""
-    return {"text": "refused", **_of(message(payload), _Refusal), "accepted": False}
+    return {**_of(message(payload), _Refusal), "accepted": False}
