@@ -103,7 +103,7 @@ def test_a_client_goes_on_hearing_the_rig(daemon: Daemon) -> None:
         send_everything(intruder, daemon)
         until(lambda: states.read(PATIENCE_S) is not None and rig.refused > 50, "refusals")
         end = time.monotonic_ns()
-        last = 0
+        last = seq = 0
         while last < end:
             found = fast.read(PATIENCE_S)
             assert found is not None
