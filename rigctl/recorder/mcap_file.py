@@ -18,10 +18,10 @@ from mcap.writer import CompressionType, Writer
 from rigctl import __version__
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.protobuf import Encoding
-from rigctl.telemetry.record import FRAME, RECORD
+from rigctl.telemetry.record import COMMAND, FRAME, RECORD
 
 CHUNK_BYTES = 1 << 18
-DUMPED = MappingProxyType({"records": Encoding(RECORD), "frames": Encoding(FRAME)})
+DUMPED = MappingProxyType({"records": Encoding(RECORD), "frames": Encoding(FRAME), "commands": Encoding(COMMAND)})
 _LATEST_NS = 2**63 - 1
 SAID_SCHEMA = {
     "title": "rigctl.Said",
@@ -72,7 +72,7 @@ class McapFile:
         return self._channels[topic]
 
     def slots(self, topic: str, slots: npt.NDArray[np.void]) -> list[Message]:
-        """``records`` or ``frames`` as messages."""
+        """``records``, ``frames`` or ``commands`` as messages."""
         channel = self._channels[topic]
         walls = (slots["t_ns"] + self._offset_ns).tolist()
         numbers = slots["seq"].tolist()

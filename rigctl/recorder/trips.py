@@ -138,7 +138,7 @@ class Trips:
         path = self.folder / f"{self._settings.rig}-{stamp}-{group.fault}.mcap"
         part = path.with_name(f".{path.name}.part")
         try:
-            with part.open("wb") as stream:
+            with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o640), "wb") as stream:
                 records, frames = self._fill(stream, group, wall_offset_ns, audit)
                 stream.flush()
                 os.fsync(stream.fileno())
@@ -155,10 +155,12 @@ class Trips:
         file = McapFile(stream, offset_ns)
         records = _window(runtime.record_reader(from_start=True), group)
         frames = _window(runtime.frame_reader(), group)
+        # As the ring holds them: a replay takes them from here.
+        commands = _window(runtime.command_reader(from_start=True), group)
         said = [
             item
             for item in Rings(runtime, {}).take_all(offset_ns)
-            if item.seq and group.start_ns <= item.t_ns <= group.end_ns
+            if item.seq and item.source != "commands" and group.start_ns <= item.t_ns <= group.end_ns
         ]
         active = runtime.read_json(ACTIVE)
         file.describe(
@@ -183,7 +185,8 @@ class Trips:
         file.attach("schema.json", msgspec.json.encode(schema(self._settings.rig)), wall_ns)
         if (book := self._settings.ledger) is not None and book.is_file():
             file.attach("calibration_ledger.json", book.read_bytes(), wall_ns)
-        file.write([*file.slots("records", records), *file.slots("frames", frames), *file.said(said)])
+        file.write([*file.slots("records", records), *file.slots("frames", frames), *file.slots("commands", commands),
+                    *file.said(said)])  # fmt: skip
         file.finish()
         return len(records), len(frames)
 
