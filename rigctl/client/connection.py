@@ -8,13 +8,17 @@ from __future__ import annotations
 import os
 import re
 import threading
+from collections.abc import Callable
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import msgspec
 import zenoh
 
-from rigctl.client.messages import Feed
+from rigctl.client import shapes
+from rigctl.client.decoding import SchemaError, usable_schema
+from rigctl.client.messages import Feed, shape_of
+from rigctl.client.shapes import LONGEST_PAST, Check, MessageRefusedError, Refusals
 from rigctl.telemetry import keys
 from rigctl.telemetry.keys import Keys
 from rigctl.telemetry.lease import Act
@@ -24,7 +28,11 @@ OPEN_S = 2.0
 ASK_S = 2.0
 COMMAND_S = 6.0  # the gateway answers within 4 s, arm included ...
 TRIAL_S = 20.0  # ... or when a trial is over: 1 s for an average, up to 10 s for an identification
+_RIG = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _TRIALS = ("tare", "calibrate", "identify", "gains")
+
+
+_Some = TypeVar("_Some")
 
 
 class NoDaemonError(RuntimeError):
@@ -55,7 +63,8 @@ def _open(endpoint: str) -> zenoh.Session:
 
 def _rigs(session: zenoh.Session) -> list[str]:
     tokens = session.liveliness().get(keys.ANY_DAEMON, timeout=ASK_S)
-    return sorted({keys.rig_of(str(reply.ok.key_expr)) for reply in tokens if reply.ok is not None})
+    found = {keys.rig_of(str(reply.ok.key_expr)) for reply in tokens if reply.ok is not None}
+    return sorted(name for name in found if _RIG.fullmatch(name))
 
 
 def endpoint_of(connect: str | None) -> str:
@@ -99,9 +108,10 @@ class Client:
         """
         self.endpoint = endpoint_of(connect)
         wanted = rig or os.environ.get("RIGCTL_RIG") or None
-        if wanted is not None and not re.fullmatch(r"[a-z][a-z0-9_]{0,31}", wanted):
+        if wanted is not None and not _RIG.fullmatch(wanted):
             raise ChoiceError(f"found rig {wanted!r}, allowed a rig's name, e.g. paper_rig")
         self.leases: dict[str, str] = {}  # id shown with the commands of each operator; kept from the answers
+        self.refusals = Refusals()  # messages that were none of our daemon's
         self.session = _open(self.endpoint)
         try:
             self.keys = Keys(self._choose(wanted))
@@ -136,12 +146,19 @@ class Client:
         """Name of the rig."""
         return self.keys.rig
 
-    def ask(self, selector: str, payload: bytes | None = None, timeout_s: float = ASK_S) -> tuple[bool, bytes]:
+    def ask(
+        self, selector: str, payload: bytes | None = None, timeout_s: float = ASK_S, check: Check = bytes
+    ) -> tuple[bool, bytes]:
         """One query; whether it was answered (else refused), and the answer's bytes.
+
+        ``check``: raises MessageRefusedError for an answer that is not what was asked for. It is passed over: anyone
+        on the network may answer beside the daemon.
 
         Raises:
             NoDaemonError: no answer.
+            SchemaError: ``check`` looked for a schema, and there was none this client knows.
         """
+        unknown: SchemaError | None = None
         # The answer travels as the query did: never waited for, and beside the published data.
         replies = self.session.get(
             selector,
@@ -149,35 +166,52 @@ class Client:
             timeout=timeout_s,
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.DATA_LOW if payload is None else zenoh.Priority.DATA_HIGH,
+            # Neither one who says that he alone has the answer, nor one who answers last, keeps the daemon's from us.
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
         )
         for reply in replies:
-            if reply.ok is not None:
-                return True, bytes(reply.ok.payload)
-            if reply.err is not None and (refusal := bytes(reply.err.payload)).startswith(b"{"):
-                return False, refusal
-        raise self._nobody()  # nothing, or Zenoh's own word for a time-out
+            said = reply.ok if reply.ok is not None else reply.err
+            if said is None:
+                continue
+            try:
+                if len(said.payload) > LONGEST_PAST:
+                    raise MessageRefusedError(f"found {len(said.payload)} bytes, allowed {LONGEST_PAST}")
+                found = bytes(said.payload)
+                if reply.ok is not None:
+                    check(found)
+                elif not found.startswith(b"{"):  # Zenoh's own word for a time-out
+                    continue
+                else:
+                    shapes.refusal(found)
+            except MessageRefusedError as error:
+                self.refusals.add(selector.partition("?")[0], error)
+                unknown = error if isinstance(error, SchemaError) else unknown
+                continue
+            return reply.ok is not None, found
+        raise unknown or self._nobody()
 
-    def _json(self, selector: str) -> Any:
-        answered, payload = self.ask(selector)
+    def _asked(self, selector: str, decode: Callable[[bytes], _Some]) -> _Some:
+        answered, payload = self.ask(selector, check=decode)
         if not answered:
-            raise NoDaemonError(f"{selector}: {payload.decode(errors='replace')}")
-        return msgspec.json.decode(payload)
+            raise NoDaemonError(f"{selector}: {shapes.refusal(payload)['text']}")
+        return decode(payload)
 
     def state(self) -> dict[str, Any]:
         """The newest state."""
-        return dict(self._json(self.keys.state))
+        return self._asked(self.keys.state, shapes.state)
 
     def active(self) -> dict[str, Any]:
         """What runs: settings, design, versions, and what the control process read back."""
-        return dict(self._json(self.keys.active))
+        return self._asked(self.keys.active, shapes.active)
 
     def schema(self) -> dict[str, Any]:
-        """What the fast stream means."""
-        return dict(self._json(self.keys.schema))
+        """What the fast stream means. Raises SchemaError where this client does not know it."""
+        return self._asked(self.keys.schema, usable_schema)
 
     def past_events(self, after: int = 0, after_note: int = 0) -> list[dict[str, Any]]:
         """Events of the loop and notes of the gateway that are still held, oldest first; each has its own sequence."""
-        return list(self._json(f"{self.keys.events_past}?after={after};after_note={after_note}"))
+        return self._asked(f"{self.keys.events_past}?after={after};after_note={after_note}", shapes.past_events)
 
     def command(self, verb: str, operator: str, value: float | None = None, **options: bool | str) -> dict[str, Any]:
         """Give a command; the answer, whose ``accepted`` and ``text`` say what happened.
@@ -208,15 +242,15 @@ class Client:
         shown = self.leases.get(operator)
         body = {"operator": operator} | ({"lease": shown} if shown else {}) | body
         body |= {"run_id": self._run_id} if self._run_id is not None else {}
-        _, payload = self.ask(self.keys.command(name), msgspec.json.encode(body), limit_s)
-        answer = dict(msgspec.json.decode(payload))
-        if isinstance(held := answer.get("lease"), dict) and "id" in held:
-            self.leases[operator] = str(held["id"])
+        answered, payload = self.ask(self.keys.command(name), msgspec.json.encode(body), limit_s, shapes.answer)
+        answer = shapes.answer(payload) if answered else shapes.refusal(payload)
+        if (held := answer.get("lease") or {}).get("id"):
+            self.leases[operator] = held["id"]
         return answer
 
     def follow(self, key: str, depth: int = 64) -> Feed:
         """JSON messages published on ``key`` from now on; the oldest go when more than ``depth`` wait."""
-        return Feed(self.session, key, depth)
+        return Feed(self.session, key, depth, self.refusals, shape_of(self.keys, key))
 
     def close(self) -> None:
         """End the session."""

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
+from rigctl.client.shapes import Line, MessageRefusedError, document
 from rigctl.telemetry.block import Block
 
 KNOWN_VERSIONS = (1,)
+RECORD_BYTES = 16_384
+_FIELDS = 1024
+_KNOWN_TYPE = re.compile(r"[<>|=]?([?]|[iu][1248]|f[248]|c8|c16|[bB]|[SV][0-9]{1,4})")
 
 
-class SchemaError(ValueError):
+class SchemaError(MessageRefusedError):
     """A schema this client does not know or cannot use; ``str()`` is one line."""
 
 
@@ -49,19 +56,23 @@ class Layout:
         return np.frombuffer(block.data, self.dtype, block.count)
 
 
+_Bytes = Annotated[int, Meta(ge=0, le=RECORD_BYTES)]
+_Shape = Annotated[tuple[Annotated[int, Meta(ge=1, le=RECORD_BYTES)], ...], Meta(max_length=4)]
+
+
 class _Field(msgspec.Struct):
-    name: str
-    type: str
-    offset: int
-    size: int
-    unit: str = ""
-    description: str = ""
-    shape: tuple[int, ...] = ()
+    name: Annotated[str, Meta(pattern="^[A-Za-z_][A-Za-z0-9_]{0,63}$")]
+    type: Line
+    offset: _Bytes
+    size: _Bytes
+    unit: Line = ""
+    description: Line = ""
+    shape: _Shape = ()
 
 
 class _Record(msgspec.Struct):
-    size: int
-    fields: list[_Field]
+    size: Annotated[int, Meta(ge=8, le=RECORD_BYTES)]
+    fields: Annotated[list[_Field], Meta(min_length=1, max_length=_FIELDS)]
 
 
 class _Fast(msgspec.Struct):
@@ -85,6 +96,8 @@ def layout_of(schema: Mapping[str, Any]) -> Layout:
         raise SchemaError(f"found schema version {version!r}, this client knows {known}: use that daemon's own client")
     try:
         record = msgspec.convert(dict(schema), _Schema).fast.record
+        if objects := [field.name for field in record.fields if "O" in field.type]:
+            raise SchemaError(f"meta/schema cannot be used: found objects in {objects[0]}, allowed plain numbers")
         known_types = [field for field in record.fields if _is_known(field)]
         dtype = np.dtype(
             {
@@ -101,9 +114,19 @@ def layout_of(schema: Mapping[str, Any]) -> Layout:
 
 
 def _is_known(field: _Field) -> bool:
-    """Whether numpy knows the type: one that is new leaves the others readable."""
-    try:
-        kind = np.dtype((field.type, field.shape))
-    except (TypeError, ValueError):
+    """Whether it is a plain type: one that is new leaves the others readable, and numpy is not asked about it."""
+    if not _KNOWN_TYPE.fullmatch(field.type) or math.prod(field.shape) > RECORD_BYTES:
         return False
-    return kind.itemsize == field.size and not kind.hasobject
+    return np.dtype((field.type, field.shape)).itemsize == field.size
+
+
+def usable_schema(payload: bytes) -> dict[str, Any]:
+    """What ``meta/schema`` answers.
+
+    Raises:
+        MessageRefusedError: it is no schema.
+        SchemaError: it cannot be used, or is of another version.
+    """
+    found = document(payload)
+    layout_of(found)
+    return found

@@ -30,7 +30,7 @@ class Enquiry:
         if now < self._again_at:
             return False
         try:
-            answered, payload = self._client.ask(question.selector)
+            answered, payload = self._client.ask(question.selector, check=question.check)
         except (NoDaemonError, zenoh.ZError):
             now = time.monotonic()
             self._away_since = now if self._away_since is None else self._away_since

@@ -7,15 +7,13 @@ changes, when the daemon is started anew.
 from __future__ import annotations
 
 from collections import deque
-from typing import Any
 
-import msgspec
-
+from rigctl.client import shapes
 from rigctl.client.mailbox import Mailbox
+from rigctl.client.shapes import Message, MessageRefusedError
 from rigctl.client.source import Question
 from rigctl.telemetry.keys import Keys
 
-Message = dict[str, Any]
 _UNKNOWN = -1
 _HEADS = {"loop": "event_seq", "gateway": "note_seq"}
 
@@ -47,22 +45,31 @@ class EventSource:
             if self._ready:
                 return self._ready.popleft()
             if not self._begun and not self._past:
-                return Question(self._keys.state)  # says where the sequences are: the first gap counts too
+                # It says where the sequences are: the first gap counts too.
+                return Question(self._keys.state, shapes.state)
             if not self._begun or self._held is not None:
-                return Question(
-                    f"{self._keys.events_past}?after={self._last['loop']};after_note={self._last['gateway']}"
-                )
+                return self._past_question()
             payload = self.mailbox.take()
             if payload is None:
                 return None
-            if (found := _message(payload)) is not None:
-                self._put(found)
+            try:
+                self._put(shapes.event(payload))
+            except MessageRefusedError as error:
+                self.mailbox.refuse(error)
+
+    def _past_question(self) -> Question:
+        anew = self._held is not None and self._held.get("stream") != self._stream
+        after = dict.fromkeys(_HEADS, 0) if anew else self._last
+        selector = f"{self._keys.events_past}?after={after['loop']};after_note={after['gateway']}"
+        return Question(selector, shapes.past_events)
 
     def _put(self, found: Message) -> None:
-        if found.get("stream") != self._stream:  # the daemon was started anew
-            self._stream = found.get("stream")
-            self._last = dict.fromkeys(_HEADS, 0)
-        source = found["source"]
+        source, stream = found["source"], found.get("stream")
+        if self._stream is None:
+            self._stream = stream
+        if stream != self._stream:  # the daemon was started anew, or somebody says so
+            self._held = found
+            return
         if source not in self._given and (self._last[source] == _UNKNOWN or found["seq"] <= self._last[source]):
             self._last[source] = found["seq"] - 1  # published since we listen, however early
         if found["seq"] > self._last[source] + 1:
@@ -78,14 +85,19 @@ class EventSource:
 
     def answer(self, payload: bytes | None) -> None:
         """See `rigctl.client.source.Source`."""
-        value = _decoded(payload)
         if not self._begun and not self._past:
-            self._begin(value if isinstance(value, dict) else {})
+            self._begin(shapes.state(payload) if payload is not None else {})
             return
         self._begun = True
         held, self._held = self._held, None
-        for message in value if isinstance(value, list) else []:
-            if _is_event(message) and (held is None or message.get("stream") == self._stream):
+        past = shapes.past_events(payload) if payload is not None else None
+        if held is not None and past is not None and not any(_is_after(message, held) for message in past):
+            self.mailbox.refuse("an event the daemon knows nothing of")
+            return
+        if held is not None and held.get("stream") != self._stream:
+            self._stream, self._last = held.get("stream"), dict.fromkeys(_HEADS, 0)
+        for message in past or []:
+            if held is None or message.get("stream") == self._stream:
                 self._stream = message.get("stream")
                 self._give(message)
         if held is not None:
@@ -99,17 +111,7 @@ class EventSource:
         self._last = {source: head if isinstance(head, int) else _UNKNOWN for source, head in heads.items()}
 
 
-def _decoded(payload: bytes | None) -> Any:
-    try:
-        return msgspec.json.decode(payload) if payload is not None else None
-    except msgspec.MsgspecError:
-        return None
-
-
-def _message(payload: bytes) -> Message | None:
-    found = _decoded(payload)
-    return found if _is_event(found) else None
-
-
-def _is_event(found: Any) -> bool:
-    return isinstance(found, dict) and found.get("source") in _HEADS and isinstance(found.get("seq"), int)
+def _is_after(message: Message, held: Message) -> bool:
+    """Whether a message is the one held, or a later one of its sequence."""
+    same = all(message.get(name) == held.get(name) for name in ("source", "stream"))
+    return same and bool(message["seq"] >= held["seq"])

@@ -8,6 +8,7 @@ from rigctl.client.connection import Client
 from rigctl.client.enquiry import Enquiry
 from rigctl.client.mailbox import Mailbox
 from rigctl.client.ordering import BlockSource, Count
+from rigctl.client.shapes import LONGEST_BLOCK
 from rigctl.client.source import Question
 from rigctl.telemetry.block import Block
 
@@ -23,7 +24,7 @@ class FastReader:
         ``depth``: blocks that may wait to be read before the oldest go (and are asked for again).
         """
         self._enquiry = Enquiry(client)
-        self._mailbox = Mailbox(client.session, client.keys.fast, depth)
+        self._mailbox = Mailbox(client.session, client.keys.fast, depth, client.refusals, LONGEST_BLOCK)
         self._source = BlockSource(self._mailbox, client.keys.fast, recover=recover)
 
     @property

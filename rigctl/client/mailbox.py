@@ -9,12 +9,20 @@ from collections.abc import Callable
 
 import zenoh
 
+from rigctl.client.shapes import LONGEST_MESSAGE, Refusals
+
 
 class Mailbox:
     """Payloads in the order they came; when more than ``depth`` wait the oldest go, and are counted."""
 
-    def __init__(self, session: zenoh.Session, key: str, depth: int) -> None:
+    def __init__(
+        self, session: zenoh.Session, key: str, depth: int, refusals: Refusals | None = None,
+        longest: int = LONGEST_MESSAGE,
+    ) -> None:  # fmt: skip
+        """``refusals``: where to count what is refused; ``longest``: bytes a payload may have to be looked at."""
         self.dropped = 0
+        self.refusals = refusals if refusals is not None else Refusals()
+        self._key, self._longest = key, longest
         self.closed = False
         self._waiting: deque[bytes] = deque(maxlen=depth)
         self._come = threading.Event()
@@ -22,9 +30,16 @@ class Mailbox:
         self._subscriber = session.declare_subscriber(key, self._put)
 
     def _put(self, sample: zenoh.Sample) -> None:
+        if len(sample.payload) > self._longest:
+            self.refuse(f"found {len(sample.payload)} bytes, allowed {self._longest}")
+            return
         self.dropped += len(self._waiting) == self._waiting.maxlen
         self._waiting.append(bytes(sample.payload))
         self._ring()
+
+    def refuse(self, why: object) -> None:
+        """Count a payload that is none of our daemon's."""
+        self.refusals.add(self._key, why)
 
     def _ring(self) -> None:
         self._come.set()

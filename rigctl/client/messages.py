@@ -3,31 +3,35 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from collections.abc import Callable
 
-import msgspec
 import zenoh
 
 from rigctl.client.mailbox import Mailbox
+from rigctl.client.shapes import LONGEST_DOCUMENT, Message, MessageRefusedError, Refusals, active, event, message, state
+from rigctl.telemetry.keys import Keys
 
-Message = dict[str, Any]
+Decode = Callable[[bytes], Message]
+
+
+def shape_of(keys: Keys, key: str) -> Decode:
+    """How what is published on a key of the rig is decoded and checked."""
+    return {keys.state: state, keys.active: active, keys.event("*"): event}.get(key, message)
 
 
 class MessageSource:
     """Every message that came, oldest first; see `rigctl.client.source.Source`."""
 
-    def __init__(self, mailbox: Mailbox) -> None:
-        self.mailbox = mailbox
+    def __init__(self, mailbox: Mailbox, decode: Decode) -> None:
+        self.mailbox, self._decode = mailbox, decode
 
     def poll(self) -> Message | None:
         """The next message, or None."""
         while (payload := self.mailbox.take()) is not None:
             try:
-                message = msgspec.json.decode(payload)
-            except msgspec.MsgspecError:
-                continue  # not from our gateway
-            if isinstance(message, dict):
-                return message
+                return self._decode(payload)
+            except MessageRefusedError as error:
+                self.mailbox.refuse(error)
         return None
 
     def answer(self, _payload: bytes | None) -> None:
@@ -37,9 +41,9 @@ class MessageSource:
 class Feed:
     """Messages of a subscription, taken one by one."""
 
-    def __init__(self, session: zenoh.Session, key: str, depth: int) -> None:
-        self._mailbox = Mailbox(session, key, depth)
-        self._source = MessageSource(self._mailbox)
+    def __init__(self, session: zenoh.Session, key: str, depth: int, refusals: Refusals, decode: Decode) -> None:
+        self._mailbox = Mailbox(session, key, depth, refusals, LONGEST_DOCUMENT)
+        self._source = MessageSource(self._mailbox, decode)
 
     def take(self) -> Message | None:
         """The next message that has come, or None."""

@@ -10,8 +10,21 @@ from collections import deque
 from dataclasses import dataclass
 
 from rigctl.client.mailbox import Mailbox
+from rigctl.client.shapes import MessageRefusedError
 from rigctl.client.source import Question
 from rigctl.telemetry.block import Block, BlockError, decode
+
+
+def block(payload: bytes) -> Block:
+    """A block of the fast stream.
+
+    Raises:
+        MessageRefusedError: it is none.
+    """
+    try:
+        return decode(payload)
+    except BlockError as error:
+        raise MessageRefusedError(str(error)) from None
 
 
 @dataclass
@@ -52,7 +65,8 @@ class BlockSource:
             if self._ready:
                 return self._ready.popleft()
             if self._held is not None:
-                return Question(f"{self._key}?after={self.count.last_seq}")
+                after = self.count.last_seq if self._held.stream == self._stream else 0
+                return Question(f"{self._key}?after={after}", block)
             payload = self.mailbox.take()
             if payload is None:
                 return None
@@ -65,21 +79,27 @@ class BlockSource:
     def _put(self, payload: bytes) -> None:
         count = self.count
         try:
-            found = decode(payload)
-        except BlockError:
+            found = block(payload)
+        except MessageRefusedError as error:
             count.malformed += 1
+            self.mailbox.refuse(error)
             return
         count.blocks += 1
-        if found.stream != self._stream:  # first block, or the daemon was started anew
-            self._stream = found.stream
-            count.streams += 1
-            # This subscription begins with what comes first; a daemon that is started under it, with its first record.
-            count.first_seq = found.first_seq if count.streams == 1 else 1
-            count.last_seq = count.first_seq - 1
-        if found.first_seq > count.last_seq + 1 and self._recover:
+        if not count.streams:
+            self._begin(found)
+        anew = found.stream != self._stream  # the daemon was started anew, or somebody says so: it is asked
+        if anew or (found.first_seq > count.last_seq + 1 and self._recover):
             self._held = found
         else:
             self._pass(found)
+
+    def _begin(self, found: Block) -> None:
+        """A stream: this subscription begins with what comes first, a daemon started under it with its first record."""
+        count = self.count
+        self._stream = found.stream
+        count.streams += 1
+        count.first_seq = found.first_seq if count.streams == 1 else 1
+        count.last_seq = count.first_seq - 1
 
     def _pass(self, found: Block) -> None:
         """Give what is new of a block; what is missing before it is lost."""
@@ -103,10 +123,14 @@ class BlockSource:
         held, count = self._held, self.count
         if held is None:
             return
-        try:
-            found = decode(payload) if payload is not None else None
-        except BlockError:
-            found = None
+        found = block(payload) if payload is not None else None
+        if found is not None and not self._is_known(held, found):
+            self._held = None
+            count.malformed += 1
+            self.mailbox.refuse("records the daemon knows nothing of")
+            return
+        if held.stream != self._stream:
+            self._begin(held)
         if found is not None and found.stream == self._stream:
             part = found.part(count.last_seq + 1, held.first_seq - 1)
             if part.count:
@@ -119,3 +143,9 @@ class BlockSource:
                     return
         self._held = None
         self._pass(held)
+
+    def _is_known(self, held: Block, answer: Block) -> bool:
+        """Whether the daemon that answers has written the block held, or one before it may have."""
+        if answer.stream == held.stream:
+            return answer.head_seq >= held.last_seq
+        return held.stream == self._stream

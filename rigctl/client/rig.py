@@ -15,13 +15,13 @@ from rigctl.client.event_order import EventSource
 from rigctl.client.fast import DEPTH_BLOCKS
 from rigctl.client.liveliness import Liveliness
 from rigctl.client.mailbox import Mailbox
-from rigctl.client.messages import MessageSource
+from rigctl.client.messages import MessageSource, shape_of
 from rigctl.client.ordering import BlockSource, Count
 from rigctl.client.samples import SampleSource
+from rigctl.client.shapes import LONGEST_BLOCK, Message
 from rigctl.client.source import Source
 from rigctl.client.stream import Stream
 
-Message = dict[str, Any]
 _AGAIN_S = 0.1
 _EVENTS, _STATES = 4096, 64
 
@@ -94,11 +94,11 @@ class Rig:
 
     def states(self) -> Stream[Message]:
         """States from now on, 50 a second; who is slow misses the oldest."""
-        return Stream(self.connection, MessageSource(self._mailbox(self.connection.keys.state, _STATES)))
+        return Stream(self.connection, self.message_source(self.connection.keys.state))
 
     def configs(self) -> Stream[Message]:
         """Active configurations from now on: one whenever it changes."""
-        return Stream(self.connection, MessageSource(self._mailbox(self.connection.keys.active, _STATES)))
+        return Stream(self.connection, self.message_source(self.connection.keys.active))
 
     def events(self, *, past: bool = False) -> Stream[Message]:
         """Events from now on, or from the oldest still held (``past``); each once, also across a restart."""
@@ -123,6 +123,11 @@ class Rig:
         return None
 
     # -- whether it is there --------------------------------------------------------------------------------
+    @property
+    def refused(self) -> int:
+        """Messages refused so far because they were none of a daemon's."""
+        return self.connection.refusals.count
+
     @property
     def alive(self) -> bool:
         """Whether the daemon's gateway is there; ``state()["loop_alive"]`` tells of its loop."""
@@ -170,10 +175,10 @@ class Rig:
 
     def message_source(self, key: str) -> Source[Message]:
         """States or configurations, to be driven by a stream."""
-        return MessageSource(self._mailbox(key, _STATES))
+        return MessageSource(self._mailbox(key, _STATES), shape_of(self.connection.keys, key))
 
     def _mailbox(self, key: str, depth: int) -> Mailbox:
-        mailbox = Mailbox(self.connection.session, key, depth)
+        mailbox = Mailbox(self.connection.session, key, depth, self.connection.refusals, LONGEST_BLOCK)
         self._open = [*(one for one in self._open if not one.closed), mailbox]
         return mailbox
 

@@ -13,8 +13,9 @@ from rigctl.client.connection import Client
 from rigctl.client.decoding import Field
 from rigctl.client.fast import DEPTH_BLOCKS
 from rigctl.client.ordering import Count
-from rigctl.client.rig import Message, Rig, connect, fits
+from rigctl.client.rig import Rig, connect, fits
 from rigctl.client.samples import SampleSource
+from rigctl.client.shapes import Message
 from rigctl.client.stream_async import AsyncStream
 
 
@@ -49,6 +50,11 @@ class AsyncRig:
     def fields(self) -> Mapping[str, Field]:
         """Fields of a sample by name."""
         return self._rig.fields
+
+    @property
+    def refused(self) -> int:
+        """Messages refused so far because they were none of a daemon's."""
+        return self._rig.refused
 
     @property
     def alive(self) -> bool:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgspec
 import numpy.typing as npt
 
-from rigctl.client.decoding import Layout, SchemaError, layout_of
+from rigctl.client.decoding import Layout, layout_of, usable_schema
 from rigctl.client.ordering import BlockSource, Count
 from rigctl.client.source import Question
 from rigctl.telemetry.block import Block
@@ -35,13 +34,13 @@ class SampleSource:
             SchemaError: the daemon was replaced by one whose schema is not known.
         """
         if self._undecoded is not None:
-            return Question(self._schema_key)
+            return Question(self._schema_key, usable_schema)
         found = self._blocks.poll()
         if not isinstance(found, Block):
             return found
         if self._stream not in (None, found.stream) or found.record_size != self.layout.dtype.itemsize:
             self._undecoded = found
-            return Question(self._schema_key)
+            return Question(self._schema_key, usable_schema)
         self._stream = found.stream
         return self.layout.decode(found)
 
@@ -50,11 +49,7 @@ class SampleSource:
         if self._undecoded is None:
             self._blocks.answer(payload)
         elif payload is not None:
-            try:
-                schema = msgspec.json.decode(payload, type=dict[str, Any])
-            except msgspec.MsgspecError as error:
-                raise SchemaError(f"meta/schema cannot be used: {' '.join(str(error).split())}") from None
-            self.layout, found = layout_of(schema), self._undecoded
+            self.layout, found = layout_of(usable_schema(payload)), self._undecoded
             self.layout.decode(found)  # refused here if it does not fit
             self._stream, self._undecoded = found.stream, None
             self._blocks.put_back(found)

@@ -6,6 +6,7 @@ The plain and the asynchronous client differ only in how they wait and how they 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -16,9 +17,13 @@ Item_co = TypeVar("Item_co", covariant=True)
 
 @dataclass(frozen=True)
 class Question:
-    """Something to be asked of the daemon before the stream can go on."""
+    """Something to be asked of the daemon before the stream can go on.
+
+    ``check``: raises MessageRefusedError for an answer that is none of our daemon's.
+    """
 
     selector: str
+    check: Callable[[bytes], object]
 
 
 class Source(Protocol[Item_co]):

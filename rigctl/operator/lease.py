@@ -61,7 +61,7 @@ def lease(
         if act is Act.SHOW:
             state = client.state()
             if json:
-                say_json(state["lease"])
+                say_json(state.get("lease"))
             else:
                 say(f"lease: {figures.lease(state)}")
             end(DONE)

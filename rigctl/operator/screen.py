@@ -100,7 +100,8 @@ class Screen:
             head.append(Text(figures.why(state), "bold red"))
         if state is not None and state.get("mode") is not None:
             head += self._values(state, width - _LABEL)
-        head += [_row("warning", text, "yellow") for text in (state or {}).get("warnings", [])]
+        warnings = [*(state or {}).get("warnings", []), *([view.refused] if view.refused else [])]
+        head += [_row("warning", text, "yellow") for text in warnings]
         return head + self._events(max(0, height - len(head)))
 
     def _title(self, width: int) -> Text:
@@ -118,7 +119,7 @@ class Screen:
         flaws, slope = figures.flaws(state), state["quality"]["inclination"]
         return [
             *tension_bar(state, width),
-            *stroke_bar(state, self._view.settings.get("cylinder", {}), width),
+            *stroke_bar(state, self._view.settings.get("cylinder") or {}, width),
             _row("inclination", figures.inclination(state), "" if slope == "good" else "yellow"),
             *([_row("signals", flaws, "bold yellow")] if flaws else []),
             _row("lateness", figures.percentiles(state["lateness_us"])),

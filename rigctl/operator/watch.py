@@ -31,6 +31,7 @@ class View:
     settings: dict[str, Any] = field(default_factory=dict)
     events: list[dict[str, Any]] = field(default_factory=list)
     limits: PassedLimits = field(default_factory=PassedLimits)
+    refused: str = ""  # how many messages were none of a daemon's, in words
     heard: float = field(default_factory=time.monotonic)
 
     @property
@@ -64,13 +65,14 @@ class Follower:
                 self.view.events.append(event)
                 self.view.limits.note(event)
         del self.view.events[:-_EVENTS_HELD]
+        self.view.refused = self._client.refusals.words
         return states
 
     def _catch_up(self, gateway: int) -> None:
         from rigctl.client.connection import NoDaemonError
 
         with contextlib.suppress(NoDaemonError):
-            self.view.settings = self._client.active().get("settings", {})
+            self.view.settings = self._client.active().get("settings") or {}
             past = self._client.past_events()
             self.view.events = past[-_EVENTS_HELD:]
             self.view.limits.clear()
@@ -117,6 +119,7 @@ def line(view: View) -> str:
         f"late p99 {late['p99']:.0f} max {late['max']:.0f} us",
         f"lease {state['lease']['holder']}" if state.get("lease") else "",
         figures.why(state),
+        view.refused,
     ]
     return "  ".join(part for part in parts if part.strip())
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 import secrets
 import socket
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ class Guard:
     def names_us(self, headers: Headers) -> bool:
         """Whether Host is a name of this server: another one is a foreign name that was made to point here."""
         host = _host_of(headers.get("host", ""))
-        if host in ("localhost", self.address.host.lower()) or host.partition(".")[0] == _this_host():
+        if host in {"localhost", self.address.host.lower(), *_this_host()}:
             return True
         try:
             ip = ipaddress.ip_address(host)
@@ -50,14 +51,17 @@ class Guard:
         return self.token is not None and secrets.compare_digest(shown, self.token.encode())
 
 
-def _this_host() -> str:
-    """Name of this computer without its domain."""
-    return socket.gethostname().lower().partition(".")[0]
+def _this_host() -> tuple[str, str, str]:
+    """Whole names of this computer: its own, that without its domain, and that in the link's (RFC 6762).
+
+    Anyone may have its first label in a domain of his own. Another name it is served under: ``--listen NAME:PORT``.
+    """
+    name = socket.gethostname().lower()
+    label = name.partition(".")[0]
+    return name, label, f"{label}.local"
 
 
 def _host_of(header: str) -> str:
-    """Host without port, lower case, IPv6 without brackets."""
-    host = header.lower()
-    if host.startswith("["):
-        return host[1:].partition("]")[0]
-    return host.partition(":")[0]
+    """Host without port, lower case, IPv6 without brackets; empty for what is none."""
+    found = re.fullmatch(r"(\[[0-9a-f:.%]+\]|[^:\[\]]+)(:[0-9]{1,5})?", header.lower())
+    return found[1].strip("[]") if found else ""

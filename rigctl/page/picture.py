@@ -36,6 +36,7 @@ class Picture:
         self.events: deque[dict[str, Any]] = deque(maxlen=EVENTS_HELD)
         self.events_serial = 0  # changes with ``events``
         self.samples_lost = 0  # of the fast stream on its way here
+        self.refused = ""  # how many messages were none of a daemon's, in words
         self.trouble = f"no daemon has answered at {endpoint} yet"  # why nothing comes, while nothing does
         self._heard: float | None = None
 

@@ -13,6 +13,7 @@ from typing import NoReturn
 
 import uvicorn
 
+from rigctl.page.connections import BACKLOG, HEADER_BYTES, protocol
 from rigctl.page.desk import Desk
 from rigctl.page.guard import Guard
 from rigctl.page.picture import Picture
@@ -49,6 +50,9 @@ def serve(
         ws_per_message_deflate=False,  # costs more than a loopback or a control room's network saves
         ws_max_size=4096,
         timeout_graceful_shutdown=CLOSE_S,
+        http=protocol(guard),
+        h11_max_incomplete_event_size=HEADER_BYTES,
+        backlog=BACKLOG,
     )
     server = _Server(config)
 

@@ -55,6 +55,13 @@ SIGNALS: tuple[Signal, ...] = (
 )
 
 
+FIELDS = frozenset(
+    {"vertical_n", "target_n", "stroke_mm", "speed_mm_s", "tangential_rad", "normal_rad", "mode"}
+    | {f"{device}_quality" for device in ("tension", "drive", "inclination")}
+)
+"""Fields of a record that the signals are worked out of."""
+
+
 def values_of(records: npt.NDArray[Any]) -> Values:
     """Records (n) as values (n, signals); whatever is not finite is NaN."""
     with np.errstate(invalid="ignore", over="ignore"):

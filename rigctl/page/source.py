@@ -7,15 +7,17 @@ import threading
 import time
 from typing import Any
 
-import msgspec
-import numpy as np
 import numpy.typing as npt
 import zenoh
 
+from rigctl.client import decoding
 from rigctl.client.connection import ChoiceError, Client, NoDaemonError
+from rigctl.client.decoding import Layout, SchemaError
 from rigctl.client.fast import FastReader
+from rigctl.client.ordering import block as block_of
 from rigctl.page.picture import EVENTS_HELD, Picture
-from rigctl.telemetry.block import Block, BlockError, decode
+from rigctl.page.signals import FIELDS
+from rigctl.telemetry.block import Block
 
 PERIOD_S = 0.033
 RETRY_S = 0.5
@@ -23,25 +25,20 @@ _LAST = 200  # an answer with fewer records ends with the newest
 GIVE_UP_S = 6.0  # of silence: Zenoh reconnects by itself, but another daemon may have come in its place
 
 
-class NotOursError(RuntimeError):
-    """The daemon speaks another layout; ``str()`` is one line."""
+_NEEDED = {"t_ns", "skipped", "lateness_ns"} | FIELDS
 
 
-def layout_of(schema: dict[str, Any]) -> np.dtype[Any]:
+def layout_of(schema: dict[str, Any]) -> Layout:
     """Layout of a record as ``meta/schema`` has it: the daemon may be older or newer than this page.
 
     Raises:
-        NotOursError: it cannot be read.
+        SchemaError: it cannot be read, or lacks what the charts show.
     """
-    try:
-        record = schema["fast"]["record"]
-        columns = {name: [field[name] for field in record["fields"]] for name in ("name", "type", "offset")}
-        return np.dtype(
-            {"names": columns["name"], "formats": columns["type"], "offsets": columns["offset"],
-             "itemsize": record["size"]}
-        )  # fmt: skip
-    except (KeyError, TypeError, ValueError) as error:
-        raise NotOursError(f"the daemon's schema cannot be read: {error}") from None
+    layout = decoding.layout_of(schema)
+    for name in sorted(_NEEDED):
+        if name not in layout.fields or layout.dtype[name].kind not in "iuf":
+            raise SchemaError(f"meta/schema cannot be used: found no number {name}, allowed the records of a rig")
+    return layout
 
 
 class Connection:
@@ -63,8 +60,8 @@ class Connection:
         self._look_at_clock()
         last = 0
         while True:
-            answered, payload = self.client.ask(f"{self.client.keys.fast}?after={last}")
-            block = decode(payload) if answered else None
+            answered, payload = self.client.ask(f"{self.client.keys.fast}?after={last}", check=block_of)
+            block = block_of(payload) if answered else None
             if block is None or not block.count:
                 return
             self._add(block)
@@ -91,6 +88,7 @@ class Connection:
             events.append(event)
         if events:
             self._picture.add_events(events)
+        self._picture.refused = self.client.refusals.words
         self._picture.samples_lost = self._reader.count.lost
 
     def _add(self, block: Block) -> None:
@@ -100,9 +98,9 @@ class Connection:
         new = block.part(max(block.first_seq, self._last_seq + 1), block.last_seq)
         if not new.count or self._offset_ns is None:
             return
-        if new.record_size != self._layout.itemsize:
-            raise NotOursError("the daemon was replaced by one with another schema")
-        records: npt.NDArray[Any] = np.frombuffer(new.data, self._layout)
+        if new.record_size != self._layout.dtype.itemsize:
+            raise SchemaError("the daemon was replaced by one with another schema")
+        records: npt.NDArray[Any] = self._layout.decode(new)
         self._picture.add_records(records, self._offset_ns)
         self._last_seq = new.last_seq
 
@@ -126,7 +124,7 @@ class Source(threading.Thread):
             try:
                 with Client(self._picture.endpoint, self._rig) as client:
                     self._follow(Connection(client, self._picture))
-            except (NoDaemonError, ChoiceError, NotOursError, BlockError, zenoh.ZError, msgspec.MsgspecError) as error:
+            except (NoDaemonError, ChoiceError, SchemaError, zenoh.ZError) as error:
                 self._picture.trouble = str(error).splitlines()[0]
             self._ended.wait(RETRY_S)
 

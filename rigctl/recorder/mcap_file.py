@@ -18,10 +18,13 @@ from mcap.writer import CompressionType, Writer
 from rigctl import __version__
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.protobuf import Encoding, numbers_of
-from rigctl.telemetry.record import FRAME, HOLD, RECORD
+from rigctl.telemetry.record import COMMAND, FRAME, HOLD, RECORD
 
 CHUNK_BYTES = 1 << 18
-DUMPED = MappingProxyType({"records": Encoding(RECORD), "frames": Encoding(FRAME), "holds": Encoding(numbers_of(HOLD))})
+DUMPED = MappingProxyType({
+    "records": Encoding(RECORD), "frames": Encoding(FRAME), "commands": Encoding(COMMAND),
+    "holds": Encoding(numbers_of(HOLD)),
+})  # fmt: skip
 _LATEST_NS = 2**63 - 1
 SAID_SCHEMA = {
     "title": "rigctl.Said",
@@ -72,7 +75,7 @@ class McapFile:
         return self._channels[topic]
 
     def slots(self, topic: str, slots: npt.NDArray[np.void]) -> list[Message]:
-        """``records`` or ``frames`` as messages."""
+        """``records``, ``frames`` or ``commands`` as messages."""
         channel = self._channels[topic]
         walls = (slots["t_ns"] + self._offset_ns).tolist()
         numbers = slots["seq"].tolist()

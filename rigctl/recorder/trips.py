@@ -138,7 +138,7 @@ class Trips:
         path = self.folder / f"{self._settings.rig}-{stamp}-{group.fault}.mcap"
         part = path.with_name(f".{path.name}.part")
         try:
-            with part.open("wb") as stream:
+            with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o640), "wb") as stream:
                 records, frames = self._fill(stream, group, wall_offset_ns, audit)
                 stream.flush()
                 os.fsync(stream.fileno())
@@ -155,11 +155,13 @@ class Trips:
         file = McapFile(stream, offset_ns)
         records = _window(runtime.record_reader(from_start=True), group)
         frames = _window(runtime.frame_reader(), group)
+        # As the rings hold them: a replay takes them from here.
+        commands = _window(runtime.command_reader(from_start=True), group)
         holds = _window(runtime.hold_reader(from_start=True), group)
         said = [
             item
             for item in Rings(runtime, {}).take_all(offset_ns)
-            if item.seq and item.source != "holds" and group.start_ns <= item.t_ns <= group.end_ns
+            if item.seq and item.source not in ("commands", "holds") and group.start_ns <= item.t_ns <= group.end_ns
         ]
         active = runtime.known(ACTIVE)
         file.describe(
@@ -184,7 +186,7 @@ class Trips:
         file.attach("schema.json", msgspec.json.encode(schema(self._settings.rig)), wall_ns)
         if (book := self._settings.ledger) is not None and book.is_file():
             file.attach("calibration_ledger.json", book.read_bytes(), wall_ns)
-        slots = (("records", records), ("frames", frames), ("holds", holds))
+        slots = (("records", records), ("frames", frames), ("commands", commands), ("holds", holds))
         file.write([*(message for topic, found in slots for message in file.slots(topic, found)), *file.said(said)])
         file.finish()
         return len(records), len(frames)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import pathlib
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -17,10 +19,14 @@ from hil.lockstep import Lockstep, lockstep
 from hil.wire import FRAME
 from rigctl.config import AuditSettings, RigSettings
 from rigctl.config_recording import RecordingSettings
-from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.control.safety import Check
 from rigctl.control.tension import Gains
 from rigctl.recorder import chain
+from rigctl.recorder import recording as recordings
 from rigctl.recorder.process import Recorder
+from rigctl.replay.compare import first_difference
+from rigctl.replay.play import play, spans
 from rigctl.telemetry.record import RECORD
 from rigctl.telemetry.runtime import ACTIVE
 from tests.loop.test_loop import nmt, stop_node
@@ -89,9 +95,9 @@ def read(file: pathlib.Path) -> tuple[dict[str, list[tuple[int, Any]]], dict[str
         for schema, channel, message in reader.iter_messages():
             assert schema is not None
             topics.setdefault(channel.topic, []).append((message.log_time - WALL_OFFSET_NS, (schema, message.data)))
-        for topic in ("/records", "/frames"):
+        for topic in ("/records", "/frames", "/commands"):
             decoded = [found.decoded_message for found in reader.iter_decoded_messages(topics=[topic])]
-            topics[topic] = [(t_ns, item) for (t_ns, _), item in zip(topics[topic], decoded, strict=True)]
+            topics[topic] = [(t_ns, item) for (t_ns, _), item in zip(topics.get(topic, []), decoded, strict=True)]
         attached = {found.name: found.data for found in reader.iter_attachments()}
         words = {found.name: dict(found.metadata) for found in reader.iter_metadata()}
     return topics, attached, words
@@ -165,10 +171,42 @@ def test_commands_and_answers_are_in_the_dump(kept: Kept) -> None:
     trip(kept.rig)
     kept.poll(final=True)
     topics, _, _ = read(kept.files()[0])
-    orders = [json.loads(data)["text"] for _, (_, data) in topics["/commands"]]
+    orders = [(order.verb, order.value) for _, order in topics["/commands"]]
     replies = [json.loads(data)["text"] for _, (_, data) in topics["/replies"]]
-    assert orders == ["TARGET 60", "ARM 0", "TENSION 0", "TARGET 1000"]
+    assert orders == [(Verb.TARGET, 60.0), (Verb.ARM, 0.0), (Verb.TENSION, 0.0), (Verb.TARGET, 1000.0)]
     assert replies[-1] == "not carried out: OUT_OF_RANGE, COMPENSATING"
+
+
+def test_a_dump_of_a_young_loop_comes_out_bit_identical(
+    settings: RigSettings, gains: Gains, tmp_path: pathlib.Path
+) -> None:
+    with lockstep(settings, gains) as rig:
+        rig.loop.observer.sight.host_checks = int(Check.HOST)  # as the control process begins
+        kept = Kept(rig, tmp_path)
+        active = rig.runtime.read_json(ACTIVE)
+        rig.runtime.write_json(ACTIVE, {**active, "design": {"gains": msgspec.to_builtins(gains)}})
+        rig.runtime.write_json("control.json", {"supervision": [{"ok": True}], "host_checks": int(Check.HOST)})
+        rig.run(0.3)
+        rig.command(Setting.HOST_CHECKS, 0.0)  # as the gateway tells it
+        assert rig.command(Verb.TARGET, 60.0) is Refusal.NONE
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        assert rig.command(Verb.TENSION) is Refusal.NONE
+        rig.run_until(Mode.COMPENSATING, 5.0)
+        trip(rig)
+        rig.run(2.1)
+        kept.poll()
+        (file,) = kept.files()
+    assert file.stat().st_mode & 0o777 == 0o640 & ~umask()
+    recording = recordings.read(*recordings.parts_of(file))
+    (span,) = spans(recording)
+    assert Mode.FAULT in span.records["mode"]
+    assert first_difference(play(recording, span), lambda _done, _doing: None) == (len(span.records), None)
+
+
+def umask() -> int:
+    found = os.umask(0o022)
+    os.umask(found)
+    return found
 
 
 def test_two_trips_within_seconds_are_both_covered(kept: Kept) -> None:

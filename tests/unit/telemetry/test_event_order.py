@@ -30,7 +30,10 @@ class Daemon:
         return self
 
     def message(self, source: str, seq: int) -> dict[str, Any]:
-        return {"source": source, "seq": seq, "stream": self.stream, "kind": "X", "t_ns": seq}
+        return {
+            "source": source, "seq": seq, "stream": self.stream, "kind": "X", "t_ns": seq, "wall_ns": seq,
+            "severity": "info", "text": "x",
+        }  # fmt: skip
 
     def publish(self, source: str, seq: int) -> None:
         self.heads[source] = max(self.heads[source], seq)
@@ -38,12 +41,22 @@ class Daemon:
 
     def answer(self, question: Question) -> bytes:
         if question.selector == KEYS.state:
-            heads = {"event_seq": self.heads["loop"], "note_seq": self.heads["gateway"]}
+            heads: dict[str, Any] = {
+                "event_seq": self.heads["loop"],
+                "note_seq": self.heads["gateway"],
+                "mode": None,
+                "wall_ns": 0,
+            }
+            heads |= {"loop_alive": False, "warnings": [], "age_ms": None}
             return msgspec.json.encode({"stream": self.stream, **heads})
         after = [int(part.split("=")[1]) for part in question.selector.split("?")[1].split(";")]
         pairs = zip(("loop", "gateway"), after, strict=True)
         found = [self.message(s, n) for s, a in pairs for n in range(max(a + 1, self.oldest), self.heads[s] + 1)]
         return msgspec.json.encode(found)
+
+    def spoof(self, **wrong: Any) -> None:
+        """Somebody else publishes on the daemon's key."""
+        self.put(SimpleNamespace(payload=msgspec.json.encode(self.message("loop", 1) | wrong)))
 
 
 def given_by(source: EventSource, daemon: Daemon, *, silent: bool = False) -> list[tuple[str, int]]:
@@ -107,6 +120,18 @@ def test_a_daemon_that_does_not_answer_leaves_what_was_published() -> None:
     daemon.publish("loop", 15)
     daemon.put(SimpleNamespace(payload=b"garbage"))
     assert given_by(source, daemon, silent=True) == [("loop", 11), ("loop", 15)]
+
+
+def test_an_event_the_daemon_knows_nothing_of_is_refused() -> None:
+    daemon = Daemon(10, 4)
+    source = EventSource(daemon.mailbox, KEYS)
+    given_by(source, daemon)
+    daemon.spoof(seq=2**60)
+    daemon.spoof(stream=7)
+    daemon.spoof(severity="\x1b[31m")
+    daemon.publish("loop", 11)
+    assert given_by(source, daemon) == [("loop", 11)]
+    assert daemon.mailbox.refusals.count == 3
 
 
 def test_beginning_anew_forgets_what_has_come() -> None:

@@ -16,15 +16,17 @@ from hypothesis import strategies as st
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.client.enquiry import AGAIN_S
 from rigctl.client.fast import FastReader
+from rigctl.client.shapes import Refusals
 from rigctl.telemetry import block
 from rigctl.telemetry.keys import Keys
 from rigctl.telemetry.record import RECORD
 from rigctl.telemetry.schema import schema
 
 
-def made(first: int, last: int, stream: int = 1) -> bytes:
+def made(first: int, last: int, stream: int = 1, head: int | None = None) -> bytes:
+    """Records from first to last; ``head``: the newest there is, else the last."""
     data = b"".join(struct.pack("<QQ", seq, seq * 7) for seq in range(first, last + 1))
-    return block.encode(data, 16, first_seq=first, lost=0, stream=stream, head_seq=last)
+    return block.encode(data, 16, first_seq=first, lost=0, stream=stream, head_seq=last if head is None else head)
 
 
 def test_block_comes_back() -> None:
@@ -66,18 +68,21 @@ class Gateway:
         self.put: Callable[[Any], None] = print
         self.keys = Keys("paper_rig")
         self.session = self
+        self.refusals = Refusals()
 
     def declare_subscriber(self, _key: str, put: Callable[[Any], None]) -> Gateway:
         self.put = put
         return self
 
-    def ask(self, selector: str) -> tuple[bool, bytes]:
+    def ask(self, selector: str, check: Callable[[bytes], object]) -> tuple[bool, bytes]:
         self.asked += 1
         if self.silent:
             raise NoDaemonError("gone")
         after = int(selector.split("after=")[1])
         first = max(after + 1, self.held.start)
-        return True, made(first, min(first + 9, self.held.stop - 1), self.stream)
+        answer = made(first, min(first + 9, self.held.stop - 1), self.stream, self.held.stop - 1)
+        check(answer)
+        return True, answer
 
     def publish(self, *spans: tuple[int, int]) -> None:
         for first, last in spans:
@@ -151,6 +156,20 @@ def test_a_new_daemon_counts_from_one_again() -> None:
     assert numbers(reader.read()) == [*range(1001, 1011), *range(1, 6)]
     assert (reader.count.streams, reader.count.lost, reader.count.malformed, reader.count.produced) == (2, 0, 1, 15)
     assert reader.count.recovered == 2  # made before this subscriber was back
+
+
+def test_records_the_daemon_knows_nothing_of_are_refused() -> None:
+    gateway = Gateway(range(1, 100))
+    reader = reading(gateway)
+    gateway.publish((1, 10))
+    gateway.put(SimpleNamespace(payload=made(2**60, 2**60 + 1)))  # from the far future
+    gateway.put(SimpleNamespace(payload=made(1, 5, stream=9)))  # as if the daemon had been started anew
+    gateway.publish((11, 20))
+    assert numbers(reader.read()) == list(range(1, 21))
+    assert (reader.count.malformed, reader.count.lost, reader.count.streams) == (2, 0, 1)
+    assert gateway.refusals.words == (
+        "2 messages refused, the last on rigctl/paper_rig/tele/fast: records the daemon knows nothing of"
+    )
 
 
 @given(st.lists(st.tuples(st.integers(1, 60), st.integers(0, 20)), max_size=12), st.integers(1, 30))

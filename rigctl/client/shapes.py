@@ -1,0 +1,315 @@
+"""JSON messages from the network, checked before anything else looks at them: size, depth, types, ranges, text.
+
+Anyone on the network may publish on the rig's keys or answer its queries. What does not have the shape of our daemon's
+message is refused here, with its reason; control characters and the like come out in their escaped form, so that
+whatever shows a message may print it. Fields that are not named here are passed on: a newer daemon may have them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeVar
+
+import msgspec
+from msgspec import Meta
+
+from rigctl.one_line import on_one_line, printable
+from rigctl.telemetry.record import RECORD
+
+Message = dict[str, Any]
+Check = Callable[[bytes], object]
+DEPTH = 16
+_KIB = 1024
+LONGEST_MESSAGE = 64 * _KIB
+LONGEST_DOCUMENT = 1024 * _KIB  # cfg/active with its tables, meta/schema
+LONGEST_PAST = 16 * _KIB * _KIB  # every event and note the rings can hold
+LONGEST_BLOCK = 4 * _KIB * _KIB  # of the fast stream: 1000 records in one answer
+
+Real = float  # any finite one: what a broken sensor sends must still be seen
+Bounded = Annotated[float, Meta(ge=-1e12, le=1e12)]  # of what is set, and of times that are reckoned with
+Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Time = Annotated[int, Meta(ge=-(2**62), le=2**63 - 1)]  # ns, also of a wall clock that was never set
+Seconds = Annotated[float, Meta(ge=0, le=1e9)]
+Word = Annotated[str, Meta(pattern="^[A-Za-z0-9_]{1,64}$")]
+Line = Annotated[str, Meta(max_length=8192)]
+Lines = Annotated[list[Line], Meta(max_length=256)]
+
+
+class MessageRefusedError(ValueError):
+    """A message that is none of our daemon's; ``str()`` is one line."""
+
+
+@dataclass
+class Refusals:
+    """What has been refused on one connection."""
+
+    count: int = 0
+    last: str = ""
+
+    def add(self, what: str, why: object) -> None:
+        """One more: on which key, and why."""
+        self.count += 1
+        self.last = on_one_line(f"{what}: {why}")
+
+    @property
+    def words(self) -> str:
+        """In one line; empty without any."""
+        if not self.count:
+            return ""
+        return f"{self.count} message{'s' if self.count > 1 else ''} refused, the last on {self.last}"
+
+
+class _Calibration(msgspec.Struct):
+    zero_n: Real | None = None
+    scale: Real | None = None
+    due: Line | None = None
+    overdue: bool = False
+    waiver: Line | None = None
+
+
+class _Lease(msgspec.Struct):
+    holder: Line
+    held_s: Seconds
+    left_s: Bounded
+    id: Line = ""
+
+
+class _Preflight(msgspec.Struct):
+    failing: dict[str, Line] = {}
+    waived: dict[str, Line] = {}
+
+
+class _Audit(msgspec.Struct):
+    entries: Count | None = None
+    failures: Count | None = None
+
+
+class _Recording(msgspec.Struct):
+    file: Line | None = None
+    records_lost: Count | None = None
+
+
+class _Quality(msgspec.Struct):
+    tension: Line
+    inclination: Line
+    drive: Line
+
+
+class _Percentiles(msgspec.Struct):
+    p50: Real
+    p99: Real
+    p999: Real
+    max: Real
+
+
+class _AnyState(msgspec.Struct):
+    mode: Word | None
+    loop_alive: bool
+    warnings: Lines
+    wall_ns: Time
+    age_ms: Bounded | None
+    rig: Line = ""
+    calibration: _Calibration | None = None
+    lease: _Lease | None = None
+    preflight: _Preflight | None = None
+    audit: _Audit | None = None
+    recording: _Recording | None = None
+    trip_dump: Line | None = None
+    design: Line | None = None
+    gateway_wall_ns: Time = 0
+    stream: Count = 0
+    event_seq: Count = 0
+    note_seq: Count = 0
+
+
+class _Derived(_AnyState, kw_only=True):
+    fault: Word | None
+    fault_text: Line
+    flag_names: Lines
+    quality: _Quality
+    error_n: Real | None
+    error_pct: Real | None
+    tangential_deg: Real | None
+    normal_deg: Real | None
+    lateness_us: _Percentiles | None
+    work_us: _Percentiles | None
+
+
+_REPLACED = {*_AnyState.__struct_fields__, *_Derived.__struct_fields__}
+_SHOWN = (
+    "vertical_n", "tension_n", "target_n", "stroke_mm", "speed_mm_s", "t_ns", "tick", "skipped", "frames_lost",
+    "frames_refused", "send_failures", "error_frames",
+)  # fmt: skip
+_CODES: dict[str, Any] = {"d": Real | None, "q": Time | None}
+_FIELDS: list[tuple[str, Any]] = [
+    (field.name, Bounded | None if field.name == "target_n" else _CODES.get(field.code, Count))
+    for field in RECORD.fields
+    if field.name not in _REPLACED
+]
+_Recorded: Any = msgspec.defstruct(
+    "_Recorded",
+    [field for field in _FIELDS if field[0] in _SHOWN]
+    + [(name, kind | None, None) for name, kind in _FIELDS if name not in _SHOWN],
+    bases=(_Derived,),
+    kw_only=True,
+)
+
+
+class _Event(msgspec.Struct):
+    source: Literal["loop", "gateway"]
+    seq: Count
+    t_ns: Time
+    wall_ns: Time
+    severity: Literal["info", "warning", "error"]
+    kind: Word
+    text: Line
+    stream: Count = 0
+    a: Count = 0
+    b: Count = 0
+    value: Real | None = None
+    limit: Real | None = None
+    operator: Line = ""
+    other: Line = ""
+    reason: Line = ""
+
+
+class _Cylinder(msgspec.Struct):
+    stroke_min_mm: Bounded | None = None
+    stroke_max_mm: Bounded | None = None
+
+
+class _Safety(msgspec.Struct):
+    tension_high_n: Real | None = None
+    tension_low_n: Real | None = None
+
+
+class _Tension(msgspec.Struct):
+    target_min_n: Bounded | None = None
+    target_max_n: Bounded | None = None
+
+
+class _Loop(msgspec.Struct):
+    rate_hz: Annotated[float, Meta(gt=0, le=1e6)] | None = None
+
+
+class _Limit(msgspec.Struct):
+    signal: Line
+    action: Line
+    low: Real | None = None
+    high: Real | None = None
+
+
+class _Settings(msgspec.Struct):
+    rig: Line = ""
+    cylinder: _Cylinder | None = None
+    safety: _Safety | None = None
+    tension: _Tension | None = None
+    loop: _Loop | None = None
+    limits: Annotated[list[_Limit], Meta(max_length=256)] | None = None
+
+
+class _Active(msgspec.Struct):
+    settings: _Settings | None = None
+    version: Line = ""
+
+
+class _Answer(msgspec.Struct, kw_only=True):
+    accepted: bool
+    text: Line
+    verb: Line = ""
+    operator: Line = ""
+    reason: Line = ""
+    checks: Lines = []
+    waived: dict[str, Line] = {}
+    mode: Word | None = None
+    t_ns: Time = 0
+    value: Real | None = None
+    entry: dict[str, Any] = {}
+    lease: _Lease | None = None
+
+
+class _Refusal(_Answer):
+    accepted: bool = False
+
+
+_Shape = TypeVar("_Shape")
+
+
+def _checked(payload: bytes, longest: int) -> Any:
+    """What the JSON says, with printable text alone."""
+    if len(payload) > longest:
+        raise MessageRefusedError(f"found {len(payload)} bytes, allowed {longest}")
+    try:
+        return cleaned(msgspec.json.decode(payload))
+    except RecursionError:
+        raise MessageRefusedError(f"found more than {DEPTH} levels, allowed {DEPTH}") from None
+    except (msgspec.MsgspecError, UnicodeError) as error:
+        raise MessageRefusedError(on_one_line(str(error))) from None
+
+
+def _of(value: Any, shape: type[Any]) -> Any:
+    try:
+        msgspec.convert(value, shape)
+    except msgspec.ValidationError as error:
+        raise MessageRefusedError(on_one_line(str(error))) from None
+    return value
+
+
+def cleaned(value: Any, depth: int = DEPTH) -> Any:
+    """A JSON value whose text is printable: control characters, line ends and the like in their escaped form.
+
+    Raises:
+        MessageRefusedError: it has more than ``depth`` levels.
+    """
+    if isinstance(value, str):
+        return value if value.isprintable() else printable(value)
+    if not isinstance(value, dict | list):
+        return value
+    if depth == 0:
+        raise MessageRefusedError(f"found more than {DEPTH} levels, allowed {DEPTH}")
+    if isinstance(value, dict):
+        return {cleaned(key): cleaned(item, depth - 1) for key, item in value.items()}
+    return [cleaned(item, depth - 1) for item in value]
+
+
+def message(payload: bytes) -> Message:
+    """Any JSON object. This and the following raise MessageRefusedError for what is none."""
+    found: Message = _of(_checked(payload, LONGEST_MESSAGE), dict[str, Any])
+    return found
+
+
+def state(payload: bytes) -> Message:
+    """A state message."""
+    found = message(payload)
+    return _of(found, _AnyState if found.get("mode") is None else _Recorded)  # type: ignore[no-any-return]
+
+
+def event(payload: bytes) -> Message:
+    """An event of the loop or a note of the gateway."""
+    return _of(message(payload), _Event)  # type: ignore[no-any-return]
+
+
+def past_events(payload: bytes) -> list[Message]:
+    """What ``events/past`` answers."""
+    return _of(_checked(payload, LONGEST_PAST), list[_Event])  # type: ignore[no-any-return]
+
+
+def active(payload: bytes) -> Message:
+    """The active configuration."""
+    return _of(_checked(payload, LONGEST_DOCUMENT), _Active)  # type: ignore[no-any-return]
+
+
+def document(payload: bytes) -> Message:
+    """A JSON object as long as ``meta/schema``; what of it is used is checked where it is used."""
+    return _of(_checked(payload, LONGEST_DOCUMENT), dict[str, Any])  # type: ignore[no-any-return]
+
+
+def answer(payload: bytes) -> Message:
+    """The answer to a command."""
+    return _of(message(payload), _Answer)  # type: ignore[no-any-return]
+
+
+def refusal(payload: bytes) -> Message:
+    """An error reply, as an answer that refuses."""
+    return {**_of(message(payload), _Refusal), "accepted": False}
