@@ -13,6 +13,8 @@ from typing import Any
 
 import yaml
 
+from rigctl.one_line import on_one_line
+
 Path = tuple[str | int, ...]
 
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]*)\Z")
@@ -162,7 +164,8 @@ def _scalar(node: yaml.Node, path: Path) -> Any:
         return float(text)
     if _NUMBER_LIKE.match(text) and (_BARE_NUMBER.match(text) or text.lower().lstrip("+-.") in ("inf", "nan")):
         raise StrictYamlError(
-            line, f"{dotted(path)}: found {text}, allowed a finite number written like 10, 0.001 or 1.0e-3"
+            line,
+            f"{dotted(path) or 'file'}: found {on_one_line(text)}, allowed a finite number written like 10, 0.001 or 1.0e-3",
         )
     return text
 
