@@ -165,7 +165,8 @@ def _scalar(node: yaml.Node, path: Path) -> Any:
     if _NUMBER_LIKE.match(text) and (_BARE_NUMBER.match(text) or text.lower().lstrip("+-.") in ("inf", "nan")):
         raise StrictYamlError(
             line,
-            f"{dotted(path) or 'file'}: found {on_one_line(text)}, allowed a finite number written like 10, 0.001 or 1.0e-3",
+            f"{dotted(path) or 'file'}: found {on_one_line(text)}, "
+            f"allowed a finite number written like 10, 0.001 or 1.0e-3",
         )
     return text
 

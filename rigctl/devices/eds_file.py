@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import canopen
 
 from rigctl import input_file
@@ -21,6 +23,7 @@ def check(settings: RigSettings) -> None:
     Raises:
         EdsError: the first that cannot be read or understood.
     """
+    logging.getLogger("canopen.objectdictionary").setLevel(logging.ERROR)  # what is refused is said here
     for device, node in settings.canopen_nodes.items():
         path = settings.file(getattr(settings, device).eds)
         try:

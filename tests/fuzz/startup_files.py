@@ -27,6 +27,7 @@ from rigctl.commission.ledger import Standing, in_force
 from rigctl.config import ConfigError, RigSettings
 from rigctl.design import gain_file
 from rigctl.design.gain_file import GainFileError
+from rigctl.design.margins import design_and_check
 from rigctl.devices import eds_file
 from rigctl.operator.lease_file import LeaseFile
 from rigctl.recorder import audit_log
@@ -83,11 +84,12 @@ class File:
             case 8 | 9 | 10 | 11:
                 data = self._other(whole, chance)
             case _:
-                data = bytearray(whole)
+                flipped = bytearray(whole)
                 for _ in range(chance.choice((1, 1, 1, 3, 30))):
-                    data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+                    flipped[chance.randrange(len(flipped))] ^= 1 << chance.randrange(8)
+                data = bytes(flipped)
         self.path.write_bytes(data)
-        return bytes(data)
+        return data
 
     @staticmethod
     def _other(whole: bytes, chance: random.Random) -> bytes:
@@ -137,7 +139,7 @@ def table(base: pathlib.Path) -> list[File]:
 def _of_the_operator(folder: pathlib.Path, rig: RigSettings) -> list[File]:
     made = gain_file.provenance(rig, pathlib.Path("paper_rig.yaml"), datetime(2026, 11, 21, tzinfo=UTC))
     gains = folder / "gains.yaml"
-    gain_file.write(gains, files.design_and_check(rig), made)
+    gain_file.write(gains, design_and_check(rig), made)
     eds = rig.file(rig.inclinometer.eds)
     paper, plain = folder / "paper_rig.yaml", folder / "plain_rig.yaml"
     return [
