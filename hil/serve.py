@@ -21,6 +21,7 @@ from hil.truth import TruthLog
 from rigctl import config, output_file
 from rigctl.config import RigSettings
 from rigctl.control import realtime
+from rigctl.devices import eds_file
 from rigctl.termination import ENDING, on_signals
 
 WAIT_S = 0.001
@@ -160,6 +161,10 @@ def serve(file: pathlib.Path, truth: pathlib.Path | None, announce: Callable[[st
         raise ServeError(str(error), 2) from None
     if settings.simulation is None:
         raise ServeError(f"{file}: simulation: found nothing, allowed a section (it says what rig to simulate)", 2)
+    try:
+        eds_file.check(settings)
+    except eds_file.EdsError as error:
+        raise ServeError(str(error), 2) from None
     slow = threading.Timer(COMPILING_S, sys.stderr.write, ["hil: compiling the plant (once)\n"])
     slow.start()
     try:

@@ -39,6 +39,16 @@ def _check_gain_file(settings: RigSettings) -> None:
         end(USAGE, str(error))
 
 
+def _check_eds(settings: RigSettings) -> None:
+    """The same of an EDS file that is none."""
+    from rigctl.devices import eds_file
+
+    try:
+        eds_file.check(settings)
+    except eds_file.EdsError as error:
+        end(USAGE, str(error))
+
+
 def _check_ledger(settings: RigSettings) -> None:
     """The same of a calibration ledger that cannot be believed."""
     from rigctl.commission import ledger
@@ -80,6 +90,7 @@ def _with_page(settings: RigSettings, page: bool, listen: str | None) -> RigSett
 def check(file: File, json: Json = False) -> None:
     """Validate a rig file; show the resolved rig and the worst-case load of its bus."""
     settings = _load(file)
+    _check_eds(settings)
     from rich.console import Console
 
     from rigctl import check as checking
@@ -107,6 +118,7 @@ def run(
 
     if not accepted(settings):
         end(BAD, f"{file}: {verdict(settings)}")
+    _check_eds(settings)
     if settings.design.gains_file is not None:
         _check_gain_file(settings)
     _check_ledger(settings)

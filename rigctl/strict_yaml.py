@@ -13,6 +13,8 @@ from typing import Any
 
 import yaml
 
+from rigctl.one_line import on_one_line
+
 Path = tuple[str | int, ...]
 
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]*)\Z")
@@ -121,7 +123,7 @@ def load(text: str) -> Document:
     except RecursionError:
         raise StrictYamlError(1, "nested too deeply, or an alias refers to itself") from None
     if isinstance(data, Unreadable):
-        raise StrictYamlError(lines[()], f"file: found {data.text}, allowed {data.allowed}")
+        raise StrictYamlError(lines[()], f"file: found {on_one_line(data.text)}, allowed {data.allowed}")
     return Document(data, lines)
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import resource
+import shutil
 import signal
+import subprocess
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -96,6 +98,32 @@ def disk_full(rig: Live) -> Any:
         yield at_ns
 
 
+@contextmanager
+def folder_deleted(rig: Live) -> Any:
+    """Somebody, or a log-out, deletes the daemon's runtime folder: it ends in order."""
+    at_ns = time.monotonic_ns()
+    shutil.rmtree(rig.runtime.directory)
+    yield at_ns
+    _ended(rig)
+
+
+@contextmanager
+def terminal_gone(rig: Live) -> Any:
+    """The terminal of ``rigctl run`` is closed."""
+    at_ns = time.monotonic_ns()
+    give(rig.pid(SUPERVISOR), signal.SIGHUP)
+    yield at_ns
+    _ended(rig)
+
+
+def _ended(rig: Live) -> None:
+    assert rig.daemon is not None
+    try:
+        rig.daemon.wait(BACK_S)
+    except subprocess.TimeoutExpired:
+        raise LiveError("the daemon does not end") from None
+
+
 def config_replaced(*, control_killed: bool) -> Blow:
     """Somebody writes another rig's figures over the rig file, and (or) the loop has to start again."""
 
@@ -141,6 +169,8 @@ CATALOGUE = (
         TOLD_MS,
         restart=True,
     ),
+    ProcessFault("folder_deleted", "the runtime folder is deleted", folder_deleted, DRIVE_STOPS, TOLD_MS, restart=True),
+    ProcessFault("terminal_gone", "the daemon's terminal is closed", terminal_gone, DRIVE_STOPS, TOLD_MS, restart=True),
     ProcessFault("supervisor_stopped", "the supervisor hangs", kills(SUPERVISOR, signal.SIGSTOP), RIDE),
     ProcessFault("gateway_killed", "the gateway is killed", kills(GATEWAY, signal.SIGKILL), RIDE),
     ProcessFault("gateway_stopped", "the gateway hangs", kills(GATEWAY, signal.SIGSTOP), RIDE),

@@ -11,6 +11,7 @@ import sys
 from typing import Any
 
 import msgspec
+from pydantic import ValidationError
 
 from rigctl.config import RigSettings
 from rigctl.telemetry.runtime import Runtime
@@ -43,7 +44,10 @@ def _judge(directory: str, name: str, text: bytes) -> dict[str, Any]:
     from rigctl.design.gain_file import design_while_running  # imports python-control
     from rigctl.design.gains import DesignError
 
-    settings = RigSettings.model_validate(Runtime(directory).read_json("active.json")["settings"])
+    try:
+        settings = RigSettings.model_validate(Runtime(directory).read_json("active.json").get("settings"))
+    except (OSError, msgspec.MsgspecError, ValidationError):
+        return {"refused": "active.json holds no valid settings to judge the gains by"}
     try:
         found = design_while_running(settings, text.decode(), name)
     except (DesignError, ArithmeticError, ValueError) as error:  # ... or numbers no plant has

@@ -315,9 +315,9 @@ class Runtime:
         with contextlib.suppress(OSError):
             for name in [entry.name for entry in os.scandir(folder)]:
                 mode = os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode
-                if name.startswith(_WARM_UP):
+                if stat.S_ISDIR(mode):
                     shutil.rmtree(name, dir_fd=folder)
-                elif not stat.S_ISDIR(mode):
+                else:
                     os.unlink(name, dir_fd=folder)
             if os.path.samestat(self.directory.lstat(), os.fstat(folder)):
                 self.directory.rmdir()
@@ -469,7 +469,12 @@ class Runtime:
             with open(fd, "wb") as file:  # noqa: PTH123 - a descriptor
                 data = msgspec.json.encode(value)
                 file.write(data + b"\n" + _digest(data) + b"\n")
-            part.rename(self.directory / name)
+            place = self.directory / name
+            try:
+                part.rename(place)
+            except IsADirectoryError:
+                shutil.rmtree(place)
+                part.rename(place)
         except BaseException:
             with contextlib.suppress(OSError):
                 part.unlink(missing_ok=True)

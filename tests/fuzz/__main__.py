@@ -1,8 +1,8 @@
-"""``python -m tests.fuzz [frames|commands|configs|replies|all]``: random input wherever input comes in.
+"""``python -m tests.fuzz [frames|commands|configs|replies|startup|all]``: random input wherever input comes in.
 
 frames: into the loop, every frame it sends judged. commands: queries through the parsers into the loop. configs: rig
-files, and every other kind of file. replies: SDO answers to the start-up. Exit code 0 good, 1 something is wrong, 2
-usage.
+files, and every other kind of file. replies: SDO answers to the start-up. startup: every file read at a start, damaged
+or with something else in its place. Exit code 0 good, 1 something is wrong, 2 usage.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from typing import Any
 
 from rigctl import config
 from rigctl.design.margins import design_and_check
-from tests.fuzz import commands, files, frames, replies
+from tests.fuzz import commands, files, frames, replies, startup_files
 from tests.fuzz.judge import Tally
 
 ROOT = pathlib.Path(__file__).parents[2]
-COUNTS = {"frames": 1_000_000, "commands": 10_000, "configs": 10_000, "replies": 500}
+COUNTS = {"frames": 1_000_000, "commands": 10_000, "configs": 10_000, "replies": 500, "startup": 1000}
 SHOWN = 20
 
 
@@ -36,6 +36,7 @@ def run(what: str, count: int, seed: int) -> dict[str, Any]:
         "commands": lambda: commands.play(settings, gains, count, seed),
         "configs": lambda: files.play(count, max(1, count // 10), max(1, count // 100), seed),
         "replies": lambda: replies.play(settings, count, seed),
+        "startup": lambda: startup_files.play(count, seed),
     }
     found = kinds[what]()
     if isinstance(found, Tally):

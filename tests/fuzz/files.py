@@ -248,7 +248,7 @@ def _rehashed(row: Any) -> bytes:
 def _recording(folder: pathlib.Path, rig: RigSettings) -> Kind:
     """One with records, frames and documents; a changed chunk fits its checksum all the same."""
     path = folder / "recording.mcap"
-    path.write_bytes(_recorded(folder, rig))
+    path.write_bytes(recorded(folder, rig))
 
     def read(text: bytes) -> int:
         found = recording.read(_written(path, text))
@@ -259,7 +259,7 @@ def _recording(folder: pathlib.Path, rig: RigSettings) -> Kind:
     return Kind("recording", [path.read_bytes()], _as_pieces, _as_mcap, read, (recording.RecordingError,))
 
 
-def _recorded(folder: pathlib.Path, rig: RigSettings) -> bytes:
+def recorded(folder: pathlib.Path, rig: RigSettings) -> bytes:
     kept = rig.recording.model_copy(update={"folder": "kept", "free_mib": 1})
     settings = rig.model_copy(update={"recording": kept})
     runtime = Runtime(folder / "runtime")

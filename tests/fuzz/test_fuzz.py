@@ -22,7 +22,7 @@ from rigctl.devices import objects as od
 from rigctl.devices import startup
 from rigctl.devices.remote_node import StartupError
 from rigctl.telemetry.request import RequestError, parse
-from tests.fuzz import commands, files, frames, mutate, replies
+from tests.fuzz import commands, files, frames, mutate, replies, startup_files
 from tests.fuzz.judge import Tally
 
 ROOT = pathlib.Path(__file__).parents[2]
@@ -72,6 +72,17 @@ def test_a_file_is_taken_or_refused_in_plain_lines() -> None:
     assert found.wrong == []
     for name in ("rig file", "scenario", "DBC file", "calibration ledger", "gain file"):
         assert 0 < found.taken[name] < found.tried[name]
+
+
+def test_a_file_read_at_a_start_may_be_damaged_in_any_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/nowhere")  # back as it was afterwards
+    found = startup_files.play(40, seed=1)
+    assert found.wrong == []
+    assert set(found.tried.values()) == {40}
+    for name in ("active.json", "control.json", "recorder.json", "calibration.json", "lease.json", "lock"):
+        assert found.taken[name] == found.tried[name], name  # and gone on without it
+    for name in ("rig file", "DBC file", "EDS file", "gain file", "calibration ledger", "audit log", "recording"):
+        assert found.tried[name] - found.taken[name] > 0, name
 
 
 def test_start_up_ends_whatever_a_device_answers(settings: RigSettings) -> None:

@@ -13,6 +13,7 @@ from rigctl.bench import cyclictest
 from rigctl.bench.command import judged
 from rigctl.bench.loop import Rate, rehearsed
 from rigctl.config import load
+from rigctl.demo.command import own_settings
 from rigctl.telemetry import runtime
 from tests import daemons
 from tests.system.test_daemon import PATIENT
@@ -84,6 +85,12 @@ def test_nothing_of_the_rigs_own_is_touched(tmp_path: pathlib.Path) -> None:
         assert ours is not None
         assert ours.is_relative_to(tmp_path)  # of the rig file, which is another one then
     assert played.safety == settings.safety
+    demo = own_settings(settings, tmp_path / "here")
+    assert (demo.rig, demo.telemetry.join, demo.page) == (f"demo_{settings.rig}", [], None)
+    assert demo.telemetry.listen not in (settings.telemetry.listen, played.telemetry.listen)
+    assert demo.audit_log.is_relative_to(tmp_path)
+    assert demo.audit_log != settings.audit_log
+    assert demo.recording.folder == str(tmp_path / "here")
     assert rehearsed(settings, 1000).loop == settings.loop
 
 

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import json
 import pathlib
+import signal
+import subprocess
+import sys
+import time
 from typing import Any
 
 import pytest
 
+from rigctl.control.modes import Mode, Verb
 from rigctl.recorder import recording
+from rigctl.telemetry.runtime import Runtime
 from tests import daemons
+from tests.system.test_daemon import PATIENT
 
 KEYS = {
     "eta_true_max_pct", "eta_true_rms_pct", "eta_cell_max_pct", "skipped_ticks", "ticks", "lateness_us", "work_us",
@@ -81,3 +88,34 @@ def test_in_real_time_every_part_runs_in_its_own_process(tmp_path: pathlib.Path)
     assert (kept.complete, kept.gaps) == (True, [])
     assert len(kept.records) >= figures["ticks"]
     assert replayed(figures["recording"]) == (len(kept.records), True)
+
+
+def test_beside_a_daemon_of_the_same_rig_the_demo_commands_its_own(tmp_path: pathlib.Path) -> None:
+    patient = {**PATIENT, "demo": {**SHORT, "angle_deg": 0.5}}
+    file, log = daemons.rig_file(tmp_path, patient), tmp_path / "daemon.log"
+    before = sorted(path.name for path in tmp_path.glob("audit/*"))
+    with daemons.simulated_rig(file, tmp_path / "rig.log"), daemons.daemon(file, log):
+        runtime = Runtime.of(daemons.name_of(file))
+        records, commands = runtime.record_reader(from_start=True), runtime.command_reader(from_start=True)
+        command = [sys.executable, "-m", "rigctl", "demo", str(file), "--recordings", str(tmp_path / "recordings")]
+        with log.with_name("demo.log").open("wb") as out:
+            demo = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, cwd=daemons.ROOT)
+        said, modes, target = log.with_name("demo.log"), set[int](), runtime.read_json("active.json")["run_id"]
+        until = time.monotonic() + daemons.START_LIMIT_S
+        while "COMPENSATING" not in said.read_text() and demo.poll() is None and time.monotonic() < until:
+            modes |= set(records.read()["mode"].tolist())
+            time.sleep(0.2)
+        assert "COMPENSATING" in said.read_text(), said.read_text()
+        demo.send_signal(signal.SIGINT)
+        assert demo.wait(daemons.STOP_LIMIT_S * 3) == 1
+        assert "demo interrupted: its daemon held the stroke" in said.read_text()
+        modes |= set(records.read()["mode"].tolist())
+        given = {int(code) for code in commands.read()["verb"]}
+        assert daemons.mode(file) == "DISARMED"
+        assert daemons.state(file)["lease"] is None
+        assert runtime.read_json("active.json")["run_id"] == target
+    assert modes == {int(Mode.DISARMED)}
+    assert not given & {int(verb) for verb in Verb}
+    assert before == []
+    assert {path.stem for path in tmp_path.glob("audit/*.jsonl")} == {daemons.name_of(file)}
+    assert all(path.name.startswith("demo_") for path in (tmp_path / "recordings").glob("demo*"))

@@ -1,0 +1,38 @@
+"""EDS files (CiA 306), read once before anything is started: what cannot be understood is a matter of the files."""
+
+from __future__ import annotations
+
+import logging
+
+import canopen
+
+from rigctl import input_file
+from rigctl.config import RigSettings
+from rigctl.one_line import printable
+
+LARGEST_BYTES = 4 << 20
+
+
+class EdsError(ValueError):
+    """A file that is no EDS file; ``str()`` is one line that names it."""
+
+
+def check(settings: RigSettings) -> None:
+    """Read the EDS file of every CANopen device.
+
+    Raises:
+        EdsError: the first that cannot be read or understood.
+    """
+    logging.getLogger("canopen.objectdictionary").setLevel(logging.ERROR)  # what is refused is said here
+    for device, node in settings.canopen_nodes.items():
+        path = settings.file(getattr(settings, device).eds)
+        try:
+            input_file.read(path, largest=LARGEST_BYTES, links=True)
+            found = canopen.import_od(str(path), node)
+        except OSError as error:
+            raise EdsError(f"{path}: cannot be read: {error.strerror}") from None
+        except Exception as error:  # noqa: BLE001 - canopen's parser lets out whatever its libraries raise
+            what = printable(" ".join(f"{type(error).__name__}: {error}".split()))[:300]
+            raise EdsError(f"{path}: no EDS file ({what}), allowed one as in CiA 306") from None
+        if not len(found):
+            raise EdsError(f"{path}: found no objects, allowed an EDS file as in CiA 306")
