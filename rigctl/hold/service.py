@@ -30,6 +30,7 @@ from rigctl.telemetry.ring import RingError
 from rigctl.telemetry.runtime import Runtime
 from rigctl.termination import Termination
 
+PRIORITY = 1  # SCHED_FIFO: below every loop, before a gateway that is flooded
 POLL_S = 0.001  # while a hold waits for the loop
 IDLE_S = 0.2
 REQUEST_BYTES = 1024
@@ -215,6 +216,8 @@ def main(arguments: Sequence[str], stop: Termination) -> int:
     except (OSError, RingError) as error:
         sys.stderr.write(f"hold: no socket for HOLD: {error}\n")
         return 1
+    with contextlib.suppress(OSError):  # without the right it waits for a processor like everybody else
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
     service.serve(stop)
     service.close()
     return 0

@@ -1,4 +1,4 @@
-"""``python -m tests.bench [--json F] [--seconds S] [--rates R ...]``, ``python -m tests.bench telemetry --help``."""
+"""``python -m tests.bench [--json F] [--seconds S] [--rates R ...]``; ``telemetry --help``, ``holds --help``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rigctl.bench.loop import Rate, measure
 from rigctl.demo.lockstep import play_lockstep
 from rigctl.progress import progress
 from tests import daemons
-from tests.bench import plant, report, telemetry
+from tests.bench import holds, plant, report, telemetry
 
 
 def measure_lockstep() -> float:
@@ -43,6 +43,8 @@ def show(measured: list[Rate], results: dict[str, Any], console: Console) -> Non
 def main() -> int:
     if sys.argv[1:2] == ["telemetry"]:
         return telemetry.main(sys.argv[2:])
+    if sys.argv[1:2] == ["holds"]:
+        return holds.main(sys.argv[2:])
     if sys.argv[1:2] == ["report"]:
         return report.main(sys.argv[2:])
     parser = argparse.ArgumentParser(prog="python -m tests.bench", description=__doc__)

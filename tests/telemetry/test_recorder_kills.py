@@ -45,7 +45,7 @@ def test_ten_kills_lose_nothing(daemon: Daemon) -> None:
     def write_for(seconds: float) -> None:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            events.write(time.monotonic_ns(), int(Kind.NODE_STATE), next(numbers), 5, 0.0, 0.0, b"")
+            events.write(time.monotonic_ns(), int(Kind.SIGNS), next(numbers), 5, 0.0, 0.0, b"")
             time.sleep(0.001)
 
     def entries() -> int:

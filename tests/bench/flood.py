@@ -1,0 +1,254 @@
+"""``python -m tests.bench.flood KIND ENDPOINT RIG SECONDS``: one peer's flood of a daemon, on loopback alone.
+
+It begins at once, says one line of JSON when it is under way, ends by itself after SECONDS (at most ``SECONDS_MAX``)
+and says what it has done. Every kind is bounded in number too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import selectors
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import msgspec
+import zenoh
+
+from rigctl.control.realtime import die_with_parent
+from rigctl.telemetry.keys import Keys
+from rigctl.telemetry.session import SessionError, close, open_client
+from tests import daemons
+
+SECONDS_MAX = 120.0
+HALF_OPEN, SESSIONS, STALLED = 400, 999, 8
+OPENINGS_MAX, QUERIES_MAX, PAYLOADS_MAX = 50_000, 2_000_000, 200
+OUTSTANDING_MAX = 256  # queries without an answer: more would only fill this process
+PAYLOAD_BYTES = 8 << 20
+_OPENERS = 8
+
+
+class Flood:
+    """What a flood needs: whom, until when, and what it has done so far."""
+
+    def __init__(self, endpoint: str, rig: str, seconds: float) -> None:
+        where = endpoint.removeprefix("tcp/")
+        host, _, port = where.rpartition(":")
+        if host != "127.0.0.1":
+            raise SystemExit(f"found the endpoint {endpoint}, allowed one on 127.0.0.1")
+        self.endpoint, self.address, self.keys = endpoint, (host, int(port)), Keys(rig)
+        self.until = time.monotonic() + min(seconds, SECONDS_MAX)
+        self.count = 0
+        self._lock, self._said = threading.Lock(), False
+
+    @property
+    def over(self) -> bool:
+        return time.monotonic() >= self.until
+
+    def done(self, number: int = 1) -> None:
+        """Count what was done."""
+        with self._lock:
+            self.count += number
+
+    def under_way(self) -> None:
+        """Say so, once."""
+        if not self._said:
+            self._said = True
+            say({"under_way": self.count})
+
+
+def say(message: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(message) + "\n")
+    sys.stdout.flush()
+
+
+def half_open(flood: Flood) -> None:
+    """Connections that never say a word; one that is closed is opened anew."""
+    selector = selectors.DefaultSelector()
+    there = 0
+    while not flood.over and flood.count < OPENINGS_MAX:
+        with contextlib.suppress(OSError):
+            while there < HALF_OPEN and not flood.over:
+                connection = socket.create_connection(flood.address, 1.0)
+                connection.setblocking(False)
+                selector.register(connection, selectors.EVENT_READ)
+                there += 1
+                flood.done()
+        flood.under_way()
+        for key, _ in selector.select(0.02):
+            with contextlib.suppress(BlockingIOError, OSError):
+                if key.fileobj.recv(64):  # type: ignore[union-attr]
+                    continue
+            selector.unregister(key.fileobj)
+            key.fileobj.close()  # type: ignore[union-attr]
+            there -= 1
+
+
+def idle_sessions(flood: Flood) -> None:
+    """Sessions that do nothing, as many as are let in."""
+    opened: list[zenoh.Session] = []
+
+    def open_some() -> None:
+        while not flood.over and flood.count < SESSIONS:
+            flood.done()
+            with contextlib.suppress(SessionError):
+                opened.append(open_client(flood.endpoint))
+
+    threads = [threading.Thread(target=open_some) for _ in range(_OPENERS)]
+    for thread in threads:
+        thread.start()
+    while not flood.over and len(opened) < 100 and any(thread.is_alive() for thread in threads):
+        time.sleep(0.05)
+    flood.under_way()
+    for thread in threads:
+        thread.join()
+    time.sleep(max(0.0, flood.until - time.monotonic()))
+    flood.count = len(opened)
+
+
+@contextlib.contextmanager
+def _session(flood: Flood) -> Iterator[zenoh.Session]:
+    session = open_client(flood.endpoint)
+    try:
+        yield session
+    finally:
+        close(session)
+
+
+def _forget(_reply: zenoh.Reply) -> None:
+    pass
+
+
+def _asking(flood: Flood, name: str, payload: Callable[[int], bytes], most: int) -> None:
+    """Queries as fast as one peer can, at most ``OUTSTANDING_MAX`` without an answer."""
+    room = threading.Semaphore(OUTSTANDING_MAX)
+    with _session(flood) as session:
+        for number in range(most):
+            if flood.over:
+                return
+            if not room.acquire(timeout=0.2):
+                continue
+            # The callback's end (the drop of a query's handler) is the end of the query, answered or not.
+            session.get(
+                flood.keys.command(name),
+                handler=zenoh.handlers.Callback(_forget, drop=room.release),
+                payload=payload(number),
+                timeout=2.0,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+            flood.done()
+            if number >= OUTSTANDING_MAX:
+                flood.under_way()
+
+
+def _body(**values: Any) -> bytes:
+    return msgspec.json.encode(values)
+
+
+def queries(flood: Flood) -> None:
+    """One command over and over."""
+    _asking(flood, "tension", lambda _: _body(operator="flood"), QUERIES_MAX)
+
+
+def names(flood: Flood) -> None:
+    """A command under another name each time."""
+    _asking(flood, "tension", lambda number: _body(operator=f"flood{number}"), QUERIES_MAX)
+
+
+def holds(flood: Flood) -> None:
+    """HOLD over and over, over the network."""
+    _asking(flood, "hold", lambda _: _body(operator="flood"), QUERIES_MAX)
+
+
+def lease_take(flood: Flood) -> None:
+    """The lease taken over from whoever has it, over and over."""
+    _asking(flood, "lease_take", lambda n: _body(operator=f"flood{n % 50}", reason="flood"), QUERIES_MAX)
+
+
+def payloads(flood: Flood) -> None:
+    """Commands of 8 MiB."""
+    large = b'{"operator": "' + b"x" * PAYLOAD_BYTES + b'"}'
+    with _session(flood) as session:
+        for _ in range(PAYLOADS_MAX):
+            if flood.over:
+                return
+            for _ in session.get(flood.keys.command("tension"), payload=large, timeout=0.2):
+                pass
+            flood.done()
+            flood.under_way()
+        flood.under_way()
+    time.sleep(max(0.0, flood.until - time.monotonic()))
+
+
+def stalled(flood: Flood) -> None:
+    """Subscribers of everything that stop reading."""
+    command = [sys.executable, "-m", "tests.bench.flood", "subscriber", flood.endpoint, flood.keys.rig, "120"]
+    children = [subprocess.Popen(command, cwd=daemons.ROOT, stdout=subprocess.PIPE, text=True) for _ in range(STALLED)]
+    try:
+        for child in children:
+            assert child.stdout is not None
+            child.stdout.readline()
+            child.send_signal(signal.SIGSTOP)
+            flood.done()
+        flood.under_way()
+        time.sleep(max(0.0, flood.until - time.monotonic()))
+    finally:
+        for child in children:
+            child.kill()
+            child.wait()
+
+
+def subscriber(flood: Flood) -> None:
+    """One of them."""
+    die_with_parent(signal.SIGKILL)
+    with _session(flood) as session:
+        session.declare_subscriber("rigctl/**", lambda _sample: None)
+        time.sleep(0.5)
+        flood.under_way()
+        time.sleep(max(0.0, flood.until - time.monotonic()))
+
+
+KINDS = {
+    "half_open": half_open,
+    "idle_sessions": idle_sessions,
+    "queries": queries,
+    "names": names,
+    "payloads": payloads,
+    "stalled": stalled,
+    "lease_take": lease_take,
+    "holds": holds,
+}
+
+
+def main(words: list[str]) -> int:
+    kind, endpoint, rig, seconds = words
+    flood = Flood(endpoint, rig, float(seconds))
+    (KINDS | {"subscriber": subscriber})[kind](flood)
+    say({"done": flood.count})
+    sys.stdout.flush()
+    os._exit(0)  # not through Zenoh's own end: hundreds of sessions take their time
+
+
+@contextlib.contextmanager
+def flooding(kind: str, endpoint: str, rig: str, seconds: float) -> Iterator[subprocess.Popen[str]]:
+    """A flood in a process of its own, under way when the block begins, ended with it."""
+    command = [sys.executable, "-m", "tests.bench.flood", kind, endpoint, rig, str(seconds)]
+    with subprocess.Popen(command, cwd=daemons.ROOT, stdout=subprocess.PIPE, text=True) as child:
+        try:
+            assert child.stdout is not None
+            if not child.stdout.readline():
+                raise RuntimeError(f"the flood {kind} ended before it was under way")
+            yield child
+        finally:
+            child.kill()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,201 @@
+"""``python -m tests.bench holds``: how long HOLD takes while one peer floods the daemon, and whether any is lost.
+
+The real daemon on the simulated rig, armed; each flood comes from processes of its own, on loopback. HOLD goes the way
+``rigctl hold`` goes on the daemon's computer; over the network it is measured too, for comparison: that way a flood may
+stand in. A HOLD is lost if it is not answered, or if the loop's record does not show it.
+
+The measuring process runs before others where it may (``--as-others``: like them): how long a command waits for a
+processor of a computer that is busy with other things, floods of many processes included, is no property of the way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import pathlib
+import random
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from rigctl.client import local_hold
+from rigctl.client.connection import COMMAND_S, ChoiceError, Client, NoDaemonError
+from rigctl.telemetry.runtime import Runtime
+from tests import daemons
+from tests.bench.flood import KINDS, flooding
+from tests.system.test_daemon import PATIENT
+
+LIMIT_MS = 50.0
+OPERATOR = "bench"
+NETWORK_EVERY = 10  # every so many holds one goes over the network as well
+NETWORK_LOST_MAX = 2  # each takes as long as a client waits
+SETTLE_S = 1.0
+HUNG = "gateway_hung"  # no flood, but the gateway is stopped
+CALM = "none"
+
+
+@dataclass(frozen=True)
+class Holds:
+    """Times of answered holds in ms, and how many were not answered or not seen in the record.
+
+    ``taken_ms``: until the tick that took it, the answer's way back not included.
+    """
+
+    ms: list[float]
+    taken_ms: list[float]
+    lost: int
+
+    def as_dict(self) -> dict[str, Any]:
+        given = len(self.ms) + self.lost
+        if not self.ms:
+            return {"given": given, "lost": self.lost, **dict.fromkeys(("p50_ms", "p99_ms", "max_ms", "taken_p99_ms"))}
+        p50, p99 = np.percentile(self.ms, (50, 99)).tolist()
+        taken = float(np.percentile(self.taken_ms, 99))
+        return {"given": given, "lost": self.lost, "p50_ms": round(p50, 2), "p99_ms": round(p99, 2),
+                "max_ms": round(max(self.ms), 2), "taken_p99_ms": round(taken, 2)}  # fmt: skip
+
+
+class Subject:
+    """A daemon on the simulated rig, and its record."""
+
+    def __init__(self, file: pathlib.Path) -> None:
+        self.endpoint, self.rig = daemons.endpoint(file), daemons.name_of(file)
+        self._records = Runtime.of(self.rig).record_reader()
+
+    def hold(self) -> tuple[float, float] | None:
+        """Milliseconds until HOLD was answered, and until the tick that took it; None if no record shows it."""
+        before, start = self._taken(), time.monotonic_ns()
+        answer = local_hold.hold(self.endpoint, self.rig, OPERATOR)
+        passed_ms = (time.monotonic_ns() - start) / 1e6
+        if answer is None or not answer["accepted"] or answer["mode"] != "HOLD" or self._taken() <= before:
+            return None
+        return passed_ms, (answer["t_ns"] - start) / 1e6
+
+    def _taken(self) -> int:
+        record = self._records.latest()
+        return int(record["hold_seq"]) if record is not None else 0
+
+    def gateway(self) -> int:
+        return daemons.process_with("rigctl.telemetry.gateway", f"rigctl-{self.rig}")
+
+    def gateway_mib(self) -> float:
+        for line in pathlib.Path(f"/proc/{self.gateway()}/status").read_text().splitlines():
+            if line.startswith("VmHWM"):
+                return int(line.split()[1]) / 1024
+        return 0.0
+
+
+@contextlib.contextmanager
+def subject() -> Iterator[Subject]:
+    """The paper's rig with a name, an endpoint and folders of its own, armed."""
+    with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
+        folder = pathlib.Path(name)
+        file = daemons.rig_file(folder, PATIENT)
+        stack.enter_context(daemons.simulated_rig(file, folder / "rig.log"))
+        stack.enter_context(daemons.daemon(file, folder / "daemon.log"))
+        armed = daemons.rigctl("arm", file=file)
+        if armed.returncode:
+            raise RuntimeError(armed.stderr)
+        yield Subject(file)
+
+
+@contextlib.contextmanager
+def hung(subject: Subject) -> Iterator[None]:
+    """The gateway stands still for a while."""
+    pid = subject.gateway()
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+def _over_network(client: Client) -> tuple[float, float] | None:
+    start = time.monotonic_ns()
+    try:
+        answer = client.command("hold", OPERATOR)
+    except NoDaemonError:
+        return None
+    return ((time.monotonic_ns() - start) / 1e6, (answer["t_ns"] - start) / 1e6) if answer["accepted"] else None
+
+
+def measure(rig: Subject, kind: str, count: int, pause_s: float) -> dict[str, Any]:
+    """``count`` holds at irregular times while the flood lasts."""
+    chance = random.Random(kind)
+    local: list[tuple[float, float] | None] = []
+    remote: list[tuple[float, float] | None] = []
+    seconds = count * pause_s * 1.5 + NETWORK_LOST_MAX * COMMAND_S + 15.0
+    with contextlib.ExitStack() as stack:
+        network = None
+        with contextlib.suppress(NoDaemonError, ChoiceError):
+            network = stack.enter_context(Client(rig.endpoint, rig.rig))
+        child = None
+        if kind == HUNG:
+            network = None
+            stack.enter_context(hung(rig))
+        elif kind != CALM:
+            child = stack.enter_context(flooding(kind, rig.endpoint, rig.rig, seconds))
+        time.sleep(SETTLE_S)
+        for number in range(count):
+            local.append(rig.hold())
+            if network is not None and number % NETWORK_EVERY == 0 and remote.count(None) < NETWORK_LOST_MAX:
+                remote.append(_over_network(network))
+            time.sleep(chance.uniform(0.5, 1.5) * pause_s)
+        alive = child is None or child.poll() is None
+    return {"flood": kind, **_holds(local).as_dict(), "network": _holds(remote).as_dict(), "flood_lasted": alive,
+            "gateway_peak_mib": round(rig.gateway_mib(), 1)}  # fmt: skip
+
+
+def _holds(found: list[tuple[float, float] | None]) -> Holds:
+    good = [one for one in found if one is not None]
+    return Holds([one for one, _ in good], [taken for _, taken in good], found.count(None))
+
+
+def met(row: dict[str, Any]) -> bool:
+    return bool(row["flood_lasted"] and not row["lost"] and row["p99_ms"] is not None and row["p99_ms"] <= LIMIT_MS)
+
+
+def show(rows: list[dict[str, Any]], console: Console) -> None:
+    table = Table(
+        "flood", "holds", "lost", "p50 ms", "p99 ms", "max ms", "taken p99", "network lost", "p50", "max", "", box=None
+    )
+    for row in rows:
+        there = row["network"]
+        figures = (str(row[name]) for name in ("given", "lost", "p50_ms", "p99_ms", "max_ms", "taken_p99_ms"))
+        table.add_row(row["flood"], *figures, f"{there['lost']} of {there['given']}", str(there["p50_ms"]),
+                      str(there["max_ms"]), "met" if met(row) else "NOT MET")  # fmt: skip
+    console.print(table, highlight=False)
+    peak = max((row["gateway_peak_mib"] for row in rows), default=0.0)
+    console.print(f"limits: HOLD p99 {LIMIT_MS:g} ms, 0 lost; gateway's memory at most {peak:.0f} MiB", highlight=False)
+
+
+def main(words: list[str]) -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.bench holds", description=__doc__)
+    parser.add_argument("--floods", nargs="+", default=[CALM, *KINDS, HUNG], choices=[CALM, *KINDS, HUNG])
+    parser.add_argument("--count", type=int, default=200, help="holds under each flood")
+    parser.add_argument("--pause", type=float, default=0.05, help="seconds between them, about")
+    parser.add_argument("--as-others", action="store_true", help="wait for a processor like every other process")
+    parser.add_argument("--json", type=pathlib.Path, help="write the figures here")
+    arguments = parser.parse_args(words)
+    rows = []
+    if not arguments.as_others:
+        with contextlib.suppress(PermissionError):
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+    with subject() as rig:
+        for kind in arguments.floods:
+            rows.append(measure(rig, kind, arguments.count, arguments.pause))
+            print(f"{kind}: p99 {rows[-1]['p99_ms']} ms, {rows[-1]['lost']} lost", file=sys.stderr)
+    show(rows, Console(width=110))
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"limit_p99_ms": LIMIT_MS, "floods": rows}, indent=2) + "\n")
+    return 0 if all(met(row) for row in rows) else 1
