@@ -275,8 +275,8 @@ class Inbox:
             self.drive_fresh = True
         self._stroke_t_ns, self._speed_t_ns = NEVER_NS, NEVER_NS + 1
 
-    def _drive_status_handler(self, settings: RigSettings, layout: PdoLayout) -> Handler:
-        decode = codecs.drive_status_decoder(layout, settings.cylinder.temperature_object)
+    def _drive_status_handler(self, _settings: RigSettings, layout: PdoLayout) -> Handler:
+        decode = codecs.drive_status_decoder(layout)
 
         def on_drive_status(data: bytes | bytearray, now_ns: int) -> None:
             current, self.drive_temperature_c, inputs = decode(data)
@@ -290,7 +290,7 @@ class Inbox:
 
     def _inputs_handler(self, settings: RigSettings, layout: PdoLayout) -> Handler:
         assert settings.io is not None  # there is no frame without it
-        decode, mask = codecs.inputs_decoder(layout, settings.io.block), settings.io.mask
+        decode, mask = codecs.inputs_decoder(layout), settings.io.mask
 
         def on_inputs(data: bytes | bytearray, now_ns: int) -> None:
             """Open in any of the frames that came together: a contact that bounces is one that was pressed."""

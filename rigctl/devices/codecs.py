@@ -91,12 +91,11 @@ def drive_speed_decoder(layout: PdoLayout, units: DriveUnits) -> Callable[[Data]
     return lambda data: read(data)[0] * unit_mm_s
 
 
-def drive_status_decoder(
-    layout: PdoLayout, temperature_object: int | None
-) -> Callable[[Data], tuple[float, float, int]]:
+def drive_status_decoder(layout: PdoLayout) -> Callable[[Data], tuple[float, float, int]]:
     """Motor current by the rated one, drive temperature in deg C (NaN: none), digital inputs (0x6078, 0x60FD)."""
-    heat = ((temperature_object, 0),) if temperature_object is not None else ()
-    read = layout.reader((od.CURRENT_ACTUAL, 0), *heat, (od.DIGITAL_INPUTS, 0))
+    known = ((od.CURRENT_ACTUAL, 0), (od.DIGITAL_INPUTS, 0))
+    heat = [each for each in layout.objects if each not in known]
+    read = layout.reader(known[0], *heat, known[1])
 
     def decode(data: Data) -> tuple[float, float, int]:
         current, *temperature, inputs = read(data)
@@ -106,9 +105,9 @@ def drive_status_decoder(
     return decode
 
 
-def inputs_decoder(layout: PdoLayout, block: int) -> Callable[[Data], int]:
+def inputs_decoder(layout: PdoLayout) -> Callable[[Data], int]:
     """Eight digital inputs, one bit each (CiA 401: 0x6000)."""
-    read = layout.reader((od.INPUTS_8, block))
+    read = layout.reader(*layout.objects)
     return lambda data: read(data)[0]
 
 

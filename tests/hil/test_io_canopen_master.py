@@ -34,7 +34,7 @@ def received(pdo: Any) -> list[tuple[int, bool]]:
     """The next frame: each input byte as canopen reads it, and whether ours says that the stop is pressed."""
     assert pdo.wait_for_reception(10.0) is not None
     data = bytes(pdo.data)
-    decode = codecs.inputs_decoder(objects.inputs_tpdo(1), 1)
+    decode = codecs.inputs_decoder(objects.inputs_tpdo(1))
     return [(variable.raw, not decode(data[i : i + 1]) & IO.mask) for i, variable in enumerate(pdo)]
 
 

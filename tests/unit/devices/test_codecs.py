@@ -42,8 +42,8 @@ UNITS = DriveUnits()
 decode_tension = codecs.tension_decoder(od.CELL_TPDO)
 decode_inclination = codecs.inclination_decoder(od.SLOPE_TPDO)
 decode_drive = codecs.drive_decoder(od.DRIVE_TPDO, UNITS)
-decode_drive_status = codecs.drive_status_decoder(od.DRIVE_TPDO2, od.DRIVE_TEMPERATURE)
-decode_inputs = codecs.inputs_decoder(od.inputs_tpdo(1), 1)
+decode_drive_status = codecs.drive_status_decoder(od.DRIVE_TPDO2)
+decode_inputs = codecs.inputs_decoder(od.inputs_tpdo(1))
 encode_command = codecs.command_encoder(od.DRIVE_RPDO, UNITS)
 
 

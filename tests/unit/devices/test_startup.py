@@ -1,0 +1,265 @@
+"""Start-up against the simulated devices as devices are sold: what it takes, what it leaves alone, what it refuses."""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from hil.bus import InProcessBus
+from hil.hub import Hub
+from hil.rig import SimulatedRig
+from hil.wire import FRAME
+from rigctl.config import RigSettings
+from rigctl.devices import busload, startup
+from rigctl.devices import objects as od
+from rigctl.devices.process_data import COMMAND, DRIVE_SPEED, DRIVE_STATUS, DriveUnits, ProcessData, wanted
+from rigctl.devices.remote_node import StartupError
+from tests.unit.hil.rig_bench import SETTINGS, changed
+from tests.unit.hil.test_parameter_sets import with_set
+
+CELL, SLOPE, DRIVE = 2, 3, 4
+START_NS = 1_000_000_000
+STEP_NS = 10_000_000
+PER_MM = 209_715.2
+
+
+class Devices:
+    """A simulated rig that is switched on; ``asked`` collects the SDO requests made to it."""
+
+    def __init__(self, settings: RigSettings) -> None:
+        self.settings = quick(settings)
+        self.t_ns = START_NS
+        self.asked: list[bytes] = []
+        self.hub = Hub(lambda: self.t_ns)
+        port = self.hub.attach(self._take)
+        self.rig = SimulatedRig(self.settings, START_NS, port.send)
+
+    def _take(self, frame: bytes) -> None:
+        can_id, _, data = FRAME.unpack(frame)
+        if can_id & ~0x7F == od.SDO_RX_BASE:
+            self.asked.append(bytes([can_id & 0x7F]) + data)
+        self.rig.receive(frame)
+
+    def bring_up(self) -> startup.Report:
+        self.said: list[str] = []
+        bus = InProcessBus(self.hub)
+        try:
+            with self._time_passing():
+                return startup.bring_up(bus, self.settings, self.said.append)
+        finally:
+            bus.shutdown()
+
+    @contextmanager
+    def _time_passing(self) -> Iterator[None]:
+        """Time goes on for devices that are slow; the others answer at once."""
+        done = threading.Event()
+
+        def pass_time() -> None:
+            while not done.wait(0.001):
+                with self.hub.turn:
+                    self.t_ns += STEP_NS
+                    self.rig.advance(self.t_ns)
+                    self.rig.supervise(self.t_ns)
+
+        thread = threading.Thread(target=pass_time)
+        if self.settings.simulation is not None and self.settings.simulation.devices.slow:
+            thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            if thread.ident is not None:
+                thread.join()
+
+    def written(self, node: int, index: int) -> list[tuple[int, int]]:
+        """What was written to the sub-indices of an object."""
+        found = []
+        for request in self.asked:
+            command, at, sub, value = struct.unpack("<BHBI", request[1:])
+            if request[0] == node and command & 0xE0 == 0x20 and at == index:
+                found.append((sub, value))
+        return found
+
+
+def quick(settings: RigSettings) -> RigSettings:
+    return changed(settings, can={"heartbeat_ms": 5})
+
+
+def refusal(settings: RigSettings) -> str:
+    with pytest.raises(StartupError) as raised:
+        Devices(settings).bring_up()
+    assert "\n" not in str(raised.value)
+    return str(raised.value)
+
+
+def drive(**cylinder: Any) -> RigSettings:
+    """The stock drive, with other settings."""
+    return changed(with_set("stock_drive"), cylinder=cylinder)
+
+
+def test_default_devices_are_mapped_already_and_no_pdo_is_written() -> None:
+    devices = Devices(SETTINGS)
+    report = devices.bring_up()
+    assert report.supervised
+    assert report.process_data == wanted(SETTINGS)
+    assert {name: layout.mapping for name, layout in report.process_data.frames.items()} == {
+        "tension_cell": od.CELL_TPDO.mapping, "inclinometer": od.SLOPE_TPDO.mapping, "cylinder": od.DRIVE_TPDO.mapping,
+        DRIVE_STATUS: od.DRIVE_TPDO2.mapping, COMMAND: od.DRIVE_RPDO.mapping,
+    }  # fmt: skip
+    for index in (od.TPDO1_MAPPING, od.TPDO2_MAPPING, od.RPDO1_MAPPING, od.TPDO1_COMMUNICATION):
+        assert devices.written(DRIVE, index) == []
+    assert devices.written(DRIVE, od.TPDO2_COMMUNICATION)  # off by default, and slower
+
+
+@pytest.mark.parametrize("node", [CELL, SLOPE, DRIVE])
+@pytest.mark.parametrize("rtr", [True, False])
+def test_bit_30_of_a_cob_id_stays_as_the_device_has_it(node: int, rtr: bool) -> None:
+    other = changed(SETTINGS, simulation={"devices": {"rtr": rtr}}, loop={"rate_hz": 500})
+    devices = Devices(changed(other, cylinder={"status_rate_hz": 10}))
+    own = devices.rig.nodes[[each.id for each in devices.rig.nodes].index(node)].device
+    own.set_data(od.TPDO1_MAPPING, 0, b"\0")  # so that it has to be mapped anew
+    devices.bring_up()
+    flag = 0 if rtr else od.PDO_NO_RTR
+    ids = [value for sub, value in devices.written(node, od.TPDO1_COMMUNICATION) if sub == 1]
+    assert ids == [od.TPDO1_BASE + node | flag | od.PDO_NOT_VALID, od.TPDO1_BASE + node | flag]
+    assert own.sdo[od.TPDO1_COMMUNICATION][1].raw == od.TPDO1_BASE + node | flag
+
+
+def test_a_fixed_mapping_is_taken_as_it_is_and_read_back() -> None:
+    report = Devices(with_set("fixed_mapping")).bring_up()
+    frames = report.process_data.frames
+    assert frames["tension_cell"].mapping == (0x61500108, 0x10010008, 0x91300120)
+    assert frames["tension_cell"].objects == ((od.AI_STATUS, 1), (od.AI_PROCESS_VALUE, 1))
+    assert frames["inclinometer"].mapping == (0x60200010, 0x60100010)
+    assert frames["cylinder"].mapping == (0x60410010, 0x60640020, 0x60610008)
+    assert frames[DRIVE_SPEED].cob_base == 0x380
+    assert frames[COMMAND].mapping == (0x60400010, 0x60600008, 0x60FF0020)
+
+
+def test_what_was_read_back_goes_through_json() -> None:
+    found = Devices(with_set("fixed_mapping")).bring_up()
+    assert ProcessData.of_json(found.as_json()["process_data"]) == found.process_data
+
+
+def test_a_variable_mapping_is_written() -> None:
+    report = Devices(with_set("stock_drive")).bring_up()
+    assert report.process_data == wanted(with_set("stock_drive"))
+
+
+@pytest.mark.parametrize(
+    ("cylinder", "index", "why"),
+    [
+        ({"velocity_pdo": 2, "status_rate_hz": None}, 0x1A01, "no object 0x606C:00"),
+        ({"position_pdo": 4}, 0x1A03, "no object 0x6064:00"),
+    ],
+)
+def test_a_fixed_mapping_that_lacks_what_is_needed_is_refused_by_the_object(
+    cylinder: dict[str, Any], index: int, why: str
+) -> None:
+    said = refusal(changed(drive(**cylinder), simulation={"devices": {"fixed_mapping": True}}))
+    assert said.startswith(f"cylinder drive (node 4), object 0x{index:04X}:00: a mapping that cannot be changed")
+    assert why in said
+
+
+def test_an_object_the_device_does_not_have_is_refused_by_its_name() -> None:
+    said = refusal(changed(SETTINGS, cylinder={"eds": "eds/stock_drive.eds"}))
+    assert said.startswith("cylinder drive (node 4), object 0x1A00:03: 0x20440010 refused: Code 0x06040041")
+
+
+@pytest.mark.parametrize(
+    ("cylinder", "per_mm", "units"),
+    [
+        ({}, None, DriveUnits()),
+        ({"lead_mm": 5.0}, None, DriveUnits()),
+        ({"lead_mm": 5.0}, PER_MM, DriveUnits(1 / PER_MM, 1 / PER_MM, 1 / PER_MM)),
+        ({"increments_per_mm": PER_MM}, PER_MM, DriveUnits(1 / PER_MM, 1 / PER_MM, 1 / PER_MM)),
+        (
+            {"increments_per_mm": PER_MM, "speed_units_per_mm_s": 120.0, "ramp_units_per_mm_s2": 12.0},
+            PER_MM,
+            DriveUnits(1 / PER_MM, 1 / 120.0, 1 / 12.0),
+        ),
+    ],
+)
+def test_units_come_from_where_the_rig_file_or_the_drive_says(
+    cylinder: dict[str, Any], per_mm: float | None, units: DriveUnits
+) -> None:
+    devices = Devices(changed(drive(**cylinder), simulation={"drive": {"increments_per_mm": per_mm}}))
+    report = devices.bring_up()
+    found = report.process_data.units
+    assert (found.position_mm, found.speed_mm_s, found.ramp_mm_s2) == pytest.approx(
+        (units.position_mm, units.speed_mm_s, units.ramp_mm_s2), rel=1e-12
+    )
+    ramp = devices.settings.cylinder.stop_deceleration_mm_s2 / units.ramp_mm_s2
+    assert devices.written(DRIVE, od.QUICK_STOP_DECELERATION) == [(0, round(ramp))]
+
+
+@pytest.mark.parametrize(
+    ("cylinder", "per_mm", "where", "found", "allowed"),
+    [
+        ({}, PER_MM, 0x60A8, "found 0x0", "cylinder.increments_per_mm or lead_mm"),
+        ({"increments_per_mm": PER_MM}, None, 0x60A8, "1000 units per mm", "allowed 209715.2"),
+        ({"increments_per_mm": PER_MM, "lead_mm": 10.0}, PER_MM, 0x6092, "found 104857.6 units per mm", "209715.2"),
+    ],
+)
+def test_units_that_are_not_known_or_disagree_are_refused(
+    cylinder: dict[str, Any], per_mm: float | None, where: int, found: str, allowed: str
+) -> None:
+    said = refusal(changed(drive(**cylinder), simulation={"drive": {"increments_per_mm": per_mm}}))
+    assert f"object 0x{where:04X}" in said and found in said and allowed in said
+
+
+@pytest.mark.parametrize(("section", "what"), [("tension_cell", "vendor"), ("cylinder", "product")])
+def test_another_vendor_or_product_is_refused_with_both(section: str, what: str) -> None:
+    said = refusal(changed(SETTINGS, **{section: {what: 0x1234}}))
+    assert f"{section}.{what}" in said and "allowed 0x1234" in said and f"found {what} 0x" in said
+
+
+def test_the_right_vendor_and_product_are_taken() -> None:
+    Devices(changed(SETTINGS, cylinder={"vendor": 0, "product": 0x402})).bring_up()
+
+
+def test_devices_that_boot_are_waited_for_and_named() -> None:
+    devices = Devices(with_set("slow_boot"))
+    report = devices.bring_up()
+    assert report.supervised
+    assert [line.split(",")[0] for line in devices.said] == ["waiting for tension cell (node 2)"]
+    assert devices.t_ns - START_NS >= 5_000_000_000
+    assert all(node.nmt_state is od.NmtState.OPERATIONAL for node in devices.rig.nodes if node.id < 100)
+
+
+def test_a_device_that_does_not_boot_is_given_up_by_name() -> None:
+    settings = changed(with_set("slow_boot"), can={"boot_wait_s": 0.2}, tension_cell={"sdo_timeout_ms": 50})
+    settings = changed(settings, simulation={"devices": {"boot_s": 60.0}})
+    began = time.monotonic()
+    said = refusal(settings)
+    assert said.startswith("tension cell (node 2) does not answer")
+    assert "within 50 ms (tension_cell.sdo_timeout_ms)" in said
+    assert time.monotonic() - began > 0.2
+
+
+def test_a_slow_device_is_heard_out_within_its_own_time_out() -> None:
+    devices = Devices(changed(with_set("slow_sdo"), simulation={"devices": {"sdo_ms": 100}}))
+    assert devices.bring_up().supervised
+    assert devices.t_ns - START_NS > len(devices.asked) * 100_000_000
+
+
+def test_the_load_of_the_bus_counts_both_frames_of_a_stock_drive() -> None:
+    stock = with_set("stock_drive")
+    names = {item.name: item.size for item in busload.traffic(stock)}
+    assert (names["drive status"], names["drive speed"]) == (6, 4)
+    assert busload.traffic(stock, Devices(with_set("fixed_mapping")).bring_up().process_data)[3].size == 7
+
+
+def test_a_fixed_mapping_too_long_for_the_bus_is_refused() -> None:
+    settings = changed(with_set("fixed_mapping"), can={"bitrate_bit_s": 500_000}, loop={"rate_hz": 500})
+    load, limit = busload.bus_load(settings), busload.LIMIT
+    assert load is not None
+    settings = changed(settings, can={"bitrate_bit_s": round(500_000 * load / (limit - 0.001))})
+    said = refusal(settings)
+    assert "bus load" in said and "allowed 80%" in said
