@@ -43,6 +43,11 @@ def drive(stand: Stand) -> int:
     return stand.data_id(stand.drive)
 
 
+def drive_status(stand: Stand) -> int:
+    """The drive's current, temperature and inputs."""
+    return objects.DRIVE_TPDO2.cob_base + stand.drive.id
+
+
 def io(stand: Stand) -> int:
     """The I/O node's inputs."""
     return stand.data_id(stand.io)

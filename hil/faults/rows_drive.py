@@ -18,8 +18,19 @@ from hil.faults.expected import (
 from hil.faults.in_device import SPEED, STATUS, STROKE, both, reads, says, stuck
 from rigctl.control.modes import Mode
 
+STATUS_SILENT_MS = 310.0
+"""Five periods of 50 ms, up to one since the last that came, and a tick or two."""
 DRIVE_FEEDBACK = (
     Fault("drive_silent", "bus", "the drive's samples stop", on_bus.silent(on_bus.drive), HOLD, within_ms=20),
+    Fault(
+        "status_silent",
+        "bus",
+        "the drive's current, temperature and inputs stop coming, its position and speed go on",
+        on_bus.silent(on_bus.drive_status),
+        HOLD,
+        within_ms=STATUS_SILENT_MS,
+        why="neither the emergency stop's input nor the temperature is seen without them",
+    ),
     Fault(
         "stroke_stuck",
         "device",

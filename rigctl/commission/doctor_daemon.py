@@ -24,6 +24,7 @@ TITLES: dict[Check, str] = {
     Check.INCLINATION_STALE: "inclination: fresh samples",
     Check.INCLINATION_INVALID: "inclination: valid",
     Check.DRIVE_STALE: "drive: fresh samples",
+    Check.STATUS_STALE: "drive: current, temperature and inputs come",
     Check.DRIVE_FAULT: "drive: no fault",
     Check.DRIVE_SUPERVISION: "drive: enforces its own stop",
     Check.EMERGENCY: "devices: no emergency",

@@ -11,13 +11,12 @@ from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.inbox import Inbox
 from rigctl.control.inclination import InclinationFilter, Stretch
 from rigctl.control.run_out import RunOutTable, stale_ns
-from rigctl.control.safety import EStop, Sight
+from rigctl.control.safety import EStop, Sight, status_stale_ns
 from rigctl.control.tension import Estimate
 from rigctl.devices.objects import OFF_STATES, STATUS_WARNING, DriveState, drive_state
 
 _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value
-STATUS_PERIODS = 3  # the drive's status is stale when this many have not come
 UNLOADED_REJECTS = 3  # with the drive off, a rope that is loaded or let go by hand is believed after so many
 LEAST_COSINE = 0.5  # a rope at 60 deg: nothing beyond it is believed
 
@@ -43,8 +42,7 @@ class Observer:
         self._slack_n = settings.tension.slack_n
         rail, run_out = settings.rail_encoder, settings.run_out
         self.rail_stale_ns = stale_ns(rail) if rail is not None else 0
-        status_ns = settings.status_divisor * settings.loop.period_ns
-        self._status_stale_ns = STATUS_PERIODS * status_ns  # 0 where it is not asked for
+        self._status_stale_ns = status_stale_ns(settings)
         self._io_fitted = settings.io is not None
         self._e_stop_fitted = settings.cylinder.e_stop_input is not None
         self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
@@ -70,7 +68,7 @@ class Observer:
         sight.cell_age_ns = now_ns - inbox.cell_t_ns
         sight.inclination_quality = inbox.slope_quality
         sight.inclination_age_ns = now_ns - inbox.slope_t_ns
-        self.rail_age_ns = now_ns - inbox.rail_t_ns
+        self.rail_age_ns = sight.rail_age_ns = now_ns - inbox.rail_t_ns
         sight.stroke_mm, sight.speed_mm_s = inbox.stroke_mm, inbox.speed_mm_s
         sight.tangential_rad, sight.normal_rad = inbox.tangential_rad, inbox.normal_rad
         sight.drive_age_ns = now_ns - inbox.drive_t_ns
@@ -95,7 +93,8 @@ class Observer:
         if not self._status_stale_ns:
             return
         inbox, sight = self.inbox, self.sight
-        stale = now_ns - inbox.drive_status_t_ns > self._status_stale_ns
+        sight.status_age_ns = now_ns - inbox.drive_status_t_ns
+        stale = sight.status_age_ns > self._status_stale_ns
         sight.drive_temperature_c = math.nan if stale else inbox.drive_temperature_c
         sight.drive_current_a = math.nan if stale else inbox.drive_current_a
         sight.e_stop, sight.e_stop_unseen = inbox.e_stop, stale and self._e_stop_fitted

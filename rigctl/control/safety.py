@@ -14,6 +14,7 @@ from enum import IntEnum, IntFlag
 from rigctl.config import RigSettings
 from rigctl.control.correction import tare_limit_n
 from rigctl.control.modes import Mode
+from rigctl.control.run_out import stale_ns
 
 
 class Action(IntEnum):
@@ -59,6 +60,8 @@ class Fault(IntEnum):
     DRIVE_EMERGENCY = 27  # the drive has
     RIVAL = 28  # another controller commands this bus
     E_STOP_UNSEEN = 29  # the I/O node that mirrors the emergency stop is silent
+    STATUS_STALE = 33  # the drive's current, temperature and inputs have stopped coming
+    LIMIT_UNSEEN = 34  # the signal that a limit of the rig file watches is not there
 
 
 class EStop(IntFlag):
@@ -94,6 +97,7 @@ class Check(IntFlag):
     RIVAL = 1 << 21  # another controller commands this bus
     E_STOP_IO = 1 << 22  # the emergency stop is pressed: the I/O node's input
     E_STOP_IO_UNSEEN = 1 << 23  # an I/O node is fitted, and its input is not seen
+    STATUS_STALE = 1 << 24  # the drive's current, temperature and inputs do not come
     HOST = 1 << 20  # these four are not known: the gateway has not judged them within the last seconds
 
 
@@ -128,6 +132,8 @@ class Sight:
     e_stop: int = 0  # where it is seen pressed, bits of EStop
     e_stop_unseen: bool = False  # the drive has one, and what it says is not known
     io_age_ns: int = 1 << 62  # since the I/O node's inputs came, where one is fitted
+    status_age_ns: int = 1 << 62  # since the drive's current, temperature and inputs came, where they are asked for
+    rail_age_ns: int = 1 << 62  # since the rail encoder's angle came, where one is fitted
     bus_age_ns: int = 1 << 62
     error_frames: int = 0  # in the last second
     skipped_in_window: int = 0
@@ -179,6 +185,7 @@ class Row:
 
 
 _ARMED = frozenset({Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING, Mode.FAULT})
+ARMED = _ARMED
 _ON = _ARMED - {Mode.FAULT}
 _CLOSED = frozenset({Mode.TENSIONING, Mode.COMPENSATING})
 _TENSIONING = frozenset({Mode.TENSIONING})
@@ -206,6 +213,12 @@ UNREST_NOISES = 30.0
 UNREST_NS = 5 * _MS
 NEGATIVE_NS = 10 * _MS
 BRAKE_SLIP_MM_S, BRAKE_SLIP_NS = 0.2, 200 * _MS  # a stop that has begun takes less
+STATUS_PERIODS = 5  # of the drive's status lost in a row: at 10 % of frames lost once in 10^5, 1.4 h at 20 Hz
+
+
+def status_stale_ns(settings: RigSettings) -> int:
+    """Oldest current, temperature and inputs of the drive that count as known; 0 where they are not asked for."""
+    return STATUS_PERIODS * settings.status_divisor * settings.loop.period_ns
 
 
 def _highest_n(sight: Sight) -> float:
@@ -233,6 +246,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.CELL_STALE, lambda x: x.cell_age_ns, stale, 0, _ARMED, "ns"),
         Row(Fault.INCLINATION_STALE, lambda x: x.inclination_age_ns, slope, 0, _ARMED, "ns"),
         *_io_rows(settings),
+        *_status_rows(settings),
         Row(Fault.DRIVE_FAULT, lambda x: x.drive_faulted, 0, 0, _ARMED, ""),
         Row(Fault.DRIVE_NOT_FOLLOWING, _dropped_out, 0, DRIVE_GRACE_NS, _ON, ""),
         Row(Fault.SIGN_DRIVE, lambda x: x.drive_reversed, 0, 0, _TENSIONING, ""),
@@ -260,6 +274,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.STROKE_END, lambda x: x.stroke_limited, 0, STROKE_END_NS, _MOVING, ""),
         Row(Fault.DEVICE_RESTARTED, lambda x: x.device_restarted, 0, 0, _ARMED, ""),
         Row(Fault.OVERRUN, lambda x: x.skipped_in_window, s.overrun_ticks - 1, 0, _ARMED, "ticks"),
+        *_rail_rows(settings),
     )  # fmt: skip
 
 
@@ -268,6 +283,22 @@ def _io_rows(settings: RigSettings) -> tuple[Row, ...]:
     if settings.io is None:
         return ()
     return (Row(Fault.E_STOP_UNSEEN, lambda x: x.io_age_ns, settings.io.stale_ms * _MS, 0, _ARMED, "ns"),)
+
+
+def _status_rows(settings: RigSettings) -> tuple[Row, ...]:
+    """Without it neither the emergency stop's input nor the drive's temperature is seen."""
+    stale = status_stale_ns(settings)
+    return (Row(Fault.STATUS_STALE, lambda x: x.status_age_ns, stale, 0, _ARMED, "ns"),) if stale else ()
+
+
+def _rail_rows(settings: RigSettings) -> tuple[Row, ...]:
+    """Only feed-forward hangs on the rail's angle, and ends with it: no reason to hold, but to say so."""
+    if (rail := settings.rail_encoder) is None:
+        return ()
+    limit_ms = stale_ns(rail) / _MS
+    return (
+        Row(Fault.LIMIT, lambda x: x.rail_age_ns / _MS, limit_ms, 0, _ARMED, "ms", Action.LOG, "rail_age_ms above"),
+    )
 
 
 def _unbraked_mm_s(sight: Sight) -> float:
@@ -369,12 +400,13 @@ _BLOCK_RESET = frozenset(
     {Fault.BUS_SILENT, Fault.DRIVE_STALE, Fault.CELL_STALE, Fault.CELL_INVALID, Fault.INCLINATION_STALE,
      Fault.INCLINATION_INVALID, Fault.TENSION_HIGH, Fault.OVERRUN, Fault.DEVICE_RESTARTED, Fault.CELL_STUCK,
      Fault.E_STOP, Fault.E_STOP_UNSEEN, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SENSOR_EMERGENCY,
-     Fault.RIVAL}
+     Fault.RIVAL, Fault.STATUS_STALE}
 )  # fmt: skip
 
 
 _IMPLAUSIBLE = frozenset({Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE})
 _EMERGENCY = frozenset({Fault.SENSOR_EMERGENCY, Fault.DRIVE_EMERGENCY})
+_LIMITED = frozenset({Fault.LIMIT, Fault.LIMIT_UNSEEN})
 
 
 def preflight(
@@ -405,10 +437,11 @@ def preflight(
         Check.E_STOP_IO: sight.e_stop & EStop.IO_NODE,
         Check.CELL_IMPLAUSIBLE: not beyond.isdisjoint(_IMPLAUSIBLE),
         Check.EMERGENCY: not beyond.isdisjoint(_EMERGENCY),
-        Check.LIMIT: Fault.LIMIT in beyond,
+        Check.LIMIT: not beyond.isdisjoint(_LIMITED),
         Check.RIVAL: Fault.RIVAL in beyond,
         Check.E_STOP_UNSEEN: sight.e_stop_unseen,
         Check.E_STOP_IO_UNSEEN: Fault.E_STOP_UNSEEN in beyond,
+        Check.STATUS_STALE: Fault.STATUS_STALE in beyond,
     }
     result = Check(sight.host_checks)
     for check, fails in failing.items():

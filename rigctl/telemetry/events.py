@@ -71,6 +71,10 @@ FAULT_TEXT: dict[Fault, str] = {
     Fault.E_STOP: "emergency stop pressed ({seen})",
     Fault.E_STOP_UNSEEN: "the I/O node that mirrors the emergency stop has sent nothing for {value:.0f} ms "
     "(limit {limit:.0f} ms)",
+    Fault.STATUS_STALE: "no current, temperature and inputs of the drive for {value:.0f} ms (limit {limit:.0f} ms): "
+    "neither its emergency stop's input nor its temperature is seen",
+    Fault.LIMIT_UNSEEN: "{text} is limited by the rig file and does not come: no sample for {value:.0f} ms "
+    "(limit {limit:.0f} ms)",
     Fault.RIVAL: "another controller commands this bus: find it and stop it",
     Fault.CELL_NOISY: "tension cell jumps by {value:.1f} N from sample to sample (limit {limit:.1f} N)",
     Fault.CELL_NEGATIVE: "tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
@@ -81,7 +85,7 @@ FAULT_TEXT: dict[Fault, str] = {
 
 _SCALE: dict[Fault, float] = {
     Fault.CELL_STALE: 1e-6, Fault.INCLINATION_STALE: 1e-6, Fault.DRIVE_STALE: 1e-6, Fault.BUS_SILENT: 1e-6,
-    Fault.E_STOP_UNSEEN: 1e-6,
+    Fault.E_STOP_UNSEEN: 1e-6, Fault.STATUS_STALE: 1e-6, Fault.LIMIT_UNSEEN: 1e-6,
 }  # fmt: skip
 
 _SEEN: dict[float, str] = {
@@ -106,10 +110,12 @@ CHECK_TEXT: dict[Check, str] = {
     Check.CELL_IMPLAUSIBLE: "tension cell is stuck, noisy or reads a push: check cable and amplifier",
     Check.EMERGENCY: "a device's emergency message stands (see the events)",
     Check.RIVAL: "another controller commands this bus: find it and stop it",
-    Check.LIMIT: "a limit of the rig file is passed (rigctl watch shows the signals)",
+    Check.LIMIT: "a limit of the rig file is passed, or its signal does not come (rigctl watch shows the signals)",
     Check.E_STOP: "emergency stop is pressed (drive's input): release it, then rigctl reset",
     Check.E_STOP_IO: "emergency stop is pressed (I/O node's input): release it, then rigctl reset",
     Check.E_STOP_UNSEEN: "emergency stop's input is not seen: check the drive's second TPDO (cylinder.e_stop_input)",
+    Check.STATUS_STALE: "no current, temperature and inputs of the drive: check its second TPDO "
+    "(cylinder.status_rate_hz)",
     Check.E_STOP_IO_UNSEEN: "emergency stop's input on the I/O node is not seen: check the node's power and cable",
     Check.TARE: "no tare on record that still holds: rigctl tare (or calibration.waiver)",
     Check.MARGINS: "no accepted margins of the law in use: rigctl tune",
@@ -209,10 +215,15 @@ _TRIAL_TEXT = {
 }
 _SILENT = frozenset(
     {Fault.DEVICE_RESTARTED, Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE,
-     Fault.E_STOP_UNSEEN}
+     Fault.E_STOP_UNSEEN, Fault.STATUS_STALE}
 )  # fmt: skip
 _UNSEEN = (
-    Check.DRIVE_SUPERVISION | Check.CELL_STALE | Check.INCLINATION_STALE | Check.DRIVE_STALE | Check.E_STOP_IO_UNSEEN
+    Check.DRIVE_SUPERVISION
+    | Check.CELL_STALE
+    | Check.INCLINATION_STALE
+    | Check.DRIVE_STALE
+    | Check.E_STOP_IO_UNSEEN
+    | Check.STATUS_STALE
 )
 _SILENT_HINT = " (a device that was switched off or a CAN interface that was unplugged needs the daemon started anew)"
 _HINT: dict[tuple[Mode, Verb], str] = {

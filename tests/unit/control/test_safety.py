@@ -29,6 +29,8 @@ GOOD = Sight(
     bus_age_ns=MS,
     drive_wanted=True,
     io_age_ns=MS,
+    status_age_ns=50 * MS,
+    drive_temperature_c=40.0,
 )
 
 BAD: dict[tuple[Fault, str], dict[str, object]] = {
@@ -46,6 +48,7 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.STRETCH_UNEXPLAINED, "mm at rest"): {"unexplained_mm": 1.7},
     (Fault.CELL_NOISY, "N"): {"cell_unrest_n": 1.0},
     (Fault.CELL_NEGATIVE, "N"): {"tension_n": -15.1},
+    (Fault.STATUS_STALE, "ns"): {"status_age_ns": 251 * MS},
     (Fault.SENSOR_EMERGENCY, ""): {"sensor_emergency": True},
     (Fault.DRIVE_EMERGENCY, ""): {"drive_emergency": True},
     (Fault.CELL_STUCK, "samples"): {"cell_repeats": 20},
@@ -73,7 +76,9 @@ def bad_for(row: Row) -> Sight:
 
 def test_the_table_covers_every_fault_a_tick_can_see() -> None:
     assert {(row.fault, row.unit) for row in ROWS} == set(BAD)
-    assert {fault for fault, _ in BAD} == set(Fault) - {Fault.NONE, Fault.LOOP_EXCEPTION, Fault.LIMIT}
+    assert {fault for fault, _ in BAD} == set(Fault) - {
+        Fault.NONE, Fault.LOOP_EXCEPTION, Fault.LIMIT, Fault.LIMIT_UNSEEN,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -187,6 +192,7 @@ def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> Non
         ({"rival_age_ns": MS}, Check.RIVAL),
         ({"drive_emergency": True}, Check.EMERGENCY),
         ({"io_age_ns": 101 * MS}, Check.E_STOP_IO_UNSEEN),
+        ({"status_age_ns": 251 * MS}, Check.STATUS_STALE),
         ({"tangential_rad": 0.2}, Check.LIMIT),
         ({"tangential_rad": -0.2}, Check.LIMIT),
     ],

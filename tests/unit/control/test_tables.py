@@ -40,7 +40,7 @@ EVERY = f"DISARMED {ARMED}"
 REST = "HOLD FAULT"
 GOOD = Sight(
     tension_n=300.0, cell_age_ns=MS, inclination_age_ns=9 * MS, stroke_mm=50.0, drive_age_ns=MS, drive_enabled=True,
-    bus_age_ns=MS, drive_wanted=True, io_age_ns=MS,
+    bus_age_ns=MS, drive_wanted=True, io_age_ns=MS, status_age_ns=50 * MS,
 )  # fmt: skip
 
 # fault, unit: the signal of the sight, its highest value that is none, what acts, after how many ms, in which modes
@@ -51,6 +51,7 @@ ROWS: dict[tuple[str, str], tuple[str, float, str, int, str]] = {
     ("CELL_STALE", "ns"): ("cell_age_ns", 15e6, "HOLD", 0, ARMED),
     ("INCLINATION_STALE", "ns"): ("inclination_age_ns", 100e6, "HOLD", 0, ARMED),
     ("E_STOP_UNSEEN", "ns"): ("io_age_ns", 100e6, "HOLD", 0, ARMED),
+    ("STATUS_STALE", "ns"): ("status_age_ns", 250e6, "HOLD", 0, ARMED),  # five of 50 ms
     ("DRIVE_FAULT", ""): ("drive_faulted", 0, "HOLD", 0, ARMED),
     ("SIGN_DRIVE", ""): ("drive_reversed", 0, "HOLD", 0, "TENSIONING"),
     ("SIGN_CELL", ""): ("cell_reversed", 0, "HOLD", 0, "TENSIONING"),
@@ -169,6 +170,7 @@ def test_a_logged_limit_is_told_with_what_it_found_and_hides_nothing_behind_it()
         ({"tension_n": 401.0}, "TENSION_HIGH"), ({"skipped_in_window": 50}, "OVERRUN"),
         ({"device_restarted": True}, "DEVICE_RESTARTED"), ({"cell_repeats": 20}, "CELL_STUCK"),
         ({"io_age_ns": 101 * MS}, "E_STOP_UNSEEN"), ({"io_age_ns": 100 * MS}, "NONE"), ({"e_stop": 2}, "E_STOP"),
+        ({"status_age_ns": 251 * MS}, "STATUS_STALE"), ({"status_age_ns": 250 * MS}, "NONE"),
         ({"e_stop": True}, "E_STOP"), ({"cell_unrest_n": 1.0}, "CELL_NOISY"), ({"tension_n": -16.0}, "CELL_NEGATIVE"),
         ({"sensor_emergency": True}, "SENSOR_EMERGENCY"), ({"drive_emergency": True}, "NONE"),
         ({"drive_faulted": True}, "NONE"), ({"drive_enabled": False}, "NONE"), ({"speed_error_mm_s": 9.0}, "NONE"),
@@ -217,7 +219,7 @@ def test_an_io_nodes_input_that_would_trip_as_unseen_stands_against_arming() -> 
 def test_nothing_seen_is_nothing_known() -> None:
     never, sight = 1 << 62, Sight()
     assert [sight.cell_age_ns, sight.inclination_age_ns, sight.drive_age_ns, sight.bus_age_ns] == [never] * 4
-    assert sight.io_age_ns == never
+    assert [sight.io_age_ns, sight.status_age_ns, sight.rail_age_ns] == [never] * 3
     for name in ("tension_n", "reading_n", "stroke_mm", "drive_temperature_c", "drive_current_a"):
         assert getattr(sight, name) != getattr(sight, name), f"{name} is no number"
     others = [getattr(sight, name) for name in Sight.__slots__
@@ -324,6 +326,9 @@ ON_RECORD: dict[type[IntEnum], str] = {
     "SIGN_DRIVE SIGN_CELL LIMIT CELL_STUCK DRIVE_CONTRADICTS STROKE_MOVES STRETCH_UNEXPLAINED E_STOP CELL_NOISY "
     "CELL_NEGATIVE SENSOR_EMERGENCY DRIVE_EMERGENCY RIVAL E_STOP_UNSEEN",
 }
+SPREAD: dict[type[IntEnum], dict[str, int]] = {  # numbers that do not follow the ones before them
+    Fault: {"STATUS_STALE": 33, "LIMIT_UNSEEN": 34},
+}
 VERBS = "ARM TENSION RELEASE HOLD DISARM RESET TARGET TARE CALIBRATE IDENTIFY GAINS"
 SETTINGS_TOLD = "ZERO SCALE OVERDUE K_TENSION K_SPEED K_INTEGRAL HOST_CHECKS"
 CHECKS = (
@@ -335,10 +340,13 @@ CHECKS = (
 
 def test_numbers_on_record_stay_what_they_are() -> None:
     for kind, names in ON_RECORD.items():
-        assert [(member.name, member.value) for member in kind] == [(n, i) for i, n in enumerate(names.split())]
+        numbered = [*((n, i) for i, n in enumerate(names.split())), *SPREAD.get(kind, {}).items()]
+        assert [(member.name, member.value) for member in kind] == numbered
     verbs = ["ARM", "TENSION", "RELEASE", "HOLD", "DISARM", "RESET", "TARGET", "TARE", "CALIBRATE", "IDENTIFY", "GAINS"]
     assert [(verb.name, verb.value) for verb in Verb] == [(name, i) for i, name in enumerate(verbs, 1)]
     settings = ["ZERO", "SCALE", "OVERDUE", "K_TENSION", "K_SPEED", "K_INTEGRAL", "HOST_CHECKS"]
     assert [(setting.name, setting.value) for setting in Setting] == [(n, i) for i, n in enumerate(settings, 128)]
     assert issubclass(Check, IntFlag)
-    assert {check.name: check.value for check in Check} == {name: 1 << i for i, name in enumerate(CHECKS.split())}
+    more = {"STATUS_STALE": 1 << 24}
+    checks = {name: 1 << i for i, name in enumerate(CHECKS.split())} | more
+    assert {check.name: check.value for check in Check} == checks
