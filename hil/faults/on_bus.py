@@ -53,6 +53,11 @@ def io(stand: Stand) -> int:
     return stand.data_id(stand.io)
 
 
+def rail(stand: Stand) -> int:
+    """The rail encoder's angle."""
+    return stand.data_id(stand.rail)
+
+
 def can_id(frame: bytes) -> int:
     """Identifier and flags of a frame."""
     return int(FRAME.unpack(frame)[0])
@@ -257,11 +262,11 @@ def nmt(command: int, node: Callable[[Stand], int]) -> Injector:
     return inject
 
 
-def emergency(node: Callable[[Stand], int], code: int) -> Injector:
+def emergency(node: Callable[[Stand], int], code: int, register: int = 1) -> Injector:
     """A device's emergency message, which says no more than that something is wrong; its samples go on."""
 
     def inject(stand: Stand) -> None:
-        data = struct.pack("<HB5x", code, 1)
+        data = struct.pack("<HB5x", code, register)
         stand.rig.inject(FRAME.pack(objects.EMCY_BASE + node(stand), 8, data))
 
     return inject

@@ -101,13 +101,19 @@ def _unseen(limit: LimitSettings, settings: RigSettings) -> list[Row]:
     oldest_ns = {_SLOPE: s.inclination_stale_ms * 1_000_000, _STATUS: status_stale_ns(settings)}
     stale_ns = oldest_ns.get(age, s.stale_ms * 1_000_000)
     # Any loss is answered by holding, whatever a value beyond the limit asks for.
-    action = Action.LOG if limit.action == "log" else Action.HOLD
     text = f"{words} ({limit.signal})"
     watched = (
         (modes & ARMED if age is _STATUS else frozenset(), 0),
         (modes - ARMED, stale_ns),  # a loop that has just started has not heard anybody yet
     )
-    return [Row(Fault.LIMIT_UNSEEN, age, stale_ns, ns, where, "ns", action, text) for where, ns in watched if where]
+    if limit.action == "log":  # told as every limit that is only logged: it begins, and it is over
+        old = f"age in ms of {text} above"
+        return [
+            Row(Fault.LIMIT, lambda x: age(x) / 1e6, stale_ns / 1e6, ns, where, "ms", Action.LOG, old)
+            for where, ns in watched
+            if where
+        ]
+    return [Row(Fault.LIMIT_UNSEEN, age, stale_ns, ns, where, "ns", text=text) for where, ns in watched if where]
 
 
 def _rows_of(limit: LimitSettings) -> list[Row]:

@@ -160,8 +160,11 @@ class Logbook:
 
     def bus_notices(self, t_ns: int, inbox: Inbox, outbox: Outbox) -> None:
         """What devices and bus said of themselves."""
+        if inbox.emergencies:
+            for node, code, manufacturer in inbox.emergencies:
+                self.notice(t_ns, Kind.EMERGENCY, node, code, manufacturer)
+            inbox.emergencies.clear()
         for kind, notices in (
-            (Kind.EMERGENCY, inbox.emergencies),
             (Kind.NODE_STATE, inbox.node_states),
             (Kind.BUS_ERROR, inbox.bus_errors),
         ):

@@ -22,7 +22,7 @@ from rigctl.control.safety import Fault, Trip, Watch
 from rigctl.control.signs import SignCheck
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.devices.drive import Power, next_controlword
-from rigctl.devices.objects import OFF_STATES, drive_state
+from rigctl.devices.objects import OFF_STATES, Controlword, drive_state
 from rigctl.telemetry.events import Kind
 from rigctl.telemetry.record import Flag
 
@@ -70,6 +70,7 @@ class Loop:
         self._plausibility = Plausibility(settings)
         self._commanded_ns = started_ns = clock.now()
         self._travel_from_mm = 0.0
+        self._went_off = True  # the drive has been seen off since we asked last for it to be enabled
         self._logbook = logbook = Logbook(settings, rings)
         self._orders = Orders(
             settings, self.machine, self.observer, self.law, self._watch, logbook, supervised=supervised
@@ -126,6 +127,10 @@ class Loop:
         sight.stroke_limited = law.limits & Flag.LIMITED_STROKE.value != 0
         sight.rope_lost = law.rope_lost
         sight.drive_wanted = machine.drive_wanted and not machine.stopping
+        asked = self.outbox.controlword == Controlword.ENABLE_OPERATION
+        self._went_off = not asked and (self._went_off or sight.drive_off)
+        sight.drive_unasked = sight.drive_enabled and self._went_off
+        sight.drive_lingers = sight.drive_enabled and not asked
         if not self._signs.passed and machine.mode is Mode.TENSIONING:
             self._check_signs(now_ns)
 

@@ -13,7 +13,15 @@ from rigctl.control.inclination import InclinationFilter, Stretch
 from rigctl.control.run_out import RunOutTable, stale_ns
 from rigctl.control.safety import EStop, Sight, status_stale_ns
 from rigctl.control.tension import Estimate
-from rigctl.devices.objects import OFF_STATES, STATUS_WARNING, DriveState, drive_state
+from rigctl.devices.objects import (
+    OFF_STATES,
+    STATUS_FOLLOWS,
+    STATUS_INTERNAL_LIMIT,
+    STATUS_REMOTE,
+    STATUS_WARNING,
+    DriveState,
+    drive_state,
+)
 
 _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value
@@ -26,9 +34,9 @@ class Observer:
 
     def __init__(self, settings: RigSettings, inbox: Inbox) -> None:
         self.inbox = inbox
+        self.sight = Sight(heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states)
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
-        self.sight = Sight()
         self.tension_n = 0.0  # newest good sample
         self.cosine = 1.0  # of the rope against the vertical
         self.run_out_mm_s = 0.0  # disturbance speed known from the table
@@ -80,13 +88,17 @@ class Observer:
         if self._io_fitted:
             sight.io_age_ns = now_ns - inbox.io_t_ns
             sight.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
+        sight.drive_powered = not sight.drive_off and not sight.drive_faulted
         sight.drive_warning = bool(inbox.statusword & STATUS_WARNING)
+        sight.drive_local = not inbox.statusword & STATUS_REMOTE
+        sight.drive_limited = bool(inbox.statusword & STATUS_INTERNAL_LIMIT)
+        sight.drive_ignores = sight.drive_enabled and not inbox.statusword & STATUS_FOLLOWS
         sight.rival_age_ns = now_ns - inbox.rival_t_ns
         sight.bus_age_ns = now_ns - inbox.bus_t_ns
         sight.error_frames = self._recent_error_frames(now_ns)
         sight.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
         sight.device_restarted = inbox.restarted
-        sight.sensor_emergency, sight.drive_emergency = inbox.sensors_in_error > 0, inbox.drive_in_error
+        sight.sensor_emergency, sight.drive_emergency = inbox.sensor_emergency, inbox.drive_emergency
 
     def _look_at_drive_status(self, now_ns: int) -> None:
         """Current, temperature and E-stop, where the drive is asked for them; what is old is not known."""

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 
 from rigctl.config import RigSettings
 from rigctl.control.correction import tare_limit_n
 from rigctl.control.modes import Mode
 from rigctl.control.run_out import stale_ns
+from rigctl.devices.objects import DEVICE_HEARTBEAT_MS, NmtState
 
 
 class Action(IntEnum):
@@ -62,6 +63,9 @@ class Fault(IntEnum):
     E_STOP_UNSEEN = 29  # the I/O node that mirrors the emergency stop is silent
     STATUS_STALE = 33  # the drive's current, temperature and inputs have stopped coming
     LIMIT_UNSEEN = 34  # the signal that a limit of the rig file watches is not there
+    DRIVE_UNASKED = 35  # the drive is enabled, or moves under power, and not because we asked for it
+    DRIVE_REFUSES = 36  # the drive says itself that it does not do as it is told: statusword bits 9, 11, 12
+    NODE_NOT_OPERATIONAL = 37  # a device's heartbeat has stopped, or says that it has left OPERATIONAL
 
 
 class EStop(IntFlag):
@@ -98,6 +102,8 @@ class Check(IntFlag):
     E_STOP_IO = 1 << 22  # the emergency stop is pressed: the I/O node's input
     E_STOP_IO_UNSEEN = 1 << 23  # an I/O node is fitted, and its input is not seen
     STATUS_STALE = 1 << 24  # the drive's current, temperature and inputs do not come
+    DRIVE_REFUSES = 1 << 25  # the drive is somebody else's to command, or limits what it is told
+    NODE_NOT_OPERATIONAL = 1 << 26  # no heartbeat of a device, or one of another state
     HOST = 1 << 20  # these four are not known: the gateway has not judged them within the last seconds
 
 
@@ -127,6 +133,14 @@ class Sight:
     brake_slip_known: bool = False  # acknowledged: whoever arms now has the motor carry the load
     drive_faulted: bool = False
     drive_warning: bool = False
+    drive_local: bool = False  # statusword bit 9 is off: it does not take our commands
+    drive_limited: bool = False  # bit 11
+    drive_ignores: bool = False  # enabled, and bit 12 is off: it does not follow the target velocity
+    drive_powered: bool = False  # neither off nor in its fault state
+    drive_unasked: bool = False  # enabled again since it was off, and we have not asked for it
+    drive_lingers: bool = False  # enabled, and we have asked it to go off
+    heartbeats_t_ns: dict[int, int] = field(default_factory=dict)  # when each node's newest came
+    node_states: dict[int, int] = field(default_factory=dict)  # NMT state it told
     drive_temperature_c: float = math.nan
     drive_current_a: float = math.nan
     e_stop: int = 0  # where it is seen pressed, bits of EStop
@@ -144,8 +158,8 @@ class Sight:
     rope_lost: bool = False
     device_restarted: bool = False
     rival_age_ns: int = 1 << 62  # since another controller was heard
-    sensor_emergency: bool = False
-    drive_emergency: bool = False
+    sensor_emergency: int = 0  # node << 16 | code of one that stands
+    drive_emergency: int = 0
     drive_reversed: bool = False  # see rigctl.control.signs
     cell_reversed: bool = False
     rejects: int = 0
@@ -193,12 +207,17 @@ _MOVING = _CLOSED | {Mode.RELEASING}
 _REGULATED = frozenset({Mode.COMPENSATING})
 _OFF = frozenset({Mode.DISARMED})
 _AT_REST = frozenset({Mode.HOLD, Mode.FAULT})
+_UNASKED = _OFF | {Mode.FAULT}
 _EVERY = frozenset(Mode)
+_OPERATIONAL = NmtState.OPERATIONAL.value
 _MS = 1_000_000
 LOG_AGAIN_NS = 1_000 * _MS  # a row that comes and goes is told no more often than this
 STROKE_END_NS = 200 * _MS
 RIVAL_NS = 500 * _MS  # a controller is heard far more often than this
 DRIVE_GRACE_NS = 20 * _MS  # the drive's answer to enable or disable may take this long
+INTERNAL_LIMIT_NS = 100 * _MS  # of current or speed, for an instant, while it accelerates: five lags of the drive
+LINGER_NS = 1_000 * _MS  # ramp and brake of a drive that goes off take less
+HEARTBEAT_SILENT_NS = 5 * DEVICE_HEARTBEAT_MS * _MS  # as of STATUS_PERIODS: a burst does not take five in a row
 STROKE_SPARE_MM = 2.0
 SPEED_ERROR_MM_S, SPEED_ERROR_NS = 2.5, 15 * _MS  # a lag half as long again as the plant's makes 1.5 mm/s of 10
 STROKE_ERROR_MM = 0.5
@@ -219,6 +238,15 @@ STATUS_PERIODS = 5  # of the drive's status lost in a row: at 10 % of frames los
 def status_stale_ns(settings: RigSettings) -> int:
     """Oldest current, temperature and inputs of the drive that count as known; 0 where they are not asked for."""
     return STATUS_PERIODS * settings.status_divisor * settings.loop.period_ns
+
+
+_LOCAL = "it takes no commands from the bus (statusword bit 9, remote, is off)"
+_LIMITS = "a limit of its own is active (statusword bit 11)"
+_IGNORES = "it does not follow the commanded speed (statusword bit 12 is off)"
+_ELSEWHERE = "the drive has been enabled by somebody else"
+_LINGERS = "the drive stays enabled though it is told to go off"
+_POWERED = "the stroke moves under power"
+_DEVICE_WORDS = {"cylinder": "cylinder drive", "io": "I/O node"}
 
 
 def _highest_n(sight: Sight) -> float:
@@ -249,6 +277,12 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         *_status_rows(settings),
         Row(Fault.DRIVE_FAULT, lambda x: x.drive_faulted, 0, 0, _ARMED, ""),
         Row(Fault.DRIVE_NOT_FOLLOWING, _dropped_out, 0, DRIVE_GRACE_NS, _ON, ""),
+        Row(Fault.DRIVE_REFUSES, lambda x: x.drive_local, 0, DRIVE_GRACE_NS, _ARMED, "", text=_LOCAL),
+        Row(Fault.DRIVE_REFUSES, lambda x: x.drive_limited, 0, INTERNAL_LIMIT_NS, _ARMED, "", text=_LIMITS),
+        Row(Fault.DRIVE_REFUSES, lambda x: x.drive_ignores, 0, DRIVE_GRACE_NS, _ARMED, "", lost, _IGNORES),
+        Row(Fault.DRIVE_UNASKED, lambda x: x.drive_unasked, 0, DRIVE_GRACE_NS, _UNASKED, "", lost, _ELSEWHERE),
+        Row(Fault.DRIVE_UNASKED, lambda x: x.drive_lingers, 0, LINGER_NS, _UNASKED, "", lost, _LINGERS),
+        Row(Fault.DRIVE_UNASKED, _powered_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _OFF, "mm/s", lost, _POWERED),
         Row(Fault.SIGN_DRIVE, lambda x: x.drive_reversed, 0, 0, _TENSIONING, ""),
         Row(Fault.SIGN_CELL, lambda x: x.cell_reversed, 0, 0, _TENSIONING, ""),
         Row(Fault.CELL_INVALID, lambda x: x.cell_quality, 0, 0, _ARMED, ""),
@@ -273,6 +307,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
             lost),
         Row(Fault.STROKE_END, lambda x: x.stroke_limited, 0, STROKE_END_NS, _MOVING, ""),
         Row(Fault.DEVICE_RESTARTED, lambda x: x.device_restarted, 0, 0, _ARMED, ""),
+        *_node_rows(settings),
         Row(Fault.OVERRUN, lambda x: x.skipped_in_window, s.overrun_ticks - 1, 0, _ARMED, "ticks"),
         *_rail_rows(settings),
     )  # fmt: skip
@@ -295,14 +330,51 @@ def _rail_rows(settings: RigSettings) -> tuple[Row, ...]:
     """Only feed-forward hangs on the rail's angle, and ends with it: no reason to hold, but to say so."""
     if (rail := settings.rail_encoder) is None:
         return ()
-    limit_ms = stale_ns(rail) / _MS
-    return (
-        Row(Fault.LIMIT, lambda x: x.rail_age_ns / _MS, limit_ms, 0, _ARMED, "ms", Action.LOG, "rail_age_ms above"),
+    ages: tuple[tuple[str, Callable[[Sight], float], float], ...] = (
+        ("rail_age_ms", lambda x: x.rail_age_ns, stale_ns(rail)),
+        ("rail_heartbeat_age_ms", _silence(rail.node), HEARTBEAT_SILENT_NS),
+    )
+    return tuple(
+        Row(Fault.LIMIT, _in_ms(age), limit_ns / _MS, 0, _ARMED, "ms", Action.LOG, f"{name} above")
+        for name, age, limit_ns in ages
     )
 
 
+def _node_rows(settings: RigSettings) -> tuple[Row, ...]:
+    """Heartbeats of the devices: one that still sends samples but no heartbeat, or has left OPERATIONAL, is not well.
+
+    A node that has booted anew says so, and trips as DEVICE_RESTARTED.
+    """
+    rows = []
+    for device, node in settings.canopen_nodes.items():
+        if device != "rail_encoder":
+            text = f"{_DEVICE_WORDS.get(device, device.replace('_', ' '))} (node {node})"
+            rows.append(
+                Row(Fault.NODE_NOT_OPERATIONAL, _silence(node), HEARTBEAT_SILENT_NS, 0, _ARMED, "ns", text=text)
+            )
+            rows.append(Row(Fault.NODE_NOT_OPERATIONAL, _wrong_state(node), 0, 0, _ARMED, "NMT state", text=text))
+    return tuple(rows)
+
+
+def _in_ms(age: Callable[[Sight], float]) -> Callable[[Sight], float]:
+    return lambda x: age(x) / _MS
+
+
+def _silence(node: int) -> Callable[[Sight], float]:
+    return lambda x: x.t_ns - x.heartbeats_t_ns.get(node, x.t_ns)
+
+
+def _wrong_state(node: int) -> Callable[[Sight], float]:
+    return lambda x: 0 if (state := x.node_states.get(node, _OPERATIONAL)) == _OPERATIONAL else state
+
+
 def _unbraked_mm_s(sight: Sight) -> float:
-    return abs(sight.speed_mm_s) if sight.drive_off and not sight.brake_slip_known else 0.0
+    unpowered = sight.drive_off or sight.drive_faulted
+    return abs(sight.speed_mm_s) if unpowered and not sight.brake_slip_known else 0.0
+
+
+def _powered_mm_s(sight: Sight) -> float:
+    return abs(sight.speed_mm_s) if sight.drive_powered else 0.0
 
 
 def _dropped_out(sight: Sight) -> float:
@@ -400,7 +472,8 @@ _BLOCK_RESET = frozenset(
     {Fault.BUS_SILENT, Fault.DRIVE_STALE, Fault.CELL_STALE, Fault.CELL_INVALID, Fault.INCLINATION_STALE,
      Fault.INCLINATION_INVALID, Fault.TENSION_HIGH, Fault.OVERRUN, Fault.DEVICE_RESTARTED, Fault.CELL_STUCK,
      Fault.E_STOP, Fault.E_STOP_UNSEEN, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SENSOR_EMERGENCY,
-     Fault.RIVAL, Fault.STATUS_STALE}
+     Fault.RIVAL, Fault.STATUS_STALE, Fault.DRIVE_UNASKED, Fault.DRIVE_REFUSES,
+     Fault.NODE_NOT_OPERATIONAL}
 )  # fmt: skip
 
 
@@ -442,6 +515,8 @@ def preflight(
         Check.E_STOP_UNSEEN: sight.e_stop_unseen,
         Check.E_STOP_IO_UNSEEN: Fault.E_STOP_UNSEEN in beyond,
         Check.STATUS_STALE: Fault.STATUS_STALE in beyond,
+        Check.DRIVE_REFUSES: Fault.DRIVE_REFUSES in beyond or sight.drive_unasked,
+        Check.NODE_NOT_OPERATIONAL: Fault.NODE_NOT_OPERATIONAL in beyond,
     }
     result = Check(sight.host_checks)
     for check, fails in failing.items():

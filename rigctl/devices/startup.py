@@ -20,7 +20,7 @@ from rigctl.devices.remote_node import Device, RemoteNode, StartupError, StopSet
 
 __all__ = ["Device", "StartupError", "bring_up", "refuse_rival", "release"]
 
-DEVICE_HEARTBEAT_MS = 100
+DEVICE_HEARTBEAT_MS = od.DEVICE_HEARTBEAT_MS
 _LISTENED_HEARTBEATS = 2.5
 _INHIBIT_UNITS_PER_MS = 10
 _DEVICES = {

@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Check, EStop, Fault
+from rigctl.devices import emergency
 from rigctl.telemetry import can_errors
 
 
@@ -19,7 +20,7 @@ class Kind(IntEnum):
     MODE = 1  # a: from, b: to, value: event, limit: safe frames sent before it
     TRIP = 2  # a: fault, b: action, value, limit, text: what is beyond its limit, for a limit of the rig file
     RESET = 3  # a: fault acknowledged
-    EMERGENCY = 4  # a: node, b: emergency code (CiA 301)
+    EMERGENCY = 4  # a: node, b: emergency code | error register << 16 (CiA 301), text: manufacturer's bytes, hex
     NODE_STATE = 5  # a: node, b: NMT state
     EXCEPTION = 6  # text: exception and place
     BUS_ERROR = 7  # a: error class bits of the frame's id, b: see rigctl.telemetry.can_errors.details
@@ -75,11 +76,15 @@ FAULT_TEXT: dict[Fault, str] = {
     "neither its emergency stop's input nor its temperature is seen",
     Fault.LIMIT_UNSEEN: "{text} is limited by the rig file and does not come: no sample for {value:.0f} ms "
     "(limit {limit:.0f} ms)",
+    Fault.DRIVE_UNASKED: "{text}, and this daemon has not asked for it{speed}: find who commands the drive, withdraw "
+    "the tool, then reset",
+    Fault.DRIVE_REFUSES: "drive says that {text}",
+    Fault.NODE_NOT_OPERATIONAL: "{text} {state}",
     Fault.RIVAL: "another controller commands this bus: find it and stop it",
     Fault.CELL_NOISY: "tension cell jumps by {value:.1f} N from sample to sample (limit {limit:.1f} N)",
     Fault.CELL_NEGATIVE: "tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
-    Fault.SENSOR_EMERGENCY: "a sensor's emergency message stands (see the events)",
-    Fault.DRIVE_EMERGENCY: "the drive's emergency message stands (see the events)",
+    Fault.SENSOR_EMERGENCY: "a sensor's emergency message stands ({emergency})",
+    Fault.DRIVE_EMERGENCY: "the drive's emergency message stands ({emergency})",
     Fault.DEVICE_RESTARTED: "a device restarted and lost its settings; start the daemon anew",
 }
 
@@ -116,6 +121,9 @@ CHECK_TEXT: dict[Check, str] = {
     Check.E_STOP_UNSEEN: "emergency stop's input is not seen: check the drive's second TPDO (cylinder.e_stop_input)",
     Check.STATUS_STALE: "no current, temperature and inputs of the drive: check its second TPDO "
     "(cylinder.status_rate_hz)",
+    Check.DRIVE_REFUSES: "drive is not ours to command: somebody else has enabled it, its remote bit is off, or a "
+    "limit of its own is active (statusword bits 9, 11): withdraw its panel or service tool, look at its display",
+    Check.NODE_NOT_OPERATIONAL: "a device sends no heartbeat or is not operational: check its power and cable",
     Check.E_STOP_IO_UNSEEN: "emergency stop's input on the I/O node is not seen: check the node's power and cable",
     Check.TARE: "no tare on record that still holds: rigctl tare (or calibration.waiver)",
     Check.MARGINS: "no accepted margins of the law in use: rigctl tune",
@@ -140,14 +148,36 @@ _EVENT_TEXT: dict[Event, str] = {
     Event.RAMP_DOWN: "ramp down",
 }
 
-_NMT = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
+_NMT: dict[float, str] = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
 
 
 def fault_text(fault: Fault, value: float, limit: float, text: str = "") -> str:
     """One line for a fault; ``text``: what is beyond its limit, where the rig file says so."""
     scale = _SCALE.get(fault, 1.0)
-    seen = _SEEN.get(value, "input not known") if fault is Fault.E_STOP else ""
-    return FAULT_TEXT[fault].format(value=value * scale, limit=limit * scale, text=text, seen=seen)
+    return FAULT_TEXT[fault].format(
+        value=value * scale,
+        limit=limit * scale,
+        text=text,
+        seen=_SEEN.get(value, "input not known"),
+        speed=f" ({value:.2f} mm/s)" if limit else "",
+        state=_node_words(value, limit),
+        emergency=_emergency_words(value),
+    )
+
+
+def _emergency_words(value: float) -> str:
+    """Node and code of an emergency that stands: node << 16 | code."""
+    node, code = divmod(int(value), 1 << 16) if math.isfinite(value) else (0, 0)
+    if not node:
+        return "see the events"
+    return f"node {node}: 0x{code:04X}, {emergency.code_words(code) if code >> 8 else 'see the events'}"
+
+
+def _node_words(value: float, limit: float) -> str:
+    """Of a device: how long it has sent no heartbeat, or the NMT state it tells, where the limit is none."""
+    if limit:
+        return f"has sent no heartbeat for {value * 1e-6:.0f} ms (limit {limit * 1e-6:.0f} ms)"
+    return f"is {_NMT.get(value, 'in an unknown state')}, not operational: start the daemon anew"
 
 
 def _trip(a: int, b: int, value: float, limit: float, text: str) -> Worded:
@@ -215,7 +245,7 @@ _TRIAL_TEXT = {
 }
 _SILENT = frozenset(
     {Fault.DEVICE_RESTARTED, Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE,
-     Fault.E_STOP_UNSEEN, Fault.STATUS_STALE}
+     Fault.E_STOP_UNSEEN, Fault.STATUS_STALE, Fault.NODE_NOT_OPERATIONAL}
 )  # fmt: skip
 _UNSEEN = (
     Check.DRIVE_SUPERVISION
@@ -224,6 +254,7 @@ _UNSEEN = (
     | Check.DRIVE_STALE
     | Check.E_STOP_IO_UNSEEN
     | Check.STATUS_STALE
+    | Check.NODE_NOT_OPERATIONAL
 )
 _SILENT_HINT = " (a device that was switched off or a CAN interface that was unplugged needs the daemon started anew)"
 _HINT: dict[tuple[Mode, Verb], str] = {
@@ -243,10 +274,14 @@ def _mode(a: int, b: int, value: float, _limit: float, _text: str) -> Worded:
     return Worded(severity, f"{Mode(a).name} -> {Mode(b).name}: {_EVENT_TEXT[Event(int(value))]}")
 
 
-def _emergency(a: int, b: int, _value: float, _limit: float, _text: str) -> Worded:
-    if b == 0:
-        return Worded("info", f"node {a}: emergency over")
-    return Worded("error", f"node {a}: emergency 0x{b:04X}")
+def _emergency(a: int, b: int, _value: float, _limit: float, text: str) -> Worded:
+    code, register = b & 0xFFFF, b >> 16 & 0xFF
+    try:
+        manufacturer = bytes.fromhex(text)
+    except ValueError:
+        manufacturer = b""
+    severity = "info" if not emergency.stands(code, register) else "error" if code >> 8 else "warning"
+    return Worded(severity, f"node {a}: {emergency.words(code, register, manufacturer)}")
 
 
 _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {

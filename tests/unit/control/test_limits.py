@@ -75,10 +75,10 @@ def test_what_is_not_known_passes_no_limit() -> None:
     assert not row.value(Sight()) > row.limit
 
 
-@pytest.mark.parametrize(("action", "acts"), [("power_off", "HOLD"), ("ramp_down", "HOLD"), ("log", "LOG")])
-def test_a_limit_on_a_signal_that_does_not_come_is_a_fault_of_its_own(action: str, acts: str) -> None:
+@pytest.mark.parametrize("action", ["power_off", "ramp_down"])
+def test_a_limit_on_a_signal_that_does_not_come_is_a_fault_of_its_own(action: str) -> None:
     _, unseen = rows(signal="drive_temperature_c", high=70.0, action=action)
-    assert (unseen.fault, unseen.action.name, unseen.persistence_ns) == (Fault.LIMIT_UNSEEN, acts, 0)
+    assert (unseen.fault, unseen.action, unseen.persistence_ns) == (Fault.LIMIT_UNSEEN, Action.HOLD, 0)
     assert unseen.text == "drive temperature (drive_temperature_c)"
     assert not unseen.value(Sight(status_age_ns=250 * MS)) > unseen.limit  # five periods of 50 ms
     assert unseen.value(Sight(status_age_ns=251 * MS)) > unseen.limit
@@ -87,6 +87,13 @@ def test_a_limit_on_a_signal_that_does_not_come_is_a_fault_of_its_own(action: st
         "drive temperature (drive_temperature_c) is limited by the rig file and does not come: no sample for 251 ms "
         "(limit 250 ms)"
     )
+
+
+def test_a_limit_that_is_only_logged_says_that_its_signal_does_not_come() -> None:
+    _, unseen = rows(signal="drive_temperature_c", high=70.0, action="log")
+    assert (unseen.fault, unseen.action, unseen.limit) == (Fault.LIMIT, Action.LOG, 250.0)
+    assert unseen.text == "age in ms of drive temperature (drive_temperature_c) above"
+    assert unseen.value(Sight(status_age_ns=251 * MS)) == 251.0
 
 
 def test_in_the_armed_modes_the_built_in_rows_watch_the_others_and_in_disarmed_this_one() -> None:
