@@ -56,9 +56,12 @@ class Logbook:
 
     def record(
         self, t_ns: int, lateness_ns: int, work_ns: int, machine: Machine, observer: Observer, law: TensionLaw,
-        outbox: Outbox, command_seq: int,
+        outbox: Outbox, command_seq: int, causes: int,
     ) -> None:  # fmt: skip
-        """One record of this tick; ``work_ns`` is the tick before's, ``command_seq`` the last command taken."""
+        """One record of this tick; ``work_ns`` is the tick before's, ``command_seq`` the last command taken.
+
+        ``causes``: see `rigctl.control.safety.Watch.standing`.
+        """
         inbox, sight, kalman, slope = observer.inbox, observer.sight, observer.filter, observer.inclination
         x = kalman.state
         flags = law.limits | (_ENABLED if sight.drive_enabled else 0) | (_ARMING if machine.arming else 0)
@@ -125,6 +128,7 @@ class Logbook:
             sight.drive_temperature_c,
             sight.failed_checks,
             command_seq,
+            causes,
         )
 
     def event(

@@ -70,6 +70,7 @@ class Loop:
         self._plausibility = Plausibility(settings)
         self._commanded_ns = started_ns = clock.now()
         self._travel_from_mm = 0.0
+        self._tripped: Trip | None = None  # in this tick
         self._went_off = True  # the drive has been seen off since we asked last for it to be enabled
         self._logbook = logbook = Logbook(settings, rings)
         self._orders = Orders(
@@ -138,6 +139,7 @@ class Loop:
         machine, sight, law, orders = self.machine, self.observer.sight, self.law, self._orders
         trip = self._watch.trips(sight, machine.mode, t_ns)
         if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
+            self._tripped = trip
             self._logbook.trip(t_ns, Kind.TRIP, trip)
         for slot in self._commands.read(COMMANDS_PER_TICK):
             if orders.take(slot, t_ns):
@@ -200,11 +202,18 @@ class Loop:
     def _record(self, t_ns: int, woke_ns: int) -> None:
         logbook, machine, observer = self._logbook, self.machine, self.observer
         taken = self._commands.cursor
-        logbook.record(t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox, taken)
+        logbook.record(
+            t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox, taken, self._watch.standing
+        )
         logbook.mode_changes(t_ns, machine, self.outbox.safe_frames)
         for limit, begins in self._watch.crossed:
             logbook.trip(t_ns, Kind.LIMIT if begins else Kind.LIMIT_OVER, limit)
         self._watch.crossed.clear()
+        for cause, begins in self._watch.causes:
+            if not begins or cause != self._tripped:  # that one has been told as what tripped
+                logbook.trip(t_ns, Kind.CAUSE if begins else Kind.CAUSE_OVER, cause)
+        self._watch.causes.clear()
+        self._tripped = None
         self._orders.answer(t_ns)
         logbook.bus_notices(t_ns, self.inbox, self.outbox)
         if observer.just_skipped >= SKIP_NOTICE:

@@ -7,7 +7,7 @@ built-in rows cannot be configured away; the rig file's ``limits`` come after th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 
@@ -408,6 +408,11 @@ class Watch:
         self._logged = [False] * len(self._rows)
         self._quiet_until = [-LOG_AGAIN_NS] * len(self._rows)
         self.crossed: list[tuple[Trip, bool]] = []  # LOG rows since last taken: True begins, False is over
+        self._stands = [False] * len(self._rows)
+        self.standing = (
+            0  # bits 1 << fault of the rows, but those that only log, that are bad for their persistence now
+        )
+        self.causes: list[tuple[Trip, bool]] = []  # of these, as ``crossed``
 
     def trips(self, sight: Sight, mode: Mode, t_ns: int) -> Trip | None:
         """The strongest of the rows that have been bad for their persistence, among equals the first; or None."""
@@ -416,7 +421,7 @@ class Watch:
         if mode is not self._mode:
             self._mode = mode
             for i in self._unwatched[mode]:
-                self._ends(i)
+                self._ends(i, watched=False)
         for i, read, limit in self._watched[mode]:
             if not (value := read(sight)) > limit:
                 if since[i] is not None:
@@ -427,11 +432,15 @@ class Watch:
                 start = since[i] = t_ns
             if t_ns - start < row.persistence_ns:
                 continue
+            if not self._logged[i] and t_ns >= self._quiet_until[i]:
+                self._quiet_until[i] = t_ns + LOG_AGAIN_NS
+                self._log(i, value, begins=True)
             if row.action is Action.LOG:
-                if not self._logged[i] and t_ns >= self._quiet_until[i]:
-                    self._quiet_until[i] = t_ns + LOG_AGAIN_NS
-                    self._log(i, value, begins=True)
-            elif strongest is None or row.action > strongest.action:
+                continue
+            if not self._stands[i]:
+                self._stands[i] = True
+                self.standing |= 1 << row.fault
+            if strongest is None or row.action > strongest.action:
                 strongest = _trip(row, value)
         return strongest
 
@@ -448,27 +457,42 @@ class Watch:
 
         A fault of the drive itself is not one: the reset is what clears it. Nor is what only a mode can show.
         """
-        for row in self._rows:
-            if row.fault in _BLOCK_RESET and row.value(sight) > row.limit:
-                return row.fault
-        return Fault.NONE
+        return next(self._blocking(sight), Fault.NONE)
 
-    def _ends(self, i: int) -> None:
-        """A row that is good again, or not watched any more."""
+    def blocking(self, sight: Sight) -> int:
+        """All causes that keep a fault from being reset at this instant, bits 1 << fault."""
+        found = 0
+        for fault in self._blocking(sight):
+            found |= 1 << fault
+        return found
+
+    def _blocking(self, sight: Sight) -> Iterator[Fault]:
+        return (row.fault for row in self._rows if row.fault in BLOCK_RESET and row.value(sight) > row.limit)
+
+    def _ends(self, i: int, *, watched: bool = True) -> None:
+        """A row that is good again, or not watched any more: of these only the rows that log say that they are over."""
         self._since[i] = None
+        if self._stands[i]:
+            self._stands[i] = False
+            self.standing = 0
+            for row, stands in zip(self._rows, self._stands, strict=True):
+                self.standing |= stands << row.fault
         if self._logged[i]:
-            self._log(i, self._rows[i].limit, begins=False)
+            if watched or self._rows[i].action is Action.LOG:
+                self._log(i, self._rows[i].limit, begins=False)
+            self._logged[i] = False
 
     def _log(self, i: int, value: float, *, begins: bool) -> None:
         self._logged[i] = begins
-        self.crossed.append((_trip(self._rows[i], value), begins))
+        row = self._rows[i]
+        (self.crossed if row.action is Action.LOG else self.causes).append((_trip(row, value), begins))
 
 
 def _trip(row: Row, value: float) -> Trip:
     return Trip(row.fault, row.sign * float(value), row.sign * float(row.limit), row.action, row.text)
 
 
-_BLOCK_RESET = frozenset(
+BLOCK_RESET = frozenset(
     {Fault.BUS_SILENT, Fault.DRIVE_STALE, Fault.CELL_STALE, Fault.CELL_INVALID, Fault.INCLINATION_STALE,
      Fault.INCLINATION_INVALID, Fault.TENSION_HIGH, Fault.OVERRUN, Fault.DEVICE_RESTARTED, Fault.CELL_STUCK,
      Fault.E_STOP, Fault.E_STOP_UNSEEN, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SENSOR_EMERGENCY,

@@ -32,6 +32,7 @@ def state_message(picture: Picture, holds_lease: bool) -> dict[str, Any]:
     if state is None:
         return message
     message |= {"rig": state.get("rig"), "mode": figures.mode(state), "why": figures.why(state)}
+    message["causes"] = figures.causes(state)
     message |= {"warnings": state.get("warnings", []), "age_ms": state.get("age_ms")}
     message |= {"calibration": figures.calibration(state), "recorder": figures.recorder(state)}
     message["lease"] = {"text": figures.lease(state) if "lease" in state else "", "mine": holds_lease}

@@ -6,7 +6,7 @@ import contextlib
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -296,8 +296,8 @@ class Desk:
         return str(lease["holder"]) if lease is not None else ""
 
 
-def sight_of(records: RingReader) -> Sight:
-    """What the newest record says about the rig."""
+def sight_of(records: RingReader, standing: Mapping[Fault, str]) -> Sight:
+    """What the newest record says about the rig; ``standing``: causes in words, the strongest first."""
     record = records.latest()
     if record is None:
         return Sight()
@@ -305,4 +305,5 @@ def sight_of(records: RingReader) -> Sight:
         fault = Fault(int(record["fault"]))
     except ValueError:
         fault = Fault.NONE
-    return Sight(fault, float(record["stroke_mm"]), float(record["tension_n"]), float(record["target_n"]))
+    stroke_mm, tension_n, target_n = (float(record[name]) for name in ("stroke_mm", "tension_n", "target_n"))
+    return Sight(fault, stroke_mm, tension_n, target_n, standing)

@@ -33,6 +33,8 @@ class Kind(IntEnum):
     LIMIT = 15  # a: fault, b: action (LOG), value, limit, text: a limit of the rig file is passed ...
     LIMIT_OVER = 16  # ... and is kept again
     RECEIVE_FAILED = 17  # text: why
+    CAUSE = 45  # as TRIP: a further cause stands, while a fault is latched ...
+    CAUSE_OVER = 46  # ... and it, or what tripped, is gone
     SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
 
 
@@ -208,8 +210,12 @@ def refusal_text(
     limits: tuple[float, float],
     value: float = math.nan,
     known: Mapping[Check, str] = MappingProxyType({}),
+    standing: Mapping[Fault, str] = MappingProxyType({}),
 ) -> str:
-    """Why a command was refused, in one line; ``value`` is the reply's, ``known`` as of `failed_checks`."""
+    """Why a command was refused, in one line; ``value`` is the reply's, ``known`` as of `failed_checks`.
+
+    ``standing``: causes that stand, in words, the strongest first.
+    """
     match refusal:
         case Refusal.ALREADY:
             return (
@@ -222,7 +228,10 @@ def refusal_text(
         case Refusal.OUT_OF_RANGE:
             return f"target must be {limits[0]:g} to {limits[1]:g} N"
         case Refusal.CAUSE_PRESENT:
-            return f"cause still present: {fault.name}" + (_SILENT_HINT if fault in _SILENT else "")
+            there = [cause for cause in Fault if checks >> cause & 1] or [fault]
+            there.sort(key=lambda cause: list(standing).index(cause) if cause in standing else len(standing))
+            words = [f"{cause.name} ({standing[cause]})" if cause in standing else cause.name for cause in there]
+            return f"cause still present: {', '.join(words)}" + (_SILENT_HINT if _SILENT & {*there} else "")
         case Refusal.WRONG_MODE:
             return f"{verb.name.lower()} is not possible in {mode.name}{_HINT.get((mode, verb), '')}"
         case Refusal.EXPIRED:
@@ -289,6 +298,8 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.TRIP: _trip,
     Kind.LIMIT: lambda a, _b, v, m, t: Worded("warning", f"limit: {fault_text(Fault(a), v, m, t)}"),
     Kind.LIMIT_OVER: lambda _a, _b, _v, m, t: Worded("info", f"limit: no longer {t} {m:g}"),
+    Kind.CAUSE: lambda a, _b, v, m, t: Worded("error", f"{Fault(a).name} stands: {fault_text(Fault(a), v, m, t)}"),
+    Kind.CAUSE_OVER: lambda a, _b, _v, _m, t: Worded("info", f"{Fault(a).name} no longer stands{t and f': {t}'}"),
     Kind.RESET: lambda a, _b, _v, _l, _t: Worded("info", f"fault {Fault(a).name} reset"),
     Kind.EMERGENCY: _emergency,
     Kind.NODE_STATE: lambda a, b, _v, _l, _t: Worded("info" if b == 5 else "warning", f"node {a}: {_NMT.get(b, b)}"),

@@ -53,6 +53,8 @@ KINDS: dict[Kind, str] = {
     Kind.GAINS: "gains changed; text: K_T, K_v, K_i now in force",
     Kind.LIMIT: "a limit of the rig file that only logs is passed; a: fault, b: action, value, limit",
     Kind.LIMIT_OVER: "such a limit is kept again; as limit",
+    Kind.CAUSE: "a further cause of a fault stands; as trip",
+    Kind.CAUSE_OVER: "a cause of a fault is gone; as trip",
     Kind.RECEIVE_FAILED: "the bus could not be read; text: why",
     Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
 }

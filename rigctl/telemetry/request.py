@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -184,6 +184,7 @@ class Sight:
     stroke_mm: float = math.nan
     tension_n: float = math.nan
     target_n: float = math.nan
+    standing: Mapping[Fault, str] = field(default_factory=dict)  # causes in words, the strongest first
 
 
 def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
@@ -262,6 +263,6 @@ def answer(
     refusal, checks = Refusal(int(reply["reason"])), int(reply["checks"])
     named = refusal is Refusal.CAUSE_PRESENT and value in Fault._value2member_map_
     cause = Fault(int(value)) if named else sight.fault
-    text = refusal_text(refusal, verb, mode, checks, cause, limits_n, value, failing)
+    text = refusal_text(refusal, verb, mode, checks, cause, limits_n, value, failing, sight.standing)
     more = {"checks": failed_checks(checks, failing)} if refusal is Refusal.PREFLIGHT else {}
     return refused(name, request.operator, refusal.name.lower(), text, **about, **more)
