@@ -101,7 +101,8 @@ def _watched(settings: RigSettings) -> Table:
         beyond = f"{limit:g} {'ms' if nanoseconds else row.unit}".rstrip() if limit or row.unit else "-"
         modes = "".join(mode.name[0] if mode in row.modes else "." for mode in Mode)
         action = row.action.name.lower().replace("_", " ")
-        table.add_row(row.text or row.fault.name, beyond, f"{row.persistence_ns // 1_000_000}", action, modes)
+        what = row.text if row.fault is safety.Fault.LIMIT else f"{row.fault.name} {row.text}".strip()
+        table.add_row(what, beyond, f"{row.persistence_ns // 1_000_000}", action, modes)
     return table
 
 

@@ -14,7 +14,7 @@ from pydantic import Field, ValidationError, model_validator
 from rigctl import strict_yaml
 from rigctl.config_base import CanopenDevice, Hexadecimal, Settings, require
 from rigctl.config_io import IoSettings
-from rigctl.config_limits import LimitSettings
+from rigctl.config_limits import OF_STATUS, LimitSettings
 from rigctl.config_page import PageSettings
 from rigctl.config_recording import RecordingSettings
 from rigctl.config_simulation import SimulationSettings
@@ -425,9 +425,13 @@ class RigSettings(Settings):
         if (status := self.cylinder.status_rate_hz) is not None:
             fits = 1 <= rate // status <= 240
             require(fits, "cylinder.status_rate_hz", status, f"loop.rate_hz ({rate}) divided by 1 to 240")
-        if self.cylinder.temperature_object is None:
-            watched = any(row.signal == "drive_temperature_c" for row in self.limits)
-            require(not watched, "limits", "drive_temperature_c", "none of it: cylinder.temperature_object is null")
+        drive = self.cylinder
+        for place, watched in enumerate(self.limits):
+            key, signal = f"limits.{place}.signal", watched.signal
+            comes = drive.status_rate_hz is not None or signal not in OF_STATUS
+            require(comes, key, signal, "none of the drive's status without its status_rate_hz")
+            told = drive.temperature_object is not None or signal != "drive_temperature_c"
+            require(told, key, signal, "none of it: cylinder.temperature_object is null")
         room = self.cylinder.stroke_max_mm - self.cylinder.stroke_min_mm
         margin = self.preflight.stroke_margin_mm
         require(2 * margin < room, "preflight.stroke_margin_mm", margin, f"less than half the stroke ({room / 2:g} mm)")

@@ -26,8 +26,8 @@ SIGNALS: dict[str, Signal] = {
     "travel_mm": Signal("mm", "stroke since the target was reached, absolute; 0 unless COMPENSATING"),
     "speed_mm_s": Signal("mm/s", "speed the drive reports"),
     "disturbance_mm_s": Signal("mm/s", "speed of the rope's ends as the filter finds it, absolute"),
-    "drive_temperature_c": Signal("deg C", "of the drive; never passes a limit while it is not known"),
-    "drive_current_a": Signal("A", "of the motor, absolute; never passes a limit while it is not known"),
+    "drive_temperature_c": Signal("deg C", "of the drive; a limit on it is a fault while it does not come"),
+    "drive_current_a": Signal("A", "of the motor, absolute; a limit on it is a fault while it does not come"),
     "drive_warning": Signal("", "1 while the drive warns (statusword bit 7)"),
     "cell_age_ms": Signal("ms", "age of the newest tension sample"),
     "inclination_age_ms": Signal("ms", "age of the newest inclination"),
@@ -39,6 +39,9 @@ SIGNALS: dict[str, Signal] = {
     "error_frames": Signal("frames", "CAN error frames within the last second"),
     "command_age_s": Signal("s", "since an operator gave the last command"),
 }
+
+OF_STATUS = frozenset({"drive_temperature_c", "drive_current_a"})
+"""Signals that come only where the drive is asked for its status (``cylinder.status_rate_hz``)."""
 
 ModeName = Literal["DISARMED", "HOLD", "TENSIONING", "COMPENSATING", "RELEASING", "FAULT"]
 SignalName = Literal[

@@ -63,6 +63,8 @@ SENSOR_MS = 20.0
 """From the first sample called bad to the safe command, sensors and bus."""
 DRIVE_MS = 120.0
 """The same where a drive has to be told from its own lag: its speed, over 100 ms, and a tick or two."""
+NO_HEARTBEAT_MS = 610.0
+"""Five periods of 100 ms without a device's heartbeat, up to one since the last that came, and a tick or two."""
 ACCURACY_N = 9.0
 """3 % of 300 N: what a hanging load may have from a fault it is carried through."""
 

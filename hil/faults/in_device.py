@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 from hil.faults.stand import Injector, Stand, Step
+from hil.nodes.cylinder_drive import ServiceTool
 from hil.nodes.node import Node
 from rigctl.devices import objects
 from rigctl.devices.objects import AiStatus
@@ -158,6 +159,33 @@ def io_contact_opens(seconds: float = math.inf) -> Injector:
     def inject(stand: Stand) -> Step:
         stand.io.press_e_stop(True)
         return stand.ends_after(seconds, lambda: stand.io.press_e_stop(False))
+
+    return inject
+
+
+def tool_takes_over(speed_mm_s: float, *, deaf: bool = False, shows_remote: bool = False) -> Injector:
+    """A service tool at the drive's own port has it enabled, and moves it; see `ServiceTool`."""
+
+    def inject(stand: Stand) -> None:
+        stand.drive.take_over(ServiceTool(speed_mm_s, deaf, shows_remote))
+
+    return inject
+
+
+def status_bit(bit: int, on: bool) -> Injector:
+    """A bit of the drive's statusword stands, whatever the drive does."""
+
+    def inject(stand: Stand) -> None:
+        stand.drive.distort(*STATUS, lambda raw: raw | bit if on else raw & ~bit)
+
+    return inject
+
+
+def no_heartbeat(node: Callable[[Stand], Node]) -> Injector:
+    """A device sends no heartbeat any more; its samples go on."""
+
+    def inject(stand: Stand) -> None:
+        node(stand)._set_heartbeat(0)
 
     return inject
 

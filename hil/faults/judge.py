@@ -20,6 +20,8 @@ REST_S = 0.15
 """... which it has this long after the reaction: ramp, lag and brake."""
 CARRIED = 0.5
 """Of the tension without the fault is still there: the load hangs on the rope."""
+TRIP_TEXT = 80
+"""Letters of a row's text that an event has room for."""
 DRIVE_STOPS_MS = 100.0
 """A drive that nobody commands any more stands."""
 _WHAT_WILL_DO = {
@@ -167,7 +169,12 @@ def _stands_from(run: Run) -> float:
 def _persistence_s(trip: Trip, settings: RigSettings) -> float:
     """How long the row of the safety table that has tripped had been bad; no row, no time."""
     rows = (*safety.table(settings), *limits.rows(settings))
-    same = [r for r in rows if r.fault == trip.fault and math.isclose(r.sign * r.limit, trip.limit, abs_tol=1e-9)]
+    same = [
+        r
+        for r in rows
+        if (r.fault, r.text[:TRIP_TEXT]) == (trip.fault, trip.text)
+        and math.isclose(r.sign * r.limit, trip.limit, abs_tol=1e-9)
+    ]
     return max((row.persistence_ns * 1e-9 for row in same), default=0.0)
 
 

@@ -43,9 +43,19 @@ def drive(stand: Stand) -> int:
     return stand.data_id(stand.drive)
 
 
+def drive_status(stand: Stand) -> int:
+    """The drive's current, temperature and inputs."""
+    return objects.DRIVE_TPDO2.cob_base + stand.drive.id
+
+
 def io(stand: Stand) -> int:
     """The I/O node's inputs."""
     return stand.data_id(stand.io)
+
+
+def rail(stand: Stand) -> int:
+    """The rail encoder's angle."""
+    return stand.data_id(stand.rail)
 
 
 def can_id(frame: bytes) -> int:
@@ -252,11 +262,11 @@ def nmt(command: int, node: Callable[[Stand], int]) -> Injector:
     return inject
 
 
-def emergency(node: Callable[[Stand], int], code: int) -> Injector:
+def emergency(node: Callable[[Stand], int], code: int, register: int = 1) -> Injector:
     """A device's emergency message, which says no more than that something is wrong; its samples go on."""
 
     def inject(stand: Stand) -> None:
-        data = struct.pack("<HB5x", code, 1)
+        data = struct.pack("<HB5x", code, register)
         stand.rig.inject(FRAME.pack(objects.EMCY_BASE + node(stand), 8, data))
 
     return inject

@@ -7,6 +7,7 @@ from hil.faults.expected import (
     DRIVE_MS,
     EITHER,
     HOLD,
+    NO_HEARTBEAT_MS,
     PASSING,
     POWER_OFF,
     RIDE,
@@ -16,10 +17,23 @@ from hil.faults.expected import (
     Reaction,
 )
 from hil.faults.in_device import SPEED, STATUS, STROKE, both, reads, says, stuck
+from hil.faults.rows_sensors import NO_ERROR_EITHER, VENDOR_ERROR, VENDOR_REGISTER
 from rigctl.control.modes import Mode
+from rigctl.devices import objects
 
+STATUS_SILENT_MS = 310.0
+"""Five periods of 50 ms, up to one since the last that came, and a tick or two."""
 DRIVE_FEEDBACK = (
     Fault("drive_silent", "bus", "the drive's samples stop", on_bus.silent(on_bus.drive), HOLD, within_ms=20),
+    Fault(
+        "status_silent",
+        "bus",
+        "the drive's current, temperature and inputs stop coming, its position and speed go on",
+        on_bus.silent(on_bus.drive_status),
+        HOLD,
+        within_ms=STATUS_SILENT_MS,
+        why="neither the emergency stop's input nor the temperature is seen without them",
+    ),
     Fault(
         "stroke_stuck",
         "device",
@@ -89,6 +103,8 @@ DRIVE_FEEDBACK = (
     Fault("status_garbled", "device", "its statusword reads 0", says(STATUS, 0), HOLD, within_ms=40),
 )
 
+_BIT_MS = 40.0
+"""What is too long for a change of state, 20 ms, and a tick or two."""
 OVERCURRENT, OVERHEATED = 0x2310, 0x4310
 DRIVE = (
     Fault(
@@ -107,7 +123,101 @@ DRIVE = (
         HOLD,
         within_ms=10,
     ),
+    Fault(
+        "drive_emergency_vendor",
+        "bus",
+        "an emergency message of its maker's own (0xFF10, register 0x81), and it goes on",
+        on_bus.emergency(lambda s: s.drive.id, VENDOR_ERROR, VENDOR_REGISTER),
+        HOLD,
+        within_ms=10,
+    ),
+    Fault(
+        "drive_emergency_none",
+        "bus",
+        "an emergency message that says no error (0x00FF, register 0)",
+        on_bus.emergency(lambda s: s.drive.id, NO_ERROR_EITHER, 0),
+        RIDE,
+    ),
+    Fault(
+        "drive_emergency_remains",
+        "bus",
+        "an emergency message says that one error is over, and its register that others stand (0x0000, register 0x09)",
+        on_bus.emergency(lambda s: s.drive.id, 0, 0x09),
+        HOLD,
+        within_ms=10,
+    ),
     Fault("drive_reboots", "device", "the drive starts anew", in_device.reboots(lambda s: s.drive), HOLD, within_ms=20),
+    Fault(
+        "drive_tool",
+        "device",
+        "a service tool at the drive has it enabled and winds up at 5 mm/s; quick stop and disable voltage still work",
+        in_device.tool_takes_over(5.0),
+        {**POWER_OFF, Mode.DISARMED: Reaction.LATCHED},
+        latency_ms=DRIVE_MS,
+        band_n=15,
+        why="who commands the drive must not be a question, least of all while it is DISARMED",
+    ),
+    Fault(
+        "drive_tool_unsaid",
+        "device",
+        "the same, and the drive's statusword says nothing of the tool",
+        in_device.tool_takes_over(5.0, shows_remote=True),
+        {**POWER_OFF, Mode.DISARMED: Reaction.LATCHED},
+        latency_ms=DRIVE_MS,
+        band_n=15,
+    ),
+    Fault(
+        "drive_tool_at_rest",
+        "device",
+        "a service tool has the drive enabled and does not move it; quick stop and disable voltage still work",
+        in_device.tool_takes_over(0.0),
+        {**HOLD, Mode.DISARMED: Reaction.LATCHED},
+        latency_ms=DRIVE_MS,
+    ),
+    Fault(
+        "drive_tool_deaf",
+        "device",
+        "a service tool moves the drive by 1 mm/s, and nothing on the bus stops it",
+        in_device.tool_takes_over(1.0, deaf=True),
+        {Mode.DISARMED: Reaction.MOVES},
+        latency_ms=DRIVE_MS,
+        why="the operator is told at once; the emergency stop is what is left",
+    ),
+    Fault(
+        "drive_remote_lost",
+        "device",
+        "its statusword says that it takes no commands from the bus (bit 9 off)",
+        in_device.status_bit(objects.STATUS_REMOTE, on=False),
+        HOLD,
+        within_ms=_BIT_MS,
+        latency_ms=DRIVE_MS,
+    ),
+    Fault(
+        "drive_internal_limit",
+        "device",
+        "its statusword says that a limit of its own is active (bit 11)",
+        in_device.status_bit(objects.STATUS_INTERNAL_LIMIT, on=True),
+        HOLD,
+        within_ms=DRIVE_MS,
+        latency_ms=DRIVE_MS,
+    ),
+    Fault(
+        "drive_not_following",
+        "device",
+        "its statusword says that it does not follow the target velocity (bit 12 off)",
+        in_device.status_bit(objects.STATUS_FOLLOWS, on=False),
+        {**POWER_OFF, Mode.DISARMED: Reaction.RIDDEN},
+        latency_ms=DRIVE_MS,
+        why="the bit means something only while the drive is enabled",
+    ),
+    Fault(
+        "drive_no_heartbeat",
+        "device",
+        "the drive sends no heartbeat any more, its samples go on",
+        in_device.no_heartbeat(lambda s: s.drive),
+        HOLD,
+        within_ms=NO_HEARTBEAT_MS,
+    ),
     Fault(
         "drive_ignores",
         "device",

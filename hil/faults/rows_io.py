@@ -3,13 +3,37 @@
 from __future__ import annotations
 
 from hil.faults import in_device, on_bus
-from hil.faults.expected import DRIVE_MS, HOLD, PRESSED, Around, Fault
+from hil.faults.expected import DRIVE_MS, HOLD, NO_HEARTBEAT_MS, PRESSED, RIDE, Around, Fault
+from rigctl.config import RailEncoderSettings
 from rigctl.config_io import IoSettings
 from rigctl.devices.objects import EmcyCode
 
 FITTED = Around(change=(("io", IoSettings(e_stop_input=0)),))
 _SILENT_MS = 120.0
 """100 ms without its inputs, and a tick or two."""
+
+RAIL = Around(change=(("rail_encoder", RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=500)),))
+RAIL_ENCODER = (
+    Fault(
+        "rail_silent",
+        "bus",
+        "the rail encoder's angle stops coming",
+        on_bus.silent(on_bus.rail),
+        RIDE,
+        band_n=3,
+        around=RAIL,
+        why="only feed-forward hangs on it, and ends with it; the operator is told",
+    ),
+    Fault(
+        "rail_no_heartbeat",
+        "device",
+        "the rail encoder sends no heartbeat any more, its angle goes on",
+        in_device.no_heartbeat(lambda s: s.rail),
+        RIDE,
+        band_n=3,
+        around=RAIL,
+    ),
+)
 
 IO = (
     Fault(
@@ -57,6 +81,24 @@ IO = (
         on_bus.nmt(0x02, lambda s: s.io.id),
         HOLD,
         within_ms=_SILENT_MS,
+        around=FITTED,
+    ),
+    Fault(
+        "io_nmt_preop",
+        "bus",
+        "another master takes the I/O node to pre-operational",
+        on_bus.nmt(0x80, lambda s: s.io.id),
+        HOLD,
+        within_ms=_SILENT_MS,
+        around=FITTED,
+    ),
+    Fault(
+        "io_no_heartbeat",
+        "device",
+        "the I/O node sends no heartbeat any more, its inputs go on",
+        in_device.no_heartbeat(lambda s: s.io),
+        HOLD,
+        within_ms=NO_HEARTBEAT_MS,
         around=FITTED,
     ),
     Fault(

@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 from hil.faults import in_device, in_plant, on_bus
-from hil.faults.expected import EITHER, FROM_START, HOLD, PASSING, RIDE, WHEN_MOVING, Around, Fault, Reaction
+from hil.faults.expected import (
+    EITHER,
+    FROM_START,
+    HOLD,
+    NO_HEARTBEAT_MS,
+    PASSING,
+    RIDE,
+    WHEN_MOVING,
+    Around,
+    Fault,
+    Reaction,
+)
 from hil.faults.in_device import CELL, CELL_STATUS, LATERAL, LONG, both, reads, says, stuck
 from rigctl.control.modes import Mode
 from rigctl.devices.objects import SLOPE_INVALID, AiStatus, EmcyCode
 
+VENDOR_ERROR, VENDOR_REGISTER, NO_ERROR_EITHER = 0xFF10, 0x81, 0x00FF
 G = 9.80665
 WAY_N = 90.0
 """15 mm of stroke: a payload of this rig moves by 10 mm, more than that is none."""
@@ -154,12 +166,43 @@ SENSOR_CELL = (
         "cell_reboots", "device", "the amplifier starts anew", in_device.reboots(lambda s: s.cell), HOLD, within_ms=20
     ),
     Fault(
+        "cell_emergency_vendor",
+        "bus",
+        "an emergency message of its maker's own (0xFF10, register 0x81), samples go on",
+        on_bus.emergency(lambda s: s.cell.id, VENDOR_ERROR, VENDOR_REGISTER),
+        HOLD,
+        within_ms=10,
+    ),
+    Fault(
+        "cell_emergency_none",
+        "bus",
+        "an emergency message that says no error (0x00FF, register 0)",
+        on_bus.emergency(lambda s: s.cell.id, NO_ERROR_EITHER, 0),
+        RIDE,
+    ),
+    Fault(
         "cell_nmt_stopped",
         "bus",
         "another master stops the amplifier",
         on_bus.nmt(0x02, lambda s: s.cell.id),
         HOLD,
         within_ms=20,
+    ),
+    Fault(
+        "cell_nmt_preop",
+        "bus",
+        "another master takes the cell to pre-operational",
+        on_bus.nmt(0x80, lambda s: s.cell.id),
+        HOLD,
+        within_ms=20,
+    ),
+    Fault(
+        "cell_no_heartbeat",
+        "device",
+        "the cell sends no heartbeat any more, its samples go on",
+        in_device.no_heartbeat(lambda s: s.cell),
+        HOLD,
+        within_ms=NO_HEARTBEAT_MS,
     ),
     Fault(
         "cell_length_wrong",
@@ -278,5 +321,21 @@ SENSOR_SLOPE = (
         on_bus.nmt(0x02, lambda s: s.slope.id),
         HOLD,
         within_ms=120,
+    ),
+    Fault(
+        "slope_nmt_preop",
+        "bus",
+        "another master takes the inclinometer to pre-operational",
+        on_bus.nmt(0x80, lambda s: s.slope.id),
+        HOLD,
+        within_ms=120,
+    ),
+    Fault(
+        "slope_no_heartbeat",
+        "device",
+        "the inclinometer sends no heartbeat any more, its samples go on",
+        in_device.no_heartbeat(lambda s: s.slope),
+        HOLD,
+        within_ms=NO_HEARTBEAT_MS,
     ),
 )

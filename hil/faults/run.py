@@ -30,6 +30,7 @@ class Trip:
     t_s: float
     fault: int
     limit: float
+    text: str  # of the row
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,7 @@ def _go_on(rig: Lockstep, seconds: float, step: Step | None) -> npt.NDArray[Any]
 
 def _trips(rig: Lockstep, origin_ns: int) -> tuple[Trip, ...]:
     return tuple(
-        Trip((int(event["t_ns"]) - origin_ns) * 1e-9, int(event["a"]), float(event["limit"]))
+        Trip((int(event["t_ns"]) - origin_ns) * 1e-9, int(event["a"]), float(event["limit"]), event["text"].decode())
         for event in rig.events.read()
         if event["kind"] == Kind.TRIP
     )

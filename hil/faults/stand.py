@@ -10,6 +10,7 @@ from hil.nodes.cylinder_drive import CylinderDrive
 from hil.nodes.inclinometer import Inclinometer
 from hil.nodes.io_node import IoNode
 from hil.nodes.node import Node
+from hil.nodes.rail_encoder import RailEncoder
 from hil.nodes.tension_amplifier import TensionAmplifier
 from hil.plant import Plant
 from rigctl.config import RigSettings
@@ -74,6 +75,12 @@ class Stand:
         """The I/O node, in the rows whose rig has one."""
         assert self.rig.rig.io is not None
         return self.rig.rig.io
+
+    @property
+    def rail(self) -> RailEncoder:
+        """The rail's encoder, in the rows whose rig has one."""
+        assert self.rig.rig.rail_encoder is not None
+        return self.rig.rig.rail_encoder
 
     def data_id(self, node: Node) -> int:
         """Identifier of a device's samples."""

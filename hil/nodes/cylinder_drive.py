@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from hil.nodes.deadline import Deadline
 from hil.nodes.device_control import PROFILE_DECELERATION, QUICK_STOP_OPTIONS, DeviceControl
 from hil.nodes.dictionary import Abort, number, refuse
+from hil.nodes.drive_states import command_of
 from hil.nodes.encoder import Encoder
 from hil.nodes.motor import Motor
 from hil.nodes.network import RigNetwork
@@ -17,18 +19,31 @@ from hil.plant import Plant
 from rigctl.config import RigSettings
 from rigctl.config_simulation import DriveSettings, SimulationSettings
 from rigctl.devices import objects
-from rigctl.devices.objects import DriveState, EmcyCode, NmtState
+from rigctl.devices.objects import Controlword, DriveState, EmcyCode, NmtState
 
 SERIAL = 402001
 MODES = frozenset({0, objects.CYCLIC_SYNCHRONOUS_VELOCITY})
 
-_STATUS_ALWAYS = 0x0210  # voltage enabled, remote
-_STATUS_FOLLOWS = 0x1000  # bit 12 in CSV: drive follows the command value
+_STATUS_ALWAYS = 0x0010  # voltage enabled
+_STOP_COMMANDS = frozenset({Controlword.QUICK_STOP, Controlword.DISABLE_VOLTAGE})
 _INT16_MAX = 0x7FFF
 _FAULT_REACTION = 1  # as of 0x6007: react as 0x605E says
 LOWER_LIMIT, UPPER_LIMIT, HOME, E_STOP_CLOSED = 1 << 0, 1 << 1, 1 << 2, 1 << 16
 """Bits of the digital inputs (0x60FD); the emergency stop's circuit is closed while it is not pressed."""
 HOME_MM = 1.0
+
+
+@dataclass(frozen=True)
+class ServiceTool:
+    """A commissioning tool at the drive's own port, which has it enabled whatever the bus says.
+
+    ``deaf``: the drive does not even take quick stop and disable voltage from the bus meanwhile. ``shows_remote``: its
+    statusword says nothing of it (bits 9 and 12 stay on).
+    """
+
+    speed_mm_s: float
+    deaf: bool = False
+    shows_remote: bool = False
 
 
 class CylinderDrive(Node):
@@ -61,6 +76,8 @@ class CylinderDrive(Node):
         self._target = 0
         self._mode = 0
         self._error_code = 0
+        self._speed_max_mm_s = drive.speed_mm_s
+        self.tool: ServiceTool | None = None
         self._received: bytes | None = None
         self._rpdo: ReceivePdo | None = None
         self.defect: Callable[[float, bool], tuple[float, bool]] | None = None
@@ -117,7 +134,8 @@ class CylinderDrive(Node):
             self._rpdo.apply(received)
         if self.control.state is DriveState.OPERATION_ENABLED:
             moves = self._mode == objects.CYCLIC_SYNCHRONOUS_VELOCITY
-            self.control.stage.follow(self._target * self._unit_mm if moves else 0.0)
+            bus_mm_s = self._target * self._unit_mm if moves else 0.0
+            self.control.stage.follow(bus_mm_s if self.tool is None else self.tool.speed_mm_s)
             self._drive()
         super().on_sync()
 
@@ -134,6 +152,16 @@ class CylinderDrive(Node):
         self.e_stop_pressed = pressed
         if pressed:
             self.trip(EmcyCode.EXTERNAL)
+
+    def take_over(self, tool: ServiceTool | None) -> None:
+        """A service tool enables the drive and moves it, at the drive's own port; None: it is withdrawn."""
+        self.tool = tool
+        if tool is not None:
+            self.control.enable_locally(self.now_ns)
+
+    @property
+    def _target_mm_s(self) -> float:
+        return self._target * objects.MM_S_PER_VELOCITY_UNIT
 
     def _drive(self) -> None:
         stage = self.control.stage
@@ -155,6 +183,10 @@ class CylinderDrive(Node):
             rpdo.apply(data)
 
     def _obey(self, controlword: int) -> None:
+        tool = self.tool
+        if tool is not None and (tool.deaf or command_of(controlword, self.control.controlword) not in _STOP_COMMANDS):
+            self.control.controlword = controlword
+            return
         self.control.obey(controlword, self.now_ns, may_enable=self.nmt_state is NmtState.OPERATIONAL)
 
     def _set_target(self, velocity_um_s: int) -> None:
@@ -251,10 +283,14 @@ class CylinderDrive(Node):
     # -- what it reports ---------------------------------------------------------------------------------------
 
     def _statusword(self) -> int:
+        """Bit 9: the controlword is obeyed; 12: in CSV the target velocity is followed; 11: a limit acts on it."""
+        tool, enabled = self.tool, self.control.state is DriveState.OPERATION_ENABLED
         status = self.control.state | _STATUS_ALWAYS
-        if self.control.state is DriveState.OPERATION_ENABLED:
-            status |= _STATUS_FOLLOWS
-        if self.plant.at_stroke_end:
+        if tool is None or tool.shows_remote:
+            status |= objects.STATUS_REMOTE
+        if enabled and self._mode == objects.CYCLIC_SYNCHRONOUS_VELOCITY and (tool is None or tool.shows_remote):
+            status |= objects.STATUS_FOLLOWS
+        if self.plant.at_stroke_end or (enabled and abs(self._target_mm_s) > self._speed_max_mm_s):
             status |= objects.STATUS_INTERNAL_LIMIT
         return status
 

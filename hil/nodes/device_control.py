@@ -7,7 +7,7 @@ from collections.abc import Callable
 from hil.nodes.drive_states import WHEN_STOPPED, command_of, next_state
 from hil.nodes.power_stage import Phase, PowerStage
 from rigctl.devices import objects
-from rigctl.devices.objects import Controlword, DriveState
+from rigctl.devices.objects import OFF_STATES, Controlword, DriveState
 
 PROFILE_DECELERATION = 0x6084
 QUICK_STOP_OPTIONS = frozenset({0, 1, 2, 5, 6})
@@ -87,6 +87,12 @@ class DeviceControl:
         """Node reset, transitions 0 and 1; a motor that is on is stopped first."""
         self.controlword = 0
         self._stop(DriveState.NOT_READY, _QUICK_STOP_RAMP, t_ns)
+
+    def enable_locally(self, t_ns: int) -> None:
+        """Somebody at the drive itself has it enabled; not from a fault, and not while the motor stops."""
+        if self.state in OFF_STATES or self.state is DriveState.SWITCHED_ON:
+            self.state = DriveState.SWITCHED_ON
+            self._enable(t_ns)
 
     def lose_connection(self, option: int, t_ns: int) -> None:
         """React as 0x6007 says: 0 nothing, 1 fault reaction (0x605E), 2 disable voltage, 3 quick stop then FAULT."""

@@ -9,7 +9,7 @@ import can
 
 from rigctl.config import RigSettings
 from rigctl.control.correction import Correction
-from rigctl.devices import codecs, dbc
+from rigctl.devices import codecs, dbc, emergency
 from rigctl.devices import objects as od
 from rigctl.devices.objects import PdoLayout
 from rigctl.devices.plain import PlainMessage
@@ -96,19 +96,21 @@ class Inbox:
         self.received = self.refused = self.error_frames = self.receive_failures = 0
         self.failure_text = ""  # of the last receive that failed
         self._drive_node = settings.cylinder.node
-        self._in_error: set[int] = set()
-        self.sensors_in_error = 0  # cell, inclinometer and I/O node with an emergency that stands
-        self.drive_in_error = False
-        self.emergencies: list[tuple[int, int]] = []  # (node, code) since last taken
+        self._in_error: dict[int, int] = {}  # of cell, inclinometer and I/O node, the newest last
+        self.sensor_emergency = self.drive_emergency = 0  # node << 16 | code of one that stands, 0 for none
+        # Since last taken: node, code | register << 16, the manufacturer's bytes in hexadecimal.
+        self.emergencies: list[tuple[int, int, bytes]] = []
         self.node_states: list[tuple[int, int]] = []  # (node, NMT state) changes since last taken
         self.bus_errors: list[tuple[int, int]] = []  # (error class, its details) since last taken
         self.restarted = False  # a device booted since start-up: what was set and verified there is gone
         self._tension_max_n = settings.tension_cell.range_n * OVERRANGE
         self._slope_max_rad = math.radians(settings.inclinometer.range_deg)
-        self._states: dict[int, int] = {}
-        self._counts = [0] * 6  # cell, slope, drive, rail, drive status, drive speed frames since the first of each
-        self._bases = [-1] * 6  # SYNCs sent when the first came
-        self._syncs = 0
+        self.states: dict[int, int] = {}  # NMT state each node has told
+        self.heartbeats_t_ns: dict[int, int] = {}  # when each node's newest came; start-up has just spoken to all
+        self._nodes = tuple(settings.canopen_nodes.values())
+        # Frames of cell, slope, drive, rail, drive status, drive speed since the first of each, and the SYNCs sent
+        # when that came.
+        self._counts, self._bases, self._syncs = [0] * 6, [-1] * 6, 0
 
     def _handlers_of(self, settings: RigSettings) -> dict[int, Handler]:
         """What to do with the frames of each identifier that means something."""
@@ -143,6 +145,8 @@ class Inbox:
         """Read until the bus is empty; samples are stamped ``now_ns``."""
         self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
         self._syncs = syncs_sent
+        if not self.heartbeats_t_ns:
+            self.heartbeats_t_ns.update(dict.fromkeys(self._nodes, now_ns))
         receive, handlers, frames = self._bus.recv, self._handlers, self._frames
         for _ in range(MAX_FRAMES_PER_TICK):
             try:
@@ -346,24 +350,26 @@ class Inbox:
         def on_emergency(data: bytes | bytearray, _now_ns: int) -> None:
             if len(data) != _EMCY_SIZE:
                 raise ValueError("length")
-            code = data[0] | data[1] << 8
-            error = code != od.EmcyCode.NO_ERROR
+            code, register = data[0] | data[1] << 8, data[2]
+            error = emergency.stands(code, register)
             if node == self._rail_node:
                 self._rail_in_error = error
             elif node == self._drive_node:
-                self.drive_in_error = error
+                self.drive_emergency = node << 16 | code if error else 0
                 if code == od.EmcyCode.EXTERNAL and self._e_stop_bit:
                     self.e_stop = True  # at once; the input follows with the next status
             else:
-                (self._in_error.add if error else self._in_error.discard)(node)
-                self.sensors_in_error = len(self._in_error)
+                self._in_error.pop(node, None)
+                if error:
+                    self._in_error[node] = node << 16 | code
+                self.sensor_emergency = next(reversed(self._in_error.values()), 0)
             if len(self.emergencies) < MAX_NOTICES:
-                self.emergencies.append((node, code))
+                self.emergencies.append((node, code | register << 16, data[3:].hex().encode()))
 
         return on_emergency
 
     def _heartbeat_handler(self, node: int) -> Handler:
-        def on_heartbeat(data: bytes | bytearray, _now_ns: int) -> None:
+        def on_heartbeat(data: bytes | bytearray, now_ns: int) -> None:
             if len(data) != 1:
                 raise ValueError("length")
             state = data[0] & 0x7F
@@ -372,9 +378,10 @@ class Inbox:
                     self._rail_restarted = True
                 else:
                     self.restarted = True
-            if self._states.get(node) != state and len(self.node_states) < MAX_NOTICES:
+            if self.states.get(node) != state and len(self.node_states) < MAX_NOTICES:
                 self.node_states.append((node, state))
-            self._states[node] = state
+            self.states[node] = state
+            self.heartbeats_t_ns[node] = now_ns
 
         return on_heartbeat
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from operator import attrgetter
 
 from rigctl.config import RigSettings
 from rigctl.config_limits import SIGNALS, LimitSettings
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Action, Fault, Row, Sight
+from rigctl.control.safety import ARMED, Action, Fault, Row, Sight, status_stale_ns
 
 RATE_S = 0.02  # a rate is that of the signal low-passed by this
 _GAP_NS = 100_000_000
@@ -38,6 +39,27 @@ VALUES: dict[str, Callable[[Sight], float]] = {
 }
 """How each signal of `rigctl.config_limits.SIGNALS` is read off the sight."""
 
+Age = Callable[[Sight], float]
+_CELL: Age = attrgetter("cell_age_ns")
+_SLOPE: Age = attrgetter("inclination_age_ns")
+_DRIVE: Age = attrgetter("drive_age_ns")
+_STATUS: Age = attrgetter("status_age_ns")
+MEASURED: dict[str, tuple[str, Age]] = {
+    "tension_n": ("tension", _CELL),
+    "tension_rate_n_s": ("tension rate", _CELL),
+    "vertical_error_n": ("vertical error", _CELL),
+    "disturbance_mm_s": ("disturbance speed", _CELL),
+    "tangential_deg": ("tangential inclination", _SLOPE),
+    "normal_deg": ("normal inclination", _SLOPE),
+    "stroke_mm": ("stroke", _DRIVE),
+    "travel_mm": ("travel", _DRIVE),
+    "speed_mm_s": ("cylinder speed", _DRIVE),
+    "drive_warning": ("drive warning", _DRIVE),
+    "drive_temperature_c": ("drive temperature", _STATUS),
+    "drive_current_a": ("motor current", _STATUS),
+}
+"""Signals that a device sends: each in words, and the age of its newest sample."""
+
 
 class Rate:
     """Rate of change of a signal, per second, absolute; starts anew after a pause."""
@@ -61,8 +83,37 @@ class Rate:
 
 
 def rows(settings: RigSettings) -> tuple[Row, ...]:
-    """A row per bound of each limit, in the rig file's order."""
-    return tuple(row for limit in settings.limits for row in _rows_of(limit))
+    """A row per bound of each limit, in the rig file's order; then a row for each signal that may not be there."""
+    found = [row for limit in settings.limits for row in _rows_of(limit)]
+    unseen = {(row.text, row.action, row.modes): row for limit in settings.limits for row in _unseen(limit, settings)}
+    return (*found, *unseen.values())
+
+
+def _unseen(limit: LimitSettings, settings: RigSettings) -> list[Row]:
+    """A limit on a signal that does not come is never passed, so that its absence has to trip.
+
+    In the armed modes the built-in rows watch cell, inclinometer and drive, and sooner.
+    """
+    if limit.signal not in MEASURED:
+        return []
+    words, age = MEASURED[limit.signal]
+    s, modes = settings.safety, frozenset(Mode[name] for name in limit.modes)
+    oldest_ns = {_SLOPE: s.inclination_stale_ms * 1_000_000, _STATUS: status_stale_ns(settings)}
+    stale_ns = oldest_ns.get(age, s.stale_ms * 1_000_000)
+    # Any loss is answered by holding, whatever a value beyond the limit asks for.
+    text = f"{words} ({limit.signal})"
+    watched = (
+        (modes & ARMED if age is _STATUS else frozenset(), 0),
+        (modes - ARMED, stale_ns),  # a loop that has just started has not heard anybody yet
+    )
+    if limit.action == "log":  # told as every limit that is only logged: it begins, and it is over
+        old = f"age in ms of {text} above"
+        return [
+            Row(Fault.LIMIT, lambda x: age(x) / 1e6, stale_ns / 1e6, ns, where, "ms", Action.LOG, old)
+            for where, ns in watched
+            if where
+        ]
+    return [Row(Fault.LIMIT_UNSEEN, age, stale_ns, ns, where, "ns", text=text) for where, ns in watched if where]
 
 
 def _rows_of(limit: LimitSettings) -> list[Row]:

@@ -57,11 +57,12 @@ class Logbook:
 
     def record(
         self, t_ns: int, lateness_ns: int, work_ns: int, machine: Machine, observer: Observer, law: TensionLaw,
-        outbox: Outbox, command_seq: int, hold_seq: int,
+        outbox: Outbox, command_seq: int, hold_seq: int, causes: int,
     ) -> None:  # fmt: skip
         """One record of this tick.
 
         ``work_ns`` is the tick before's, ``command_seq`` and ``hold_seq`` the last command and hold taken.
+        ``causes``: see `rigctl.control.safety.Watch.standing`.
         """
         inbox, sight, kalman, slope = observer.inbox, observer.sight, observer.filter, observer.inclination
         x = kalman.state
@@ -130,6 +131,7 @@ class Logbook:
             sight.failed_checks,
             command_seq,
             hold_seq,
+            causes,
         )
 
     def event(
@@ -165,8 +167,11 @@ class Logbook:
 
     def bus_notices(self, t_ns: int, inbox: Inbox, outbox: Outbox) -> None:
         """What devices and bus said of themselves."""
+        if inbox.emergencies:
+            for node, code, manufacturer in inbox.emergencies:
+                self.notice(t_ns, Kind.EMERGENCY, node, code, manufacturer)
+            inbox.emergencies.clear()
         for kind, notices in (
-            (Kind.EMERGENCY, inbox.emergencies),
             (Kind.NODE_STATE, inbox.node_states),
             (Kind.BUS_ERROR, inbox.bus_errors),
         ):

@@ -22,7 +22,7 @@ from rigctl.control.safety import Fault, Trip, Watch
 from rigctl.control.signs import SignCheck
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.devices.drive import Power, next_controlword
-from rigctl.devices.objects import OFF_STATES, drive_state
+from rigctl.devices.objects import OFF_STATES, Controlword, drive_state
 from rigctl.devices.process_data import ProcessData
 from rigctl.telemetry.events import Kind
 from rigctl.telemetry.record import Flag
@@ -73,6 +73,8 @@ class Loop:
         self._plausibility = Plausibility(settings)
         self._commanded_ns = started_ns = clock.now()
         self._travel_from_mm = 0.0
+        self._tripped: Trip | None = None  # in this tick
+        self._went_off = True  # the drive has been seen off since we asked last for it to be enabled
         self._logbook = logbook = Logbook(settings, rings)
         self._orders = Orders(
             settings, self.machine, self.observer, self.law, self._watch, logbook, supervised=supervised
@@ -129,6 +131,10 @@ class Loop:
         sight.stroke_limited = law.limits & Flag.LIMITED_STROKE.value != 0
         sight.rope_lost = law.rope_lost
         sight.drive_wanted = machine.drive_wanted and not machine.stopping
+        asked = self.outbox.controlword == Controlword.ENABLE_OPERATION
+        self._went_off = not asked and (self._went_off or sight.drive_off)
+        sight.drive_unasked = sight.drive_enabled and self._went_off
+        sight.drive_lingers = sight.drive_enabled and not asked
         if not self._signs.passed and machine.mode is Mode.TENSIONING:
             self._check_signs(now_ns)
 
@@ -136,6 +142,7 @@ class Loop:
         machine, sight, law, orders = self.machine, self.observer.sight, self.law, self._orders
         trip = self._watch.trips(sight, machine.mode, t_ns)
         if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
+            self._tripped = trip
             self._logbook.trip(t_ns, Kind.TRIP, trip)
         self._take_orders(t_ns)
         if self.stop_requested and not machine.stopping:
@@ -204,12 +211,19 @@ class Loop:
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
         logbook, machine, observer = self._logbook, self.machine, self.observer
-        given = self._commands.cursor, self._holds.cursor
-        logbook.record(t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox, *given)
+        logbook.record(
+            t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox,
+            self._commands.cursor, self._holds.cursor, self._watch.standing,
+        )  # fmt: skip
         logbook.mode_changes(t_ns, machine, self.outbox.safe_frames)
         for limit, begins in self._watch.crossed:
             logbook.trip(t_ns, Kind.LIMIT if begins else Kind.LIMIT_OVER, limit)
         self._watch.crossed.clear()
+        for cause, begins in self._watch.causes:
+            if not begins or cause != self._tripped:  # that one has been told as what tripped
+                logbook.trip(t_ns, Kind.CAUSE if begins else Kind.CAUSE_OVER, cause)
+        self._watch.causes.clear()
+        self._tripped = None
         self._orders.answer(t_ns)
         logbook.bus_notices(t_ns, self.inbox, self.outbox)
         if observer.just_skipped >= SKIP_NOTICE:

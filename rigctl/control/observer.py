@@ -11,13 +11,20 @@ from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.inbox import Inbox
 from rigctl.control.inclination import InclinationFilter, Stretch
 from rigctl.control.run_out import RunOutTable, stale_ns
-from rigctl.control.safety import EStop, Sight
+from rigctl.control.safety import EStop, Sight, status_stale_ns
 from rigctl.control.tension import Estimate
-from rigctl.devices.objects import OFF_STATES, STATUS_WARNING, DriveState, drive_state
+from rigctl.devices.objects import (
+    OFF_STATES,
+    STATUS_FOLLOWS,
+    STATUS_INTERNAL_LIMIT,
+    STATUS_REMOTE,
+    STATUS_WARNING,
+    DriveState,
+    drive_state,
+)
 
 _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value
-STATUS_PERIODS = 3  # the drive's status is stale when this many have not come
 UNLOADED_REJECTS = 3  # with the drive off, a rope that is loaded or let go by hand is believed after so many
 LEAST_COSINE = 0.5  # a rope at 60 deg: nothing beyond it is believed
 
@@ -27,9 +34,9 @@ class Observer:
 
     def __init__(self, settings: RigSettings, inbox: Inbox) -> None:
         self.inbox = inbox
+        self.sight = Sight(heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states)
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
-        self.sight = Sight()
         self.tension_n = 0.0  # newest good sample
         self.cosine = 1.0  # of the rope against the vertical
         self.run_out_mm_s = 0.0  # disturbance speed known from the table
@@ -43,8 +50,7 @@ class Observer:
         self._slack_n = settings.tension.slack_n
         rail, run_out = settings.rail_encoder, settings.run_out
         self.rail_stale_ns = stale_ns(rail) if rail is not None else 0
-        status_ns = settings.status_divisor * settings.loop.period_ns
-        self._status_stale_ns = STATUS_PERIODS * status_ns  # 0 where it is not asked for
+        self._status_stale_ns = status_stale_ns(settings)
         self._io_fitted = settings.io is not None
         self._e_stop_fitted = settings.cylinder.e_stop_input is not None
         self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
@@ -70,7 +76,7 @@ class Observer:
         sight.cell_age_ns = now_ns - inbox.cell_t_ns
         sight.inclination_quality = inbox.slope_quality
         sight.inclination_age_ns = now_ns - inbox.slope_t_ns
-        self.rail_age_ns = now_ns - inbox.rail_t_ns
+        self.rail_age_ns = sight.rail_age_ns = now_ns - inbox.rail_t_ns
         sight.stroke_mm, sight.speed_mm_s = inbox.stroke_mm, inbox.speed_mm_s
         sight.tangential_rad, sight.normal_rad = inbox.tangential_rad, inbox.normal_rad
         sight.drive_age_ns = now_ns - inbox.drive_t_ns
@@ -82,20 +88,25 @@ class Observer:
         if self._io_fitted:
             sight.io_age_ns = now_ns - inbox.io_t_ns
             sight.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
+        sight.drive_powered = not sight.drive_off and not sight.drive_faulted
         sight.drive_warning = bool(inbox.statusword & STATUS_WARNING)
+        sight.drive_local = not inbox.statusword & STATUS_REMOTE
+        sight.drive_limited = bool(inbox.statusword & STATUS_INTERNAL_LIMIT)
+        sight.drive_ignores = sight.drive_enabled and not inbox.statusword & STATUS_FOLLOWS
         sight.rival_age_ns = now_ns - inbox.rival_t_ns
         sight.bus_age_ns = now_ns - inbox.bus_t_ns
         sight.error_frames = self._recent_error_frames(now_ns)
         sight.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
         sight.device_restarted = inbox.restarted
-        sight.sensor_emergency, sight.drive_emergency = inbox.sensors_in_error > 0, inbox.drive_in_error
+        sight.sensor_emergency, sight.drive_emergency = inbox.sensor_emergency, inbox.drive_emergency
 
     def _look_at_drive_status(self, now_ns: int) -> None:
         """Current, temperature and E-stop, where the drive is asked for them; what is old is not known."""
         if not self._status_stale_ns:
             return
         inbox, sight = self.inbox, self.sight
-        stale = now_ns - inbox.drive_status_t_ns > self._status_stale_ns
+        sight.status_age_ns = now_ns - inbox.drive_status_t_ns
+        stale = sight.status_age_ns > self._status_stale_ns
         sight.drive_temperature_c = math.nan if stale else inbox.drive_temperature_c
         sight.drive_current_a = math.nan if stale else inbox.drive_current_a
         sight.e_stop, sight.e_stop_unseen = inbox.e_stop, stale and self._e_stop_fitted

@@ -101,6 +101,7 @@ class Orders:
                 checks = int(self.failed_checks(near_end=self._near_end))
             elif given.refusal is Refusal.CAUSE_PRESENT:
                 value = float(self._watch.present(self._observer.sight))
+                checks = self._watch.blocking(self._observer.sight)
             elif given.refusal is Refusal.LOADED:
                 value = number(self._observer.inbox.reading_n)
             elif given.verb in (Verb.TARGET, Verb.TENSION):

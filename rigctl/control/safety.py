@@ -7,13 +7,15 @@ built-in rows cannot be configured away; the rig file's ``limits`` come after th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 
 from rigctl.config import RigSettings
 from rigctl.control.correction import tare_limit_n
 from rigctl.control.modes import Mode
+from rigctl.control.run_out import stale_ns
+from rigctl.devices.objects import DEVICE_HEARTBEAT_MS, NmtState
 
 
 class Action(IntEnum):
@@ -59,6 +61,11 @@ class Fault(IntEnum):
     DRIVE_EMERGENCY = 27  # the drive has
     RIVAL = 28  # another controller commands this bus
     E_STOP_UNSEEN = 29  # the I/O node that mirrors the emergency stop is silent
+    STATUS_STALE = 33  # the drive's current, temperature and inputs have stopped coming
+    LIMIT_UNSEEN = 34  # the signal that a limit of the rig file watches is not there
+    DRIVE_UNASKED = 35  # the drive is enabled, or moves under power, and not because we asked for it
+    DRIVE_REFUSES = 36  # the drive says itself that it does not do as it is told: statusword bits 9, 11, 12
+    NODE_NOT_OPERATIONAL = 37  # a device's heartbeat has stopped, or says that it has left OPERATIONAL
 
 
 class EStop(IntFlag):
@@ -94,6 +101,9 @@ class Check(IntFlag):
     RIVAL = 1 << 21  # another controller commands this bus
     E_STOP_IO = 1 << 22  # the emergency stop is pressed: the I/O node's input
     E_STOP_IO_UNSEEN = 1 << 23  # an I/O node is fitted, and its input is not seen
+    STATUS_STALE = 1 << 24  # the drive's current, temperature and inputs do not come
+    DRIVE_REFUSES = 1 << 25  # the drive is somebody else's to command, or limits what it is told
+    NODE_NOT_OPERATIONAL = 1 << 26  # no heartbeat of a device, or one of another state
     HOST = 1 << 20  # these four are not known: the gateway has not judged them within the last seconds
 
 
@@ -123,11 +133,21 @@ class Sight:
     brake_slip_known: bool = False  # acknowledged: whoever arms now has the motor carry the load
     drive_faulted: bool = False
     drive_warning: bool = False
+    drive_local: bool = False  # statusword bit 9 is off: it does not take our commands
+    drive_limited: bool = False  # bit 11
+    drive_ignores: bool = False  # enabled, and bit 12 is off: it does not follow the target velocity
+    drive_powered: bool = False  # neither off nor in its fault state
+    drive_unasked: bool = False  # enabled again since it was off, and we have not asked for it
+    drive_lingers: bool = False  # enabled, and we have asked it to go off
+    heartbeats_t_ns: dict[int, int] = field(default_factory=dict)  # when each node's newest came
+    node_states: dict[int, int] = field(default_factory=dict)  # NMT state it told
     drive_temperature_c: float = math.nan
     drive_current_a: float = math.nan
     e_stop: int = 0  # where it is seen pressed, bits of EStop
     e_stop_unseen: bool = False  # the drive has one, and what it says is not known
     io_age_ns: int = 1 << 62  # since the I/O node's inputs came, where one is fitted
+    status_age_ns: int = 1 << 62  # since the drive's current, temperature and inputs came, where they are asked for
+    rail_age_ns: int = 1 << 62  # since the rail encoder's angle came, where one is fitted
     bus_age_ns: int = 1 << 62
     error_frames: int = 0  # in the last second
     skipped_in_window: int = 0
@@ -138,8 +158,8 @@ class Sight:
     rope_lost: bool = False
     device_restarted: bool = False
     rival_age_ns: int = 1 << 62  # since another controller was heard
-    sensor_emergency: bool = False
-    drive_emergency: bool = False
+    sensor_emergency: int = 0  # node << 16 | code of one that stands
+    drive_emergency: int = 0
     drive_reversed: bool = False  # see rigctl.control.signs
     cell_reversed: bool = False
     rejects: int = 0
@@ -179,6 +199,7 @@ class Row:
 
 
 _ARMED = frozenset({Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING, Mode.FAULT})
+ARMED = _ARMED
 _ON = _ARMED - {Mode.FAULT}
 _CLOSED = frozenset({Mode.TENSIONING, Mode.COMPENSATING})
 _TENSIONING = frozenset({Mode.TENSIONING})
@@ -186,12 +207,17 @@ _MOVING = _CLOSED | {Mode.RELEASING}
 _REGULATED = frozenset({Mode.COMPENSATING})
 _OFF = frozenset({Mode.DISARMED})
 _AT_REST = frozenset({Mode.HOLD, Mode.FAULT})
+_UNASKED = _OFF | {Mode.FAULT}
 _EVERY = frozenset(Mode)
+_OPERATIONAL = NmtState.OPERATIONAL.value
 _MS = 1_000_000
 LOG_AGAIN_NS = 1_000 * _MS  # a row that comes and goes is told no more often than this
 STROKE_END_NS = 200 * _MS
 RIVAL_NS = 500 * _MS  # a controller is heard far more often than this
 DRIVE_GRACE_NS = 20 * _MS  # the drive's answer to enable or disable may take this long
+INTERNAL_LIMIT_NS = 100 * _MS  # of current or speed, for an instant, while it accelerates: five lags of the drive
+LINGER_NS = 1_000 * _MS  # ramp and brake of a drive that goes off take less
+HEARTBEAT_SILENT_NS = 5 * DEVICE_HEARTBEAT_MS * _MS  # as of STATUS_PERIODS: a burst does not take five in a row
 STROKE_SPARE_MM = 2.0
 SPEED_ERROR_MM_S, SPEED_ERROR_NS = 2.5, 15 * _MS  # a lag half as long again as the plant's makes 1.5 mm/s of 10
 STROKE_ERROR_MM = 0.5
@@ -206,6 +232,21 @@ UNREST_NOISES = 30.0
 UNREST_NS = 5 * _MS
 NEGATIVE_NS = 10 * _MS
 BRAKE_SLIP_MM_S, BRAKE_SLIP_NS = 0.2, 200 * _MS  # a stop that has begun takes less
+STATUS_PERIODS = 5  # of the drive's status lost in a row: at 10 % of frames lost once in 10^5, 1.4 h at 20 Hz
+
+
+def status_stale_ns(settings: RigSettings) -> int:
+    """Oldest current, temperature and inputs of the drive that count as known; 0 where they are not asked for."""
+    return STATUS_PERIODS * settings.status_divisor * settings.loop.period_ns
+
+
+_LOCAL = "it takes no commands from the bus (statusword bit 9, remote, is off)"
+_LIMITS = "a limit of its own is active (statusword bit 11)"
+_IGNORES = "it does not follow the commanded speed (statusword bit 12 is off)"
+_ELSEWHERE = "the drive has been enabled by somebody else"
+_LINGERS = "the drive stays enabled though it is told to go off"
+_POWERED = "the stroke moves under power"
+_DEVICE_WORDS = {"cylinder": "cylinder drive", "io": "I/O node"}
 
 
 def _highest_n(sight: Sight) -> float:
@@ -233,8 +274,15 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.CELL_STALE, lambda x: x.cell_age_ns, stale, 0, _ARMED, "ns"),
         Row(Fault.INCLINATION_STALE, lambda x: x.inclination_age_ns, slope, 0, _ARMED, "ns"),
         *_io_rows(settings),
+        *_status_rows(settings),
         Row(Fault.DRIVE_FAULT, lambda x: x.drive_faulted, 0, 0, _ARMED, ""),
         Row(Fault.DRIVE_NOT_FOLLOWING, _dropped_out, 0, DRIVE_GRACE_NS, _ON, ""),
+        Row(Fault.DRIVE_REFUSES, lambda x: x.drive_local, 0, DRIVE_GRACE_NS, _ARMED, "", text=_LOCAL),
+        Row(Fault.DRIVE_REFUSES, lambda x: x.drive_limited, 0, INTERNAL_LIMIT_NS, _ARMED, "", text=_LIMITS),
+        Row(Fault.DRIVE_REFUSES, lambda x: x.drive_ignores, 0, DRIVE_GRACE_NS, _ARMED, "", lost, _IGNORES),
+        Row(Fault.DRIVE_UNASKED, lambda x: x.drive_unasked, 0, DRIVE_GRACE_NS, _UNASKED, "", lost, _ELSEWHERE),
+        Row(Fault.DRIVE_UNASKED, lambda x: x.drive_lingers, 0, LINGER_NS, _UNASKED, "", lost, _LINGERS),
+        Row(Fault.DRIVE_UNASKED, _powered_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _OFF, "mm/s", lost, _POWERED),
         Row(Fault.SIGN_DRIVE, lambda x: x.drive_reversed, 0, 0, _TENSIONING, ""),
         Row(Fault.SIGN_CELL, lambda x: x.cell_reversed, 0, 0, _TENSIONING, ""),
         Row(Fault.CELL_INVALID, lambda x: x.cell_quality, 0, 0, _ARMED, ""),
@@ -259,7 +307,9 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
             lost),
         Row(Fault.STROKE_END, lambda x: x.stroke_limited, 0, STROKE_END_NS, _MOVING, ""),
         Row(Fault.DEVICE_RESTARTED, lambda x: x.device_restarted, 0, 0, _ARMED, ""),
+        *_node_rows(settings),
         Row(Fault.OVERRUN, lambda x: x.skipped_in_window, s.overrun_ticks - 1, 0, _ARMED, "ticks"),
+        *_rail_rows(settings),
     )  # fmt: skip
 
 
@@ -270,8 +320,61 @@ def _io_rows(settings: RigSettings) -> tuple[Row, ...]:
     return (Row(Fault.E_STOP_UNSEEN, lambda x: x.io_age_ns, settings.io.stale_ms * _MS, 0, _ARMED, "ns"),)
 
 
+def _status_rows(settings: RigSettings) -> tuple[Row, ...]:
+    """Without it neither the emergency stop's input nor the drive's temperature is seen."""
+    stale = status_stale_ns(settings)
+    return (Row(Fault.STATUS_STALE, lambda x: x.status_age_ns, stale, 0, _ARMED, "ns"),) if stale else ()
+
+
+def _rail_rows(settings: RigSettings) -> tuple[Row, ...]:
+    """Only feed-forward hangs on the rail's angle, and ends with it: no reason to hold, but to say so."""
+    if (rail := settings.rail_encoder) is None:
+        return ()
+    ages: tuple[tuple[str, Callable[[Sight], float], float], ...] = (
+        ("rail_age_ms", lambda x: x.rail_age_ns, stale_ns(rail)),
+        ("rail_heartbeat_age_ms", _silence(rail.node), HEARTBEAT_SILENT_NS),
+    )
+    return tuple(
+        Row(Fault.LIMIT, _in_ms(age), limit_ns / _MS, 0, _ARMED, "ms", Action.LOG, f"{name} above")
+        for name, age, limit_ns in ages
+    )
+
+
+def _node_rows(settings: RigSettings) -> tuple[Row, ...]:
+    """Heartbeats of the devices: one that still sends samples but no heartbeat, or has left OPERATIONAL, is not well.
+
+    A node that has booted anew says so, and trips as DEVICE_RESTARTED.
+    """
+    rows = []
+    for device, node in settings.canopen_nodes.items():
+        if device != "rail_encoder":
+            text = f"{_DEVICE_WORDS.get(device, device.replace('_', ' '))} (node {node})"
+            rows.append(
+                Row(Fault.NODE_NOT_OPERATIONAL, _silence(node), HEARTBEAT_SILENT_NS, 0, _ARMED, "ns", text=text)
+            )
+            rows.append(Row(Fault.NODE_NOT_OPERATIONAL, _wrong_state(node), 0, 0, _ARMED, "NMT state", text=text))
+    return tuple(rows)
+
+
+def _in_ms(age: Callable[[Sight], float]) -> Callable[[Sight], float]:
+    return lambda x: age(x) / _MS
+
+
+def _silence(node: int) -> Callable[[Sight], float]:
+    return lambda x: x.t_ns - x.heartbeats_t_ns.get(node, x.t_ns)
+
+
+def _wrong_state(node: int) -> Callable[[Sight], float]:
+    return lambda x: 0 if (state := x.node_states.get(node, _OPERATIONAL)) == _OPERATIONAL else state
+
+
 def _unbraked_mm_s(sight: Sight) -> float:
-    return abs(sight.speed_mm_s) if sight.drive_off and not sight.brake_slip_known else 0.0
+    unpowered = sight.drive_off or sight.drive_faulted
+    return abs(sight.speed_mm_s) if unpowered and not sight.brake_slip_known else 0.0
+
+
+def _powered_mm_s(sight: Sight) -> float:
+    return abs(sight.speed_mm_s) if sight.drive_powered else 0.0
 
 
 def _dropped_out(sight: Sight) -> float:
@@ -305,6 +408,11 @@ class Watch:
         self._logged = [False] * len(self._rows)
         self._quiet_until = [-LOG_AGAIN_NS] * len(self._rows)
         self.crossed: list[tuple[Trip, bool]] = []  # LOG rows since last taken: True begins, False is over
+        self._stands = [False] * len(self._rows)
+        self.standing = (
+            0  # bits 1 << fault of the rows, but those that only log, that are bad for their persistence now
+        )
+        self.causes: list[tuple[Trip, bool]] = []  # of these, as ``crossed``
 
     def trips(self, sight: Sight, mode: Mode, t_ns: int) -> Trip | None:
         """The strongest of the rows that have been bad for their persistence, among equals the first; or None."""
@@ -313,7 +421,7 @@ class Watch:
         if mode is not self._mode:
             self._mode = mode
             for i in self._unwatched[mode]:
-                self._ends(i)
+                self._ends(i, watched=False)
         for i, read, limit in self._watched[mode]:
             if not (value := read(sight)) > limit:
                 if since[i] is not None:
@@ -324,11 +432,15 @@ class Watch:
                 start = since[i] = t_ns
             if t_ns - start < row.persistence_ns:
                 continue
+            if not self._logged[i] and t_ns >= self._quiet_until[i]:
+                self._quiet_until[i] = t_ns + LOG_AGAIN_NS
+                self._log(i, value, begins=True)
             if row.action is Action.LOG:
-                if not self._logged[i] and t_ns >= self._quiet_until[i]:
-                    self._quiet_until[i] = t_ns + LOG_AGAIN_NS
-                    self._log(i, value, begins=True)
-            elif strongest is None or row.action > strongest.action:
+                continue
+            if not self._stands[i]:
+                self._stands[i] = True
+                self.standing |= 1 << row.fault
+            if strongest is None or row.action > strongest.action:
                 strongest = _trip(row, value)
         return strongest
 
@@ -345,36 +457,53 @@ class Watch:
 
         A fault of the drive itself is not one: the reset is what clears it. Nor is what only a mode can show.
         """
-        for row in self._rows:
-            if row.fault in _BLOCK_RESET and row.value(sight) > row.limit:
-                return row.fault
-        return Fault.NONE
+        return next(self._blocking(sight), Fault.NONE)
 
-    def _ends(self, i: int) -> None:
-        """A row that is good again, or not watched any more."""
+    def blocking(self, sight: Sight) -> int:
+        """All causes that keep a fault from being reset at this instant, bits 1 << fault."""
+        found = 0
+        for fault in self._blocking(sight):
+            found |= 1 << fault
+        return found
+
+    def _blocking(self, sight: Sight) -> Iterator[Fault]:
+        return (row.fault for row in self._rows if row.fault in BLOCK_RESET and row.value(sight) > row.limit)
+
+    def _ends(self, i: int, *, watched: bool = True) -> None:
+        """A row that is good again, or not watched any more: of these only the rows that log say that they are over."""
         self._since[i] = None
+        if self._stands[i]:
+            self._stands[i] = False
+            self.standing = 0
+            for row, stands in zip(self._rows, self._stands, strict=True):
+                self.standing |= stands << row.fault
         if self._logged[i]:
-            self._log(i, self._rows[i].limit, begins=False)
+            if watched or self._rows[i].action is Action.LOG:
+                self._log(i, self._rows[i].limit, begins=False)
+            self._logged[i] = False
 
     def _log(self, i: int, value: float, *, begins: bool) -> None:
         self._logged[i] = begins
-        self.crossed.append((_trip(self._rows[i], value), begins))
+        row = self._rows[i]
+        (self.crossed if row.action is Action.LOG else self.causes).append((_trip(row, value), begins))
 
 
 def _trip(row: Row, value: float) -> Trip:
     return Trip(row.fault, row.sign * float(value), row.sign * float(row.limit), row.action, row.text)
 
 
-_BLOCK_RESET = frozenset(
+BLOCK_RESET = frozenset(
     {Fault.BUS_SILENT, Fault.DRIVE_STALE, Fault.CELL_STALE, Fault.CELL_INVALID, Fault.INCLINATION_STALE,
      Fault.INCLINATION_INVALID, Fault.TENSION_HIGH, Fault.OVERRUN, Fault.DEVICE_RESTARTED, Fault.CELL_STUCK,
      Fault.E_STOP, Fault.E_STOP_UNSEEN, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SENSOR_EMERGENCY,
-     Fault.RIVAL}
+     Fault.RIVAL, Fault.STATUS_STALE, Fault.DRIVE_UNASKED, Fault.DRIVE_REFUSES,
+     Fault.NODE_NOT_OPERATIONAL}
 )  # fmt: skip
 
 
 _IMPLAUSIBLE = frozenset({Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE})
 _EMERGENCY = frozenset({Fault.SENSOR_EMERGENCY, Fault.DRIVE_EMERGENCY})
+_LIMITED = frozenset({Fault.LIMIT, Fault.LIMIT_UNSEEN})
 
 
 def preflight(
@@ -405,10 +534,13 @@ def preflight(
         Check.E_STOP_IO: sight.e_stop & EStop.IO_NODE,
         Check.CELL_IMPLAUSIBLE: not beyond.isdisjoint(_IMPLAUSIBLE),
         Check.EMERGENCY: not beyond.isdisjoint(_EMERGENCY),
-        Check.LIMIT: Fault.LIMIT in beyond,
+        Check.LIMIT: not beyond.isdisjoint(_LIMITED),
         Check.RIVAL: Fault.RIVAL in beyond,
         Check.E_STOP_UNSEEN: sight.e_stop_unseen,
         Check.E_STOP_IO_UNSEEN: Fault.E_STOP_UNSEEN in beyond,
+        Check.STATUS_STALE: Fault.STATUS_STALE in beyond,
+        Check.DRIVE_REFUSES: Fault.DRIVE_REFUSES in beyond or sight.drive_unasked,
+        Check.NODE_NOT_OPERATIONAL: Fault.NODE_NOT_OPERATIONAL in beyond,
     }
     result = Check(sight.host_checks)
     for check, fails in failing.items():

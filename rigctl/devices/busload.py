@@ -10,7 +10,6 @@ from rigctl.devices.plain import PlainMessage
 from rigctl.devices.process_data import COMMAND, DRIVE_SPEED, DRIVE_STATUS, ProcessData, wanted
 
 LIMIT = 0.8
-DEVICE_HEARTBEAT_MS = 100  # 0x1017 of every device, written at start-up
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ def traffic(settings: RigSettings, process_data: ProcessData | None = None) -> l
         *([Traffic("rail angle", size["rail_encoder"], float(rail.rate_hz))] if rail else []),
         *([Traffic("I/O inputs", size["io"], 1000.0 / io.inhibit_ms)] if io else []),
         Traffic("heartbeat, controller", 1, 1000.0 / settings.can.heartbeat_ms),
-        Traffic("heartbeats, devices", 1, len(settings.canopen_nodes) * 1000.0 / DEVICE_HEARTBEAT_MS),
+        Traffic("heartbeats, devices", 1, len(settings.canopen_nodes) * 1000.0 / od.DEVICE_HEARTBEAT_MS),
     ]
 
 

@@ -29,6 +29,7 @@ HEARTBEAT_BASE = 0x700
 # -- CiA 301: objects -------------------------------------------------------------------------------------------
 DEVICE_TYPE = 0x1000
 ERROR_REGISTER = 0x1001
+DEVICE_HEARTBEAT_MS = 100  # what we set as every device's 0x1017
 CONSUMER_HEARTBEAT = 0x1016  # :01 = node id << 16 | time in ms
 PRODUCER_HEARTBEAT = 0x1017
 IDENTITY = 0x1018
@@ -165,7 +166,9 @@ DRIVE_STATE_MASK = 0x6F
 _WIDE_STATES = frozenset({DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED,
                           DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT})  # fmt: skip
 STATUS_WARNING = 0x0080
-STATUS_INTERNAL_LIMIT = 0x0800
+STATUS_REMOTE = 0x0200  # bit 9: the controlword is obeyed; off while a panel or a service tool has the drive
+STATUS_INTERNAL_LIMIT = 0x0800  # bit 11: a limit of the drive's own acts on what it is told
+STATUS_FOLLOWS = 0x1000  # bit 12 in CSV, OPERATION ENABLED: the target velocity is followed
 
 
 def drive_state(statusword: int) -> DriveState:
@@ -201,6 +204,7 @@ SIM_MOTION_START = 0x2000  # UNSIGNED8: 1 starts the move of the rig file's demo
 SIM_MOTION_STATE = 0x2001  # UNSIGNED8: 1 while the mechanism moves
 SIM_E_STOP = 0x2002  # UNSIGNED8: 1 = the emergency stop is pressed: both of its contacts open
 SIM_IO_E_STOP = 0x2003  # UNSIGNED8: 1 = the contact that the I/O node sees is open
+SIM_TOOL_UM_S = 0x2004  # INTEGER32, um/s: a service tool has the drive enabled and moves it; 0 = it is withdrawn
 SIM_TRUE_VERTICAL_MN = 0x2100  # INTEGER32, mN: the plant's true vertical tension
 SIM_TRUE_STROKE_UM = 0x2101  # INTEGER32, um
 

@@ -19,7 +19,7 @@ from rigctl.config import RigSettings
 from rigctl.config_io import INPUTS_PER_BLOCK, IoSettings
 from rigctl.devices import busload
 from rigctl.devices import objects as od
-from rigctl.devices.busload import DEVICE_HEARTBEAT_MS
+from rigctl.devices.objects import DEVICE_HEARTBEAT_MS
 from rigctl.devices.process_data import (
     COMMAND,
     DRIVE_SPEED,

@@ -44,7 +44,31 @@ def why(state: dict[str, Any]) -> str:
         return "the control process has written no record yet"
     if not state["loop_alive"]:
         return f"no record from the loop for {state['age_ms'] / 1000:.1f} s"
-    return f"{state['fault']}: {state['fault_text']}" if state["fault"] else ""
+    latched = f"{state['fault']}: {state['fault_text']}" if state["fault"] else ""
+    first = next(iter(_standing(state)), None)
+    if first is None or first.get("fault") == state["fault"]:
+        return latched
+    strongest = f"{first.get('fault')}: {first.get('text')}"
+    return f"{strongest}; latched: {latched}" if latched else strongest
+
+
+def causes(state: dict[str, Any]) -> list[str]:
+    """Every cause that stands, the strongest first, and what blocks a reset; or that nothing does."""
+    if not state.get("fault") or not state.get("loop_alive"):
+        return []
+    lines = []
+    for cause in _standing(state):
+        since = cause.get("since_wall_ns")
+        parts = [f"{cause.get('fault')}: {cause.get('text')}"]
+        parts += [f"since {clock(since)}"] if isinstance(since, int) else []
+        parts += ["blocks reset"] if cause.get("blocks_reset") else []
+        lines.append(", ".join(parts))
+    return lines or ["no cause stands any more: rigctl reset acknowledges the fault"]
+
+
+def _standing(state: dict[str, Any]) -> list[dict[str, Any]]:
+    found = state.get("causes")
+    return [cause for cause in found if isinstance(cause, dict)] if isinstance(found, list) else []
 
 
 def error(state: dict[str, Any]) -> str:

@@ -98,6 +98,7 @@ class Screen:
         else:
             head += self._banner(" ".join(figures.mode(state)), figures.mode_style(state), width)
             head.append(Text(figures.why(state), "bold red"))
+            head += [_row("stands", words, "bold red") for words in figures.causes(state)]
         if state is not None and state.get("mode") is not None:
             head += self._values(state, width - _LABEL)
         warnings = [*(state or {}).get("warnings", []), *([view.refused] if view.refused else [])]

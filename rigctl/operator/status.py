@@ -26,6 +26,7 @@ def rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
     result = [("mode", f" {figures.mode(state)} ", figures.mode_style(state))]
     if why:
         result.append(("fault" if state.get("fault") else "loop", why, "bold red"))
+    result += [("stands", words, "bold red") for words in figures.causes(state)]
     if why and state.get("fault") and state.get("trip_dump"):
         result.append(("trip dump", state["trip_dump"], ""))
     result += [("e-stop", words, "bold red") for words in figures.e_stop(state)]

@@ -32,6 +32,7 @@ def state_message(picture: Picture, holds_lease: bool) -> dict[str, Any]:
     if state is None:
         return message
     message |= {"rig": state.get("rig"), "mode": figures.mode(state), "why": figures.why(state)}
+    message["causes"] = figures.causes(state)
     refused = [picture.refused] if picture.refused else []
     message |= {"warnings": [*state.get("warnings", []), *refused], "age_ms": state.get("age_ms")}
     message |= {"calibration": figures.calibration(state), "recorder": figures.recorder(state)}

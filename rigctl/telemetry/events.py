@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Check, EStop, Fault
+from rigctl.devices import emergency
 from rigctl.telemetry import can_errors
 
 
@@ -19,7 +20,7 @@ class Kind(IntEnum):
     MODE = 1  # a: from, b: to, value: event, limit: safe frames sent before it
     TRIP = 2  # a: fault, b: action, value, limit, text: what is beyond its limit, for a limit of the rig file
     RESET = 3  # a: fault acknowledged
-    EMERGENCY = 4  # a: node, b: emergency code (CiA 301)
+    EMERGENCY = 4  # a: node, b: emergency code | error register << 16 (CiA 301), text: manufacturer's bytes, hex
     NODE_STATE = 5  # a: node, b: NMT state
     EXCEPTION = 6  # text: exception and place
     BUS_ERROR = 7  # a: error class bits of the frame's id, b: see rigctl.telemetry.can_errors.details
@@ -32,6 +33,8 @@ class Kind(IntEnum):
     LIMIT = 15  # a: fault, b: action (LOG), value, limit, text: a limit of the rig file is passed ...
     LIMIT_OVER = 16  # ... and is kept again
     RECEIVE_FAILED = 17  # text: why
+    CAUSE = 45  # as TRIP: a further cause stands, while a fault is latched ...
+    CAUSE_OVER = 46  # ... and it, or what tripped, is gone
     LOCAL_HOLD = 65  # a: user, b: process it came from, text: operator; what came of it is in the reply
     SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
 
@@ -72,17 +75,25 @@ FAULT_TEXT: dict[Fault, str] = {
     Fault.E_STOP: "emergency stop pressed ({seen})",
     Fault.E_STOP_UNSEEN: "the I/O node that mirrors the emergency stop has sent nothing for {value:.0f} ms "
     "(limit {limit:.0f} ms)",
+    Fault.STATUS_STALE: "no current, temperature and inputs of the drive for {value:.0f} ms (limit {limit:.0f} ms): "
+    "neither its emergency stop's input nor its temperature is seen",
+    Fault.LIMIT_UNSEEN: "{text} is limited by the rig file and does not come: no sample for {value:.0f} ms "
+    "(limit {limit:.0f} ms)",
+    Fault.DRIVE_UNASKED: "{text}, and this daemon has not asked for it{speed}: find who commands the drive, withdraw "
+    "the tool, then reset",
+    Fault.DRIVE_REFUSES: "drive says that {text}",
+    Fault.NODE_NOT_OPERATIONAL: "{text} {state}",
     Fault.RIVAL: "another controller commands this bus: find it and stop it",
     Fault.CELL_NOISY: "tension cell jumps by {value:.1f} N from sample to sample (limit {limit:.1f} N)",
     Fault.CELL_NEGATIVE: "tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
-    Fault.SENSOR_EMERGENCY: "a sensor's emergency message stands (see the events)",
-    Fault.DRIVE_EMERGENCY: "the drive's emergency message stands (see the events)",
+    Fault.SENSOR_EMERGENCY: "a sensor's emergency message stands ({emergency})",
+    Fault.DRIVE_EMERGENCY: "the drive's emergency message stands ({emergency})",
     Fault.DEVICE_RESTARTED: "a device restarted and lost its settings; start the daemon anew",
 }
 
 _SCALE: dict[Fault, float] = {
     Fault.CELL_STALE: 1e-6, Fault.INCLINATION_STALE: 1e-6, Fault.DRIVE_STALE: 1e-6, Fault.BUS_SILENT: 1e-6,
-    Fault.E_STOP_UNSEEN: 1e-6,
+    Fault.E_STOP_UNSEEN: 1e-6, Fault.STATUS_STALE: 1e-6, Fault.LIMIT_UNSEEN: 1e-6,
 }  # fmt: skip
 
 _SEEN: dict[float, str] = {
@@ -107,10 +118,15 @@ CHECK_TEXT: dict[Check, str] = {
     Check.CELL_IMPLAUSIBLE: "tension cell is stuck, noisy or reads a push: check cable and amplifier",
     Check.EMERGENCY: "a device's emergency message stands (see the events)",
     Check.RIVAL: "another controller commands this bus: find it and stop it",
-    Check.LIMIT: "a limit of the rig file is passed (rigctl watch shows the signals)",
+    Check.LIMIT: "a limit of the rig file is passed, or its signal does not come (rigctl watch shows the signals)",
     Check.E_STOP: "emergency stop is pressed (drive's input): release it, then rigctl reset",
     Check.E_STOP_IO: "emergency stop is pressed (I/O node's input): release it, then rigctl reset",
     Check.E_STOP_UNSEEN: "emergency stop's input is not seen: check the drive's second TPDO (cylinder.e_stop_input)",
+    Check.STATUS_STALE: "no current, temperature and inputs of the drive: check its second TPDO "
+    "(cylinder.status_rate_hz)",
+    Check.DRIVE_REFUSES: "drive is not ours to command: somebody else has enabled it, its remote bit is off, or a "
+    "limit of its own is active (statusword bits 9, 11): withdraw its panel or service tool, look at its display",
+    Check.NODE_NOT_OPERATIONAL: "a device sends no heartbeat or is not operational: check its power and cable",
     Check.E_STOP_IO_UNSEEN: "emergency stop's input on the I/O node is not seen: check the node's power and cable",
     Check.TARE: "no tare on record that still holds: rigctl tare (or calibration.waiver)",
     Check.MARGINS: "no accepted margins of the law in use: rigctl tune",
@@ -135,14 +151,36 @@ _EVENT_TEXT: dict[Event, str] = {
     Event.RAMP_DOWN: "ramp down",
 }
 
-_NMT = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
+_NMT: dict[float, str] = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
 
 
 def fault_text(fault: Fault, value: float, limit: float, text: str = "") -> str:
     """One line for a fault; ``text``: what is beyond its limit, where the rig file says so."""
     scale = _SCALE.get(fault, 1.0)
-    seen = _SEEN.get(value, "input not known") if fault is Fault.E_STOP else ""
-    return FAULT_TEXT[fault].format(value=value * scale, limit=limit * scale, text=text, seen=seen)
+    return FAULT_TEXT[fault].format(
+        value=value * scale,
+        limit=limit * scale,
+        text=text,
+        seen=_SEEN.get(value, "input not known"),
+        speed=f" ({value:.2f} mm/s)" if limit else "",
+        state=_node_words(value, limit),
+        emergency=_emergency_words(value),
+    )
+
+
+def _emergency_words(value: float) -> str:
+    """Node and code of an emergency that stands: node << 16 | code."""
+    node, code = divmod(int(value), 1 << 16) if math.isfinite(value) else (0, 0)
+    if not node:
+        return "see the events"
+    return f"node {node}: 0x{code:04X}, {emergency.code_words(code) if code >> 8 else 'see the events'}"
+
+
+def _node_words(value: float, limit: float) -> str:
+    """Of a device: how long it has sent no heartbeat, or the NMT state it tells, where the limit is none."""
+    if limit:
+        return f"has sent no heartbeat for {value * 1e-6:.0f} ms (limit {limit * 1e-6:.0f} ms)"
+    return f"is {_NMT.get(value, 'in an unknown state')}, not operational: start the daemon anew"
 
 
 def _trip(a: int, b: int, value: float, limit: float, text: str) -> Worded:
@@ -173,8 +211,12 @@ def refusal_text(
     limits: tuple[float, float],
     value: float = math.nan,
     known: Mapping[Check, str] = MappingProxyType({}),
+    standing: Mapping[Fault, str] = MappingProxyType({}),
 ) -> str:
-    """Why a command was refused, in one line; ``value`` is the reply's, ``known`` as of `failed_checks`."""
+    """Why a command was refused, in one line; ``value`` is the reply's, ``known`` as of `failed_checks`.
+
+    ``standing``: causes that stand, in words, the strongest first.
+    """
     match refusal:
         case Refusal.ALREADY:
             return (
@@ -187,7 +229,10 @@ def refusal_text(
         case Refusal.OUT_OF_RANGE:
             return f"target must be {limits[0]:g} to {limits[1]:g} N"
         case Refusal.CAUSE_PRESENT:
-            return f"cause still present: {fault.name}" + (_SILENT_HINT if fault in _SILENT else "")
+            there = [cause for cause in Fault if checks >> cause & 1] or [fault]
+            there.sort(key=lambda cause: list(standing).index(cause) if cause in standing else len(standing))
+            words = [f"{cause.name} ({standing[cause]})" if cause in standing else cause.name for cause in there]
+            return f"cause still present: {', '.join(words)}" + (_SILENT_HINT if _SILENT & {*there} else "")
         case Refusal.WRONG_MODE:
             return f"{verb.name.lower()} is not possible in {mode.name}{_HINT.get((mode, verb), '')}"
         case Refusal.EXPIRED:
@@ -210,10 +255,16 @@ _TRIAL_TEXT = {
 }
 _SILENT = frozenset(
     {Fault.DEVICE_RESTARTED, Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE,
-     Fault.E_STOP_UNSEEN}
+     Fault.E_STOP_UNSEEN, Fault.STATUS_STALE, Fault.NODE_NOT_OPERATIONAL}
 )  # fmt: skip
 _UNSEEN = (
-    Check.DRIVE_SUPERVISION | Check.CELL_STALE | Check.INCLINATION_STALE | Check.DRIVE_STALE | Check.E_STOP_IO_UNSEEN
+    Check.DRIVE_SUPERVISION
+    | Check.CELL_STALE
+    | Check.INCLINATION_STALE
+    | Check.DRIVE_STALE
+    | Check.E_STOP_IO_UNSEEN
+    | Check.STATUS_STALE
+    | Check.NODE_NOT_OPERATIONAL
 )
 _SILENT_HINT = " (a device that was switched off or a CAN interface that was unplugged needs the daemon started anew)"
 _HINT: dict[tuple[Mode, Verb], str] = {
@@ -233,10 +284,14 @@ def _mode(a: int, b: int, value: float, _limit: float, _text: str) -> Worded:
     return Worded(severity, f"{Mode(a).name} -> {Mode(b).name}: {_EVENT_TEXT[Event(int(value))]}")
 
 
-def _emergency(a: int, b: int, _value: float, _limit: float, _text: str) -> Worded:
-    if b == 0:
-        return Worded("info", f"node {a}: emergency over")
-    return Worded("error", f"node {a}: emergency 0x{b:04X}")
+def _emergency(a: int, b: int, _value: float, _limit: float, text: str) -> Worded:
+    code, register = b & 0xFFFF, b >> 16 & 0xFF
+    try:
+        manufacturer = bytes.fromhex(text)
+    except ValueError:
+        manufacturer = b""
+    severity = "info" if not emergency.stands(code, register) else "error" if code >> 8 else "warning"
+    return Worded(severity, f"node {a}: {emergency.words(code, register, manufacturer)}")
 
 
 _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
@@ -244,6 +299,8 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.TRIP: _trip,
     Kind.LIMIT: lambda a, _b, v, m, t: Worded("warning", f"limit: {fault_text(Fault(a), v, m, t)}"),
     Kind.LIMIT_OVER: lambda _a, _b, _v, m, t: Worded("info", f"limit: no longer {t} {m:g}"),
+    Kind.CAUSE: lambda a, _b, v, m, t: Worded("error", f"{Fault(a).name} stands: {fault_text(Fault(a), v, m, t)}"),
+    Kind.CAUSE_OVER: lambda a, _b, _v, _m, t: Worded("info", f"{Fault(a).name} no longer stands{t and f': {t}'}"),
     Kind.RESET: lambda a, _b, _v, _l, _t: Worded("info", f"fault {Fault(a).name} reset"),
     Kind.EMERGENCY: _emergency,
     Kind.NODE_STATE: lambda a, b, _v, _l, _t: Worded("info" if b == 5 else "warning", f"node {a}: {_NMT.get(b, b)}"),

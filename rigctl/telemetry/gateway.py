@@ -10,7 +10,7 @@ import pathlib
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgspec
@@ -21,9 +21,10 @@ from rigctl.commission.clerk import Clerk
 from rigctl.commission.ledger import Standing
 from rigctl.commission.preflight import Preflight, Verdict
 from rigctl.config import RigSettings
+from rigctl.control import limits, safety
 from rigctl.control.modes import Setting
 from rigctl.control.realtime import die_with_parent
-from rigctl.control.safety import HOST_CHECKS
+from rigctl.control.safety import HOST_CHECKS, Fault
 from rigctl.telemetry.active import Active, Written
 from rigctl.telemetry.commands import Desk
 from rigctl.telemetry.cursor import Cursor
@@ -35,7 +36,7 @@ from rigctl.telemetry.ring import RingError
 from rigctl.telemetry.runtime import RECORDED, Runtime
 from rigctl.telemetry.schema import schema
 from rigctl.telemetry.session import SessionError, close, finish, open_client, open_router
-from rigctl.telemetry.state import Recent, Trip, design_of, kept_of, preflight_of, state_of, warnings_of
+from rigctl.telemetry.state import Causes, Recent, Trip, design_of, kept_of, preflight_of, state_of, warnings_of
 from rigctl.telemetry.streams import EventStream, FastStream, event_publishers, past_block, past_messages
 from rigctl.termination import Termination
 
@@ -55,6 +56,9 @@ class StateView:
         self._records, self._events = runtime.record_reader(), runtime.event_reader(from_start=True)
         self._records.cursor = max(0, self._records.head - settings.loop.rate_hz)
         self._recent, self._trip = Recent(), Trip()
+        self._causes = Causes((*safety.table(settings), *limits.rows(settings)))
+        self.standing: Mapping[Fault, str] = {}
+        """Causes of a fault that stand, in words, the strongest first."""
         self._warnings: list[str] = []
         self._design: str | None = None
         self._kept: dict[str, Any] = {}
@@ -74,7 +78,9 @@ class StateView:
         """Read what is new and encode it; ``cursor``: how far events and notes are published, once this is shown."""
         record = self._records.latest()  # before the events: the loop tells why it tripped before a record shows it
         self._recent.add(self._records.read())
-        self._trip.note(self._events.read())
+        events = self._events.read()
+        self._trip.note(events)
+        self._causes.note(events)
         if now_ns >= self._look_ns:
             self._look_ns = now_ns + _LOOK_NS
             self._design, of_design = design_of(self._active.written)
@@ -82,8 +88,15 @@ class StateView:
             self._kept, of_recorder = kept_of(self._recorder.value, now_ns)
             self._warnings = [*of_design, *warnings_of(self._active.control), *of_recorder]
         state = state_of(record, self._trip, self._recent, now_ns, time.time_ns())
+        wall_ns = time.time_ns() - now_ns
+        causes = self._causes.of(record, wall_ns) if record is not None else []
+        words: dict[Fault, str] = {}
+        for cause in causes:
+            words.setdefault(Fault[cause["fault"]], cause["text"])
+        self.standing = words
         own = {
             "rig": self._rig,
+            "causes": causes,
             "samples_lost": samples_lost,
             "design": self._design,
             "calibration": standing,
@@ -170,7 +183,7 @@ class Gateway:
         records = runtime.record_reader(from_start=True)
         self._cursor = Cursor(runtime.gateway_cursor, runtime.records, records.head)
         self._active, self._active_sent = Active(runtime), b""
-        self._view = StateView(runtime, settings, self._active)
+        self._view = view = StateView(runtime, settings, self._active)
         self._state = self._session.declare_publisher(keys.state, encoding=_JSON, congestion_control=_DROP)
         self._configuration = self._session.declare_publisher(keys.active, encoding=_JSON, congestion_control=_DROP)
         fast = self._session.declare_publisher(keys.fast, congestion_control=_DROP)
@@ -190,7 +203,7 @@ class Gateway:
             keys,
             runtime.command_writer(),
             runtime.reply_reader(),
-            lambda: sight_of(newest),
+            lambda: sight_of(newest, view.standing),
             limits_n,
             self._clerk,
             self._keeper,

@@ -40,7 +40,8 @@ KINDS: dict[Kind, str] = {
     Kind.MODE: "change of mode; a: from, b: to (see modes), value: why, limit: safe frames sent before it",
     Kind.TRIP: "a limit trips; a: fault (see faults), b: action, value and limit in the fault's unit",
     Kind.RESET: "a latched fault was acknowledged; a: fault",
-    Kind.EMERGENCY: "emergency message of a device (CiA 301); a: node, b: code, 0 when it is over",
+    Kind.EMERGENCY: "emergency message of a device (CiA 301); a: node, b: code + 65536 x error register, "
+    "text: the manufacturer's bytes; a code 0x00xx with register 0 when it is over",
     Kind.NODE_STATE: "state of a device changed; a: node, b: NMT state (CiA 301)",
     Kind.EXCEPTION: "exception in the loop, which holds; text: what and where",
     Kind.BUS_ERROR: "CAN error frame; a: error class bits, b: details",
@@ -53,6 +54,8 @@ KINDS: dict[Kind, str] = {
     Kind.GAINS: "gains changed; text: K_T, K_v, K_i now in force",
     Kind.LIMIT: "a limit of the rig file that only logs is passed; a: fault, b: action, value, limit",
     Kind.LIMIT_OVER: "such a limit is kept again; as limit",
+    Kind.CAUSE: "a further cause of a fault stands; as trip",
+    Kind.CAUSE_OVER: "a cause of a fault is gone; as trip",
     Kind.RECEIVE_FAILED: "the bus could not be read; text: why",
     Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
 }

@@ -133,6 +133,12 @@ RECORD = Slot(
         Field("checks", "Q", "", "preflight checks that fail, bits, see checks; not looked at while armed"),
         Field("command_seq", "Q", "", "sequence number of the last slot the loop has taken from the command ring"),
         Field("hold_seq", "Q", "", "sequence number of the last slot the loop has taken from the ring of holds"),
+        Field(
+            "cause_bits",
+            "Q",
+            "",
+            "causes of a fault that stand now, bits 1 << number, see faults; the state words them",
+        ),
     ),
 )
 
@@ -184,7 +190,13 @@ REPLY = Slot(
         Field("id", "Q", "", "of the command"),
         Field("accepted", "B", "", "1 carried out, 0 refused"),
         Field("reason", "H", "", "why refused, see rigctl.control.modes.Refusal"),
-        Field("checks", "Q", "", "preflight checks that failed, bits, see rigctl.control.safety.Check"),
+        Field(
+            "checks",
+            "Q",
+            "",
+            "preflight checks that failed, bits, see rigctl.control.safety.Check; CAUSE_PRESENT: "
+            "the faults whose causes are there, bits 1 << number",
+        ),
         Field("mode", "B", "", "mode after the command"),
         Field(
             "value",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -189,10 +189,11 @@ class Sight:
     stroke_mm: float = math.nan
     tension_n: float = math.nan
     target_n: float = math.nan
+    standing: Mapping[Fault, str] = field(default_factory=dict)  # causes in words, the strongest first
 
 
-def sight_of(records: RingReader) -> Sight:
-    """What the newest record says about the rig."""
+def sight_of(records: RingReader, standing: Mapping[Fault, str] = MappingProxyType({})) -> Sight:
+    """What the newest record says about the rig; ``standing``: causes in words, the strongest first."""
     record = records.latest()
     if record is None:
         return Sight()
@@ -200,7 +201,8 @@ def sight_of(records: RingReader) -> Sight:
         fault = Fault(int(record["fault"]))
     except ValueError:
         fault = Fault.NONE
-    return Sight(fault, float(record["stroke_mm"]), float(record["tension_n"]), float(record["target_n"]))
+    stroke_mm, tension_n, target_n = (float(record[name]) for name in ("stroke_mm", "tension_n", "target_n"))
+    return Sight(fault, stroke_mm, tension_n, target_n, standing)
 
 
 def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
@@ -279,6 +281,6 @@ def answer(
     refusal, checks = Refusal(int(reply["reason"])), int(reply["checks"])
     named = refusal is Refusal.CAUSE_PRESENT and value in Fault._value2member_map_
     cause = Fault(int(value)) if named else sight.fault
-    text = refusal_text(refusal, verb, mode, checks, cause, limits_n, value, failing)
+    text = refusal_text(refusal, verb, mode, checks, cause, limits_n, value, failing, sight.standing)
     more = {"checks": failed_checks(checks, failing)} if refusal is Refusal.PREFLIGHT else {}
     return refused(name, request.operator, refusal.name.lower(), text, **about, **more)

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Check, Fault
+from rigctl.control.safety import BLOCK_RESET, Action, Check, Fault, Row
 from rigctl.telemetry.events import Kind, failed_checks, fault_text
 from rigctl.telemetry.meanings import Rows
 from rigctl.telemetry.record import Flag, Quality
 
 ALIVE_NS = 250_000_000  # a loop whose newest record is older than this does not run
 WINDOW_NS = 1_000_000_000
+TEXT_BYTES = 80  # of a row's text in an event
 RECORDER_SILENT_NS = 5_000_000_000
 _PERCENTILES = (("p50", 0.5), ("p99", 0.99), ("p999", 0.999), ("max", 1.0))
 
@@ -66,16 +68,19 @@ class Recent:
 
 
 class Trip:
-    """Value and limit of the trip that is latched, remembered from the events."""
+    """Value and limit of the trip that is latched, remembered from the events.
+
+    Of each fault the newest is kept: a stronger one that trips while another is latched does not take its place.
+    """
 
     def __init__(self) -> None:
-        self._fault, self._value, self._limit, self._text = 0, math.nan, math.nan, ""
+        self._trips: dict[int, tuple[float, float, str]] = {}
 
     def note(self, events: npt.NDArray[Any]) -> None:
-        """Look for a newer trip."""
+        """Look for newer trips."""
         for event in events[events["kind"] == Kind.TRIP]:
-            self._fault, self._value, self._limit = int(event["a"]), float(event["value"]), float(event["limit"])
-            self._text = bytes(event["text"]).decode(errors="replace")
+            text = bytes(event["text"]).decode(errors="replace")
+            self._trips[int(event["a"])] = float(event["value"]), float(event["limit"]), text
 
     def text(self, fault: int) -> str:
         """The latched fault in words."""
@@ -85,9 +90,76 @@ class Trip:
             return f"unknown fault {fault}"
         if known is Fault.NONE:
             return ""
-        if self._fault != fault:  # its event is not in the ring any more
+        if fault not in self._trips:  # its event is not in the ring any more
             return known.name.lower().replace("_", " ")
-        return fault_text(known, self._value, self._limit, self._text)
+        return fault_text(known, *self._trips[fault])
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A row of the safety table that stands, as its event told it."""
+
+    t_ns: int
+    value: float
+
+
+class Causes:
+    """Causes of a fault that stand: which, the newest record says; since when and with which value, the events."""
+
+    def __init__(self, rows: Sequence[Row]) -> None:
+        """``rows``: of the safety table, built-in ones first."""
+        self._rows = [row for row in rows if row.action is not Action.LOG]
+        self._since: dict[tuple[int, float, str], Cause] = {}
+
+    def note(self, events: npt.NDArray[Any]) -> None:
+        """Take new events."""
+        for event in events[np.isin(events["kind"], _OF_CAUSES)]:
+            kind, text = int(event["kind"]), bytes(event["text"]).decode(errors="replace")
+            key = int(event["a"]), float(event["limit"]), text
+            if kind == Kind.STARTED:
+                self._since.clear()
+            elif kind == Kind.CAUSE_OVER:
+                self._since.pop(key, None)
+            else:
+                self._since.setdefault(key, Cause(int(event["t_ns"]), float(event["value"])))
+
+    def of(self, record: np.void, wall_ns: int) -> list[dict[str, Any]]:
+        """Those that stand at a record, the strongest first, then in the table's order.
+
+        ``wall_ns``: wall clock less CLOCK_MONOTONIC. A fault whose event has been missed is there without figures.
+        """
+        bits, mode, t_ns = int(record["cause_bits"]), int(record["mode"]), int(record["t_ns"])
+        known = {key: cause for key, cause in self._since.items() if bits >> key[0] & 1 or cause.t_ns > t_ns}
+        self._since = known
+        found: list[tuple[Row, Cause | None]] = []
+        for fault in (fault for fault in Fault if bits >> fault & 1):
+            rows = [row for row in self._rows if row.fault is fault]
+            told = [(row, cause) for row in rows if (cause := known.get(_key(row))) and mode in row.modes]
+            found += told or [(row, None) for row in rows[:1]]
+        found.sort(key=lambda item: (-item[0].action, self._rows.index(item[0])))
+        return [_cause(row, cause, wall_ns) for row, cause in found]
+
+
+_OF_CAUSES = (Kind.STARTED, Kind.TRIP, Kind.CAUSE, Kind.CAUSE_OVER)
+
+
+def _key(row: Row) -> tuple[int, float, str]:
+    return int(row.fault), row.sign * float(row.limit), row.text.encode()[:TEXT_BYTES].decode(errors="replace")
+
+
+def _cause(row: Row, cause: Cause | None, wall_ns: int) -> dict[str, Any]:
+    limit = row.sign * float(row.limit)
+    plain = row.fault.name.lower().replace("_", " ")
+    return {
+        "fault": row.fault.name,
+        "text": plain if cause is None else fault_text(row.fault, cause.value, limit, row.text),
+        "action": row.action.name,
+        "value": None if cause is None else cause.value,
+        "limit": limit,
+        "since_ns": None if cause is None else cause.t_ns,
+        "since_wall_ns": None if cause is None else cause.t_ns + wall_ns,
+        "blocks_reset": row.fault in BLOCK_RESET,
+    }
 
 
 def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wall_ns: int) -> dict[str, Any]:
@@ -170,6 +242,13 @@ DERIVED: Rows = (
     ("fault", "string?", "", "latched fault's name, null without one"),
     ("fault_code", "integer", "", "its number, as in the record; 0 none"),
     ("fault_text", "string", "", "why it tripped, in words; empty without a fault"),
+    (
+        "causes",
+        "array",
+        "",
+        "causes of a fault that stand now, the strongest first: fault, text, action, value and limit in the fault's "
+        "unit, since_ns (as t_ns), since_wall_ns, blocks_reset; value and since are null where that is not known",
+    ),
     ("flag_names", "array", "", "flags in words"),
     ("error_n", "number?", "N", "vertical_n - target_n while COMPENSATING, else null"),
     ("error_pct", "number?", "%", "its magnitude over the target, while COMPENSATING, else null"),

@@ -10,6 +10,7 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import Phase
 from rigctl.config import RigSettings
+from rigctl.config_limits import OF_STATUS
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.safety import HOST_CHECKS, Action, Check, Fault, Trip
 from rigctl.control.tension import Gains
@@ -108,7 +109,9 @@ def test_current_and_temperature_are_the_drives(rig: Lockstep, enter: Enter) -> 
 
 def test_a_drive_that_is_not_asked_for_its_status_has_no_emergency_stop(settings: RigSettings, gains: Gains) -> None:
     without = {"status_rate_hz": None, "rated_current_a": None, "e_stop_input": None}
-    plain = settings.model_copy(update={"cylinder": settings.cylinder.model_copy(update=without)})
+    limits = [limit for limit in settings.limits if limit.signal not in OF_STATUS]
+    cylinder = settings.cylinder.model_copy(update=without)
+    plain = settings.model_copy(update={"cylinder": cylinder, "limits": limits})
     with lockstep(plain, gains, log=True) as rig:
         rig.run(0.3)
         rig.rig.drive.e_stop_pressed = True

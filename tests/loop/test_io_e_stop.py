@@ -13,6 +13,7 @@ from hil.nodes.power_stage import Phase
 from hil.wire import FRAME
 from rigctl.config import RigSettings
 from rigctl.config_io import IoSettings
+from rigctl.config_limits import OF_STATUS
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action, Check, EStop, Fault
 from rigctl.control.tension import Gains
@@ -216,7 +217,9 @@ def test_lost_frames_are_ridden_through(rig: Lockstep, enter: Enter) -> None:
 
 def test_without_the_drives_input_the_io_node_is_the_only_eye(settings: RigSettings, gains: Gains) -> None:
     without = {"status_rate_hz": None, "rated_current_a": None, "e_stop_input": None}
-    blind = settings.model_copy(update={"cylinder": settings.cylinder.model_copy(update=without)})
+    limits = [limit for limit in settings.limits if limit.signal not in OF_STATUS]
+    cylinder = settings.cylinder.model_copy(update=without)
+    blind = settings.model_copy(update={"cylinder": cylinder, "limits": limits})
     with lockstep(fitted(blind), gains) as rig:
         rig.run(0.2)
         assert rig.command(Verb.ARM) is Refusal.NONE

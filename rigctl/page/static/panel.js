@@ -18,7 +18,7 @@ export class Panel {
     set(byId("mode"), state.mode);
     byId("mode").dataset.mode = state.mode;
     byId("alarm").hidden = !state.why;
-    set(byId("alarm"), state.why);
+    set(byId("alarm"), [state.why, ...(state.causes ?? []).map((words) => `stands: ${words}`)].join("\n"));
     const values = state.values ?? {};
     this.numbers(values, state.inclination ?? "good", state.flaws ?? "");
     this.list(state);

@@ -73,9 +73,9 @@ def test_its_frames_are_due_to_no_sync() -> None:
 def test_its_emergency_is_a_devices_and_its_boot_up_a_restart() -> None:
     bench = Bench(RIG)
     bench.give(od.EMCY_BASE + IO.node, struct.pack("<HB5x", od.EmcyCode.EXTERNAL, 1))
-    assert (bench.inbox.sensors_in_error, bench.inbox.drive_in_error, bench.inbox.e_stop) == (1, False, False)
+    assert (bench.inbox.sensor_emergency != 0, bench.inbox.drive_emergency, bench.inbox.e_stop) == (True, 0, False)
     bench.give(od.EMCY_BASE + IO.node, bytes(8))
-    assert bench.inbox.sensors_in_error == 0
+    assert bench.inbox.sensor_emergency == 0
     bench.give(od.HEARTBEAT_BASE + IO.node, bytes([od.NmtState.OPERATIONAL]))
     assert not bench.inbox.restarted
     bench.give(od.HEARTBEAT_BASE + IO.node, bytes([od.NmtState.BOOT_UP]))

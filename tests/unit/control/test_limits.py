@@ -15,6 +15,7 @@ from rigctl.config_limits import SIGNALS, LimitSettings, SignalName
 from rigctl.control import limits
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action, Fault, Row, Sight, Watch
+from rigctl.telemetry.events import fault_text
 
 SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
 MS = 1_000_000
@@ -70,8 +71,42 @@ def test_each_bound_is_a_row_of_its_own_that_shows_value_and_limit_as_they_are()
 
 
 def test_what_is_not_known_passes_no_limit() -> None:
-    (row,) = rows(signal="drive_temperature_c", high=70.0)
+    row, _ = rows(signal="drive_temperature_c", high=70.0)
     assert not row.value(Sight()) > row.limit
+
+
+@pytest.mark.parametrize("action", ["power_off", "ramp_down"])
+def test_a_limit_on_a_signal_that_does_not_come_is_a_fault_of_its_own(action: str) -> None:
+    _, unseen = rows(signal="drive_temperature_c", high=70.0, action=action)
+    assert (unseen.fault, unseen.action, unseen.persistence_ns) == (Fault.LIMIT_UNSEEN, Action.HOLD, 0)
+    assert unseen.text == "drive temperature (drive_temperature_c)"
+    assert not unseen.value(Sight(status_age_ns=250 * MS)) > unseen.limit  # five periods of 50 ms
+    assert unseen.value(Sight(status_age_ns=251 * MS)) > unseen.limit
+    worded = fault_text(unseen.fault, 251 * MS, unseen.limit, unseen.text)
+    assert worded == (
+        "drive temperature (drive_temperature_c) is limited by the rig file and does not come: no sample for 251 ms "
+        "(limit 250 ms)"
+    )
+
+
+def test_a_limit_that_is_only_logged_says_that_its_signal_does_not_come() -> None:
+    _, unseen = rows(signal="drive_temperature_c", high=70.0, action="log")
+    assert (unseen.fault, unseen.action, unseen.limit) == (Fault.LIMIT, Action.LOG, 250.0)
+    assert unseen.text == "age in ms of drive temperature (drive_temperature_c) above"
+    assert unseen.value(Sight(status_age_ns=251 * MS)) == 251.0
+
+
+def test_in_the_armed_modes_the_built_in_rows_watch_the_others_and_in_disarmed_this_one() -> None:
+    assert len(rows(signal="tangential_deg", high=5.0)) == 1
+    _, unseen = rows(signal="tangential_deg", high=5.0, modes=["DISARMED", "HOLD"])
+    assert (unseen.modes, unseen.limit, unseen.persistence_ns) == ({Mode.DISARMED}, 100 * MS, 100 * MS)
+    assert unseen.value(Sight(inclination_age_ns=101 * MS)) > unseen.limit
+
+
+def test_two_limits_on_a_signal_miss_it_once() -> None:
+    found = [LimitSettings(signal="drive_temperature_c", high=high, action="hold") for high in (70.0, 85.0)]
+    table = limits.rows(SETTINGS.model_copy(update={"limits": found}))
+    assert [row.fault for row in table] == [Fault.LIMIT, Fault.LIMIT, Fault.LIMIT_UNSEEN]
 
 
 @pytest.mark.parametrize("slope", [40.0, -40.0])
@@ -93,7 +128,8 @@ def test_a_rate_starts_anew_after_a_pause_and_knows_nothing_of_what_is_not_a_num
 
 def test_a_limit_trips_with_its_own_action_and_words() -> None:
     watch = Watch(SETTINGS, rows(signal="drive_temperature_c", high=85.0, action="ramp_down"))
-    good = Sight(tension_n=300.0, stroke_mm=50.0, cell_age_ns=0, inclination_age_ns=0, drive_age_ns=0, bus_age_ns=0)
+    good = Sight(tension_n=300.0, stroke_mm=50.0, cell_age_ns=0, inclination_age_ns=0, drive_age_ns=0, bus_age_ns=0,
+        status_age_ns=0)  # fmt: skip
     assert watch.trips(replace(good, drive_temperature_c=85.0), Mode.HOLD, 0) is None
     trip = watch.trips(replace(good, drive_temperature_c=86.0), Mode.HOLD, MS)
     assert trip is not None

@@ -29,8 +29,11 @@ GOOD = Sight(
     bus_age_ns=MS,
     drive_wanted=True,
     io_age_ns=MS,
+    status_age_ns=50 * MS,
+    drive_temperature_c=40.0,
 )
 
+NODES = {"tension cell": 2, "inclinometer": 3, "I/O node": 6, "cylinder drive": 4}
 BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.BUS_SILENT, "ns"): {"bus_age_ns": 16 * MS},
     (Fault.DRIVE_STALE, "ns"): {"drive_age_ns": 16 * MS},
@@ -46,6 +49,23 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.STRETCH_UNEXPLAINED, "mm at rest"): {"unexplained_mm": 1.7},
     (Fault.CELL_NOISY, "N"): {"cell_unrest_n": 1.0},
     (Fault.CELL_NEGATIVE, "N"): {"tension_n": -15.1},
+    (Fault.DRIVE_REFUSES, "it takes no commands from the bus (statusword bit 9, remote, is off)"): {
+        "drive_local": True
+    },
+    (Fault.DRIVE_REFUSES, "a limit of its own is active (statusword bit 11)"): {"drive_limited": True},
+    (Fault.DRIVE_REFUSES, "it does not follow the commanded speed (statusword bit 12 is off)"): {"drive_ignores": True},
+    (Fault.DRIVE_UNASKED, "the drive has been enabled by somebody else"): {"drive_unasked": True},
+    (Fault.DRIVE_UNASKED, "the drive stays enabled though it is told to go off"): {"drive_lingers": True},
+    (Fault.DRIVE_UNASKED, "mm/s the stroke moves under power"): {"speed_mm_s": 0.3, "drive_powered": True},
+    **{
+        (Fault.NODE_NOT_OPERATIONAL, f"ns {name} (node {node})"): {"heartbeats_t_ns": {node: -501 * MS}}
+        for name, node in NODES.items()
+    },
+    **{
+        (Fault.NODE_NOT_OPERATIONAL, f"NMT state {name} (node {node})"): {"node_states": {node: 127}}
+        for name, node in NODES.items()
+    },
+    (Fault.STATUS_STALE, "ns"): {"status_age_ns": 251 * MS},
     (Fault.SENSOR_EMERGENCY, ""): {"sensor_emergency": True},
     (Fault.DRIVE_EMERGENCY, ""): {"drive_emergency": True},
     (Fault.CELL_STUCK, "samples"): {"cell_repeats": 20},
@@ -67,13 +87,19 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
 }
 
 
+def named(row: Row) -> tuple[Fault, str]:
+    return row.fault, f"{row.unit} {row.text}".strip()
+
+
 def bad_for(row: Row) -> Sight:
-    return replace(GOOD, **BAD[row.fault, row.unit])  # type: ignore[arg-type]
+    return replace(GOOD, **BAD[named(row)])  # type: ignore[arg-type]
 
 
 def test_the_table_covers_every_fault_a_tick_can_see() -> None:
-    assert {(row.fault, row.unit) for row in ROWS} == set(BAD)
-    assert {fault for fault, _ in BAD} == set(Fault) - {Fault.NONE, Fault.LOOP_EXCEPTION, Fault.LIMIT}
+    assert {named(row) for row in ROWS} == set(BAD)
+    assert {fault for fault, _ in BAD} == set(Fault) - {
+        Fault.NONE, Fault.LOOP_EXCEPTION, Fault.LIMIT, Fault.LIMIT_UNSEEN,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -91,9 +117,9 @@ def test_a_row_trips_in_its_modes_after_its_persistence(row: Row, mode: Mode) ->
         trips = [watch.trips(sight, mode, t * MS) for t in range(500)]
         assert all(trip is None or (trip.fault, trip.limit) != (row.fault, row.sign * row.limit) for trip in trips)
         return
-    tripped = next(t for t in range(500) if watch.trips(sight, mode, t * MS) is not None)
+    tripped = next(t for t in range(1100) if watch.trips(sight, mode, t * MS) is not None)
     assert tripped * MS == row.persistence_ns
-    trip = watch.trips(sight, mode, 600 * MS)
+    trip = watch.trips(sight, mode, 1200 * MS)
     assert trip is not None
     assert trip.fault is row.fault
     assert (trip.value - trip.limit) * row.sign > 0.0
@@ -187,6 +213,7 @@ def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> Non
         ({"rival_age_ns": MS}, Check.RIVAL),
         ({"drive_emergency": True}, Check.EMERGENCY),
         ({"io_age_ns": 101 * MS}, Check.E_STOP_IO_UNSEEN),
+        ({"status_age_ns": 251 * MS}, Check.STATUS_STALE),
         ({"tangential_rad": 0.2}, Check.LIMIT),
         ({"tangential_rad": -0.2}, Check.LIMIT),
     ],

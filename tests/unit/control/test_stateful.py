@@ -31,7 +31,7 @@ SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yam
 )
 GOOD = Sight(
     tension_n=300.0, cell_age_ns=MS, inclination_age_ns=9 * MS, stroke_mm=50.0, drive_age_ns=MS, bus_age_ns=MS,
-    drive_temperature_c=40.0, drive_current_a=1.0, io_age_ns=MS,
+    drive_temperature_c=40.0, drive_current_a=1.0, io_age_ns=MS, status_age_ns=MS,
 )  # fmt: skip
 BAD: dict[str, object] = {
     "cell_age_ns": 16 * MS, "inclination_age_ns": 101 * MS, "drive_age_ns": 16 * MS, "bus_age_ns": 16 * MS,

@@ -40,7 +40,7 @@ EVERY = f"DISARMED {ARMED}"
 REST = "HOLD FAULT"
 GOOD = Sight(
     tension_n=300.0, cell_age_ns=MS, inclination_age_ns=9 * MS, stroke_mm=50.0, drive_age_ns=MS, drive_enabled=True,
-    bus_age_ns=MS, drive_wanted=True, io_age_ns=MS,
+    bus_age_ns=MS, drive_wanted=True, io_age_ns=MS, status_age_ns=50 * MS,
 )  # fmt: skip
 
 # fault, unit: the signal of the sight, its highest value that is none, what acts, after how many ms, in which modes
@@ -51,6 +51,36 @@ ROWS: dict[tuple[str, str], tuple[str, float, str, int, str]] = {
     ("CELL_STALE", "ns"): ("cell_age_ns", 15e6, "HOLD", 0, ARMED),
     ("INCLINATION_STALE", "ns"): ("inclination_age_ns", 100e6, "HOLD", 0, ARMED),
     ("E_STOP_UNSEEN", "ns"): ("io_age_ns", 100e6, "HOLD", 0, ARMED),
+    ("DRIVE_REFUSES", "it takes no commands from the bus (statusword bit 9, remote, is off)"): (
+        "drive_local",
+        0,
+        "HOLD",
+        20,
+        ARMED,
+    ),
+    ("DRIVE_REFUSES", "a limit of its own is active (statusword bit 11)"): ("drive_limited", 0, "HOLD", 100, ARMED),
+    ("DRIVE_REFUSES", "it does not follow the commanded speed (statusword bit 12 is off)"): (
+        "drive_ignores",
+        0,
+        "POWER_OFF",
+        20,
+        ARMED,
+    ),
+    ("DRIVE_UNASKED", "the drive has been enabled by somebody else"): (
+        "drive_unasked",
+        0,
+        "POWER_OFF",
+        20,
+        "DISARMED FAULT",
+    ),
+    ("DRIVE_UNASKED", "the drive stays enabled though it is told to go off"): (
+        "drive_lingers",
+        0,
+        "POWER_OFF",
+        1000,
+        "DISARMED FAULT",
+    ),
+    ("STATUS_STALE", "ns"): ("status_age_ns", 250e6, "HOLD", 0, ARMED),  # five of 50 ms
     ("DRIVE_FAULT", ""): ("drive_faulted", 0, "HOLD", 0, ARMED),
     ("SIGN_DRIVE", ""): ("drive_reversed", 0, "HOLD", 0, "TENSIONING"),
     ("SIGN_CELL", ""): ("cell_reversed", 0, "HOLD", 0, "TENSIONING"),
@@ -79,7 +109,7 @@ def modes(names: str) -> set[Mode]:
 
 
 def row_of(fault: str, unit: str) -> Row:
-    (found,) = [row for row in table(SETTINGS) if (row.fault.name, row.unit) == (fault, unit)]
+    (found,) = [row for row in table(SETTINGS) if (row.fault.name, f"{row.unit} {row.text}".strip()) == (fault, unit)]
     return found
 
 
@@ -113,6 +143,18 @@ def test_rows_that_watch_more_than_one_signal_or_a_lower_bound() -> None:
     assert (slips.limit, slips.persistence_ns, slips.modes) == (0.2, 200 * MS, modes("DISARMED"))
     assert slips.value(replace(GOOD, speed_mm_s=-0.3, drive_off=True)) == pytest.approx(0.3)
     assert slips.value(replace(GOOD, speed_mm_s=-0.3)) == 0.0
+    assert slips.value(replace(GOOD, speed_mm_s=-0.3, drive_faulted=True)) == pytest.approx(0.3)
+    moved = row_of("DRIVE_UNASKED", "mm/s the stroke moves under power")
+    assert (moved.limit, moved.persistence_ns, moved.modes) == (0.2, 200 * MS, modes("DISARMED"))
+    assert moved.value(replace(GOOD, speed_mm_s=-0.3, drive_powered=True)) == pytest.approx(0.3)
+    assert moved.value(replace(GOOD, speed_mm_s=-0.3)) == 0.0
+    silent = row_of("NODE_NOT_OPERATIONAL", "ns cylinder drive (node 4)")
+    assert (silent.limit, silent.persistence_ns, silent.action, silent.modes) == (500 * MS, 0, Action.HOLD,
+                                                                                 modes(ARMED))  # fmt: skip
+    assert silent.value(replace(GOOD, t_ns=7 * MS, heartbeats_t_ns={4: 2 * MS, 3: 0})) == 5 * MS
+    state = row_of("NODE_NOT_OPERATIONAL", "NMT state I/O node (node 6)")
+    assert (state.limit, state.persistence_ns, state.action, state.modes) == (0, 0, Action.HOLD, modes(ARMED))
+    assert [state.value(replace(GOOD, node_states={6: told})) for told in (5, 127, 4, 0)] == [0, 127, 4, 0]
     rest = row_of("STRETCH_UNEXPLAINED", "mm at rest")
     assert (rest.persistence_ns, rest.action, rest.modes) == (15 * MS, Action.POWER_OFF, modes(REST))
     assert 1.5 < rest.limit < 12.0, "above the rail's run-out"
@@ -169,6 +211,10 @@ def test_a_logged_limit_is_told_with_what_it_found_and_hides_nothing_behind_it()
         ({"tension_n": 401.0}, "TENSION_HIGH"), ({"skipped_in_window": 50}, "OVERRUN"),
         ({"device_restarted": True}, "DEVICE_RESTARTED"), ({"cell_repeats": 20}, "CELL_STUCK"),
         ({"io_age_ns": 101 * MS}, "E_STOP_UNSEEN"), ({"io_age_ns": 100 * MS}, "NONE"), ({"e_stop": 2}, "E_STOP"),
+        ({"status_age_ns": 251 * MS}, "STATUS_STALE"), ({"status_age_ns": 250 * MS}, "NONE"),
+        ({"drive_local": True}, "DRIVE_REFUSES"), ({"drive_unasked": True}, "DRIVE_UNASKED"),
+        ({"heartbeats_t_ns": {2: -501 * MS}}, "NODE_NOT_OPERATIONAL"),
+        ({"node_states": {2: 127}}, "NODE_NOT_OPERATIONAL"), ({"node_states": {2: 5}}, "NONE"),
         ({"e_stop": True}, "E_STOP"), ({"cell_unrest_n": 1.0}, "CELL_NOISY"), ({"tension_n": -16.0}, "CELL_NEGATIVE"),
         ({"sensor_emergency": True}, "SENSOR_EMERGENCY"), ({"drive_emergency": True}, "NONE"),
         ({"drive_faulted": True}, "NONE"), ({"drive_enabled": False}, "NONE"), ({"speed_error_mm_s": 9.0}, "NONE"),
@@ -217,7 +263,7 @@ def test_an_io_nodes_input_that_would_trip_as_unseen_stands_against_arming() -> 
 def test_nothing_seen_is_nothing_known() -> None:
     never, sight = 1 << 62, Sight()
     assert [sight.cell_age_ns, sight.inclination_age_ns, sight.drive_age_ns, sight.bus_age_ns] == [never] * 4
-    assert sight.io_age_ns == never
+    assert [sight.io_age_ns, sight.status_age_ns, sight.rail_age_ns] == [never] * 3
     for name in ("tension_n", "reading_n", "stroke_mm", "drive_temperature_c", "drive_current_a"):
         assert getattr(sight, name) != getattr(sight, name), f"{name} is no number"
     others = [getattr(sight, name) for name in Sight.__slots__
@@ -324,6 +370,15 @@ ON_RECORD: dict[type[IntEnum], str] = {
     "SIGN_DRIVE SIGN_CELL LIMIT CELL_STUCK DRIVE_CONTRADICTS STROKE_MOVES STRETCH_UNEXPLAINED E_STOP CELL_NOISY "
     "CELL_NEGATIVE SENSOR_EMERGENCY DRIVE_EMERGENCY RIVAL E_STOP_UNSEEN",
 }
+SPREAD: dict[type[IntEnum], dict[str, int]] = {  # numbers that do not follow the ones before them
+    Fault: {
+        "STATUS_STALE": 33,
+        "LIMIT_UNSEEN": 34,
+        "DRIVE_UNASKED": 35,
+        "DRIVE_REFUSES": 36,
+        "NODE_NOT_OPERATIONAL": 37,
+    },
+}
 VERBS = "ARM TENSION RELEASE HOLD DISARM RESET TARGET TARE CALIBRATE IDENTIFY GAINS"
 SETTINGS_TOLD = "ZERO SCALE OVERDUE K_TENSION K_SPEED K_INTEGRAL HOST_CHECKS"
 CHECKS = (
@@ -335,10 +390,13 @@ CHECKS = (
 
 def test_numbers_on_record_stay_what_they_are() -> None:
     for kind, names in ON_RECORD.items():
-        assert [(member.name, member.value) for member in kind] == [(n, i) for i, n in enumerate(names.split())]
+        numbered = [*((n, i) for i, n in enumerate(names.split())), *SPREAD.get(kind, {}).items()]
+        assert [(member.name, member.value) for member in kind] == numbered
     verbs = ["ARM", "TENSION", "RELEASE", "HOLD", "DISARM", "RESET", "TARGET", "TARE", "CALIBRATE", "IDENTIFY", "GAINS"]
     assert [(verb.name, verb.value) for verb in Verb] == [(name, i) for i, name in enumerate(verbs, 1)]
     settings = ["ZERO", "SCALE", "OVERDUE", "K_TENSION", "K_SPEED", "K_INTEGRAL", "HOST_CHECKS"]
     assert [(setting.name, setting.value) for setting in Setting] == [(n, i) for i, n in enumerate(settings, 128)]
     assert issubclass(Check, IntFlag)
-    assert {check.name: check.value for check in Check} == {name: 1 << i for i, name in enumerate(CHECKS.split())}
+    more = {"STATUS_STALE": 1 << 24, "DRIVE_REFUSES": 1 << 25, "NODE_NOT_OPERATIONAL": 1 << 26}
+    checks = {name: 1 << i for i, name in enumerate(CHECKS.split())} | more
+    assert {check.name: check.value for check in Check} == checks

@@ -99,6 +99,7 @@ OBJECTS = [  # file, index, subindex, type, access, default
     (SIMULATOR, objects.SIM_MOTION_START, 0, U8, "rw", 0),
     (SIMULATOR, objects.SIM_E_STOP, 0, U8, "rw", 0),
     (SIMULATOR, objects.SIM_IO_E_STOP, 0, U8, "rw", 0),
+    (SIMULATOR, objects.SIM_TOOL_UM_S, 0, I32, "rw", 0),
     (SIMULATOR, objects.SIM_MOTION_STATE, 0, U8, "ro", None),
     (SIMULATOR, objects.SIM_TRUE_VERTICAL_MN, 0, I32, "ro", None),
     (SIMULATOR, objects.SIM_TRUE_STROKE_UM, 0, I32, "ro", None),

@@ -1,0 +1,172 @@
+"""Every cause of a fault that stands is shown, the strongest first, with since when, and what blocks a reset."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+import pytest
+
+from hil.lockstep import Lockstep
+from hil.wire import FRAME
+from rigctl.commission.ledger import Standing
+from rigctl.commission.preflight import Verdict
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.safety import Fault
+from rigctl.devices import objects
+from rigctl.operator import figures, status
+from rigctl.page.panel import state_message
+from rigctl.telemetry.active import Active
+from rigctl.telemetry.cursor import Cursor
+from rigctl.telemetry.events import Kind, worded
+from rigctl.telemetry.gateway import StateView
+from rigctl.telemetry.request import Request, Sight, answer
+from rigctl.telemetry.state import Causes
+
+CELL = 0x182
+
+
+class Shown:
+    """The state message of a lockstep rig, as its gateway would publish it."""
+
+    def __init__(self, rig: Lockstep) -> None:
+        self._rig = rig
+        self.view = StateView(rig.runtime, rig.settings, Active(rig.runtime))
+        self._cursor = Cursor(rig.runtime.gateway_cursor, rig.runtime.records, 0)
+
+    def state(self) -> dict[str, Any]:
+        made = self.view.make(self._rig.clock.now(), 0, Standing(), None, Verdict(), self._cursor)
+        return dict(msgspec.json.decode(made))
+
+
+@pytest.fixture
+def shown(rig: Lockstep) -> Iterator[Shown]:
+    assert rig.command(Verb.ARM) is Refusal.NONE
+    yield Shown(rig)
+
+
+def cut(rig: Lockstep, seconds: float) -> None:
+    """No frame gets through for a while."""
+    rig.hub.tap = lambda _, __: ()
+    rig.run(seconds)
+    rig.hub.tap = None
+    rig.run(0.4)
+
+
+def silent(rig: Lockstep, can_id: int) -> None:
+    rig.hub.tap = lambda _, frame: () if FRAME.unpack(frame)[0] == can_id else (frame,)
+
+
+def test_an_emergency_stop_pressed_after_another_fault_is_shown_first(rig: Lockstep, shown: Shown) -> None:
+    cut(rig, 0.03)
+    assert rig.loop.machine.fault is Fault.BUS_SILENT
+    rig.rig.drive.press_e_stop(True)
+    pressed_ns = rig.clock.now()
+    rig.run(0.2)
+    state = shown.state()
+    assert state["fault"] == "BUS_SILENT"
+    first = state["causes"][0]
+    assert (first["fault"], first["action"], first["value"]) == ("E_STOP", "QUICK_STOP", 1.0)
+    assert first["text"] == "emergency stop pressed (drive's input)"
+    assert 0 <= first["since_ns"] - pressed_ns <= 5_000_000
+    assert first["blocks_reset"]
+    why = figures.why(state)
+    assert why.startswith("E_STOP: emergency stop pressed (drive's input); latched: BUS_SILENT: no frame on the bus")
+    rows = [value for label, value, _ in status.rows(state | {"warnings": []}) if label == "stands"]
+    assert rows[0].startswith("E_STOP: emergency stop pressed (drive's input), since ")
+    assert rows[0].endswith("blocks reset")
+
+
+def test_a_reset_is_refused_with_everything_that_blocks_it(rig: Lockstep, shown: Shown) -> None:
+    silent(rig, CELL)
+    rig.run(0.05)
+    rig.rig.drive.press_e_stop(True)
+    rig.run(0.2)
+    shown.state()
+    assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+    assert int(rig.reply["checks"]) == 1 << Fault.CELL_STALE | 1 << Fault.E_STOP
+    sight = Sight(Fault.CELL_STALE, standing=shown.view.standing)
+    text = answer(Request(Verb.RESET, "kim"), rig.reply, sight, (0.0, 1.0))["text"]
+    assert text.startswith(
+        "RESET refused: cause still present: E_STOP (emergency stop pressed (drive's input)), "
+        "CELL_STALE (no tension sample for 16 ms (limit 15 ms))"
+    )
+
+
+def test_what_is_gone_is_no_longer_shown_and_told_as_over(rig: Lockstep, shown: Shown) -> None:
+    silent(rig, CELL)
+    rig.run(0.05)
+    assert [cause["fault"] for cause in shown.state()["causes"]] == ["CELL_STALE"]
+    rig.events.read()
+    rig.hub.tap = None
+    rig.run(0.05)
+    state = shown.state()
+    assert state["causes"] == []
+    assert figures.causes(state) == ["no cause stands any more: rigctl reset acknowledges the fault"]
+    (over,) = [event for event in rig.events.read() if event["kind"] == Kind.CAUSE_OVER]
+    assert worded(over["kind"], over["a"], over["b"], 0.0, 0.0, "").text == "CELL_STALE no longer stands"
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    assert figures.causes(shown.state()) == []
+
+
+def test_the_trip_itself_is_told_once_and_a_further_cause_as_one(rig: Lockstep, shown: Shown) -> None:
+    rig.events.read()
+    silent(rig, CELL)
+    rig.run(0.03)
+    rig.inject(FRAME.pack(objects.EMCY_BASE + 3, 8, bytes([0x10, 0x50, 0x01, 0, 0, 0, 0, 0])))
+    rig.run(0.03)
+    told = [(Kind(e["kind"]), Fault(e["a"])) for e in rig.events.read() if e["kind"] in (Kind.TRIP, Kind.CAUSE)]
+    assert told == [(Kind.TRIP, Fault.CELL_STALE), (Kind.CAUSE, Fault.SENSOR_EMERGENCY)]
+    assert [cause["fault"] for cause in shown.state()["causes"]] == ["CELL_STALE", "SENSOR_EMERGENCY"]
+
+
+def test_a_row_of_a_mode_that_was_left_stands_no_more(rig: Lockstep, shown: Shown) -> None:
+    tilted = rig.rig.plant.parameters
+    assert rig.command(Verb.TENSION) is Refusal.NONE
+    rig.run(2.0)
+    tilted["free_length"] += 1000.0  # the rope breaks: TENSION_LOW, or a limit on its rate, of the modes that move
+    rig.run(0.5)
+    assert rig.loop.machine.mode is Mode.FAULT
+    watched = {row.fault.name for row in shown.view._causes._rows if Mode.FAULT in row.modes}
+    assert {cause["fault"] for cause in shown.state()["causes"]} <= watched
+
+
+def test_a_gateway_that_has_missed_the_events_shows_the_cause_without_figures(rig: Lockstep, shown: Shown) -> None:
+    silent(rig, CELL)
+    rig.run(0.05)
+    record = shown.view._records.latest()
+    assert record is not None
+    (cause,) = Causes(shown.view._causes._rows).of(record, 0)
+    assert (cause["fault"], cause["text"], cause["since_ns"], cause["value"]) == (
+        "CELL_STALE", "cell stale", None, None)  # fmt: skip
+
+
+class _Picture:
+    """What the page's server knows."""
+
+    def __init__(self, state: dict[str, Any]) -> None:
+        import contextlib
+
+        self.lock, self.state, self.silent_s = contextlib.nullcontext(), state | {"warnings": []}, 0.0
+        self.limits = type("Limits", (), {"now": []})()
+        self.endpoint, self.trouble, self.samples_lost = "tcp/x", "", 0
+
+
+def test_the_page_says_the_same(rig: Lockstep, shown: Shown) -> None:
+    silent(rig, CELL)
+    rig.run(0.05)
+    rig.rig.drive.press_e_stop(True)
+    rig.run(0.2)
+    state = shown.state()
+    message = state_message(_Picture(state), False)  # type: ignore[arg-type]
+    assert message["causes"] == figures.causes(state)
+    assert message["causes"][0].startswith("E_STOP")
+    assert any(words.startswith("CELL_STALE") for words in message["causes"])
+
+
+@pytest.mark.parametrize("causes", [None, "x", [1], [{}], [{"fault": None, "since_wall_ns": "x"}]])
+def test_causes_of_another_version_are_shown_not_raised(causes: object) -> None:
+    state = {"mode": "FAULT", "loop_alive": True, "fault": "E_STOP", "fault_text": "pressed", "causes": causes}
+    assert "E_STOP: pressed" in figures.why(state)
+    assert figures.causes(state)
