@@ -120,14 +120,19 @@ class Lockstep:
         """Put a frame on the bus as a foreign node would."""
         self._stranger.send(frame)
 
-    def command(self, verb: Verb | Setting, value: float = 0.0, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
-        """Give a command, ``age_ns`` ago, through the command ring and run until it is answered."""
+    def give(self, verb: Verb | Setting, value: float = 0.0, *, age_ns: int = 0) -> int:
+        """Put a command on the ring, to be read at the next tick; its id. Nobody waits for the answer."""
         self._id += 1
         self._commands.write(self.clock.now() - age_ns, self._id, verb, value)
+        return self._id
+
+    def command(self, verb: Verb | Setting, value: float = 0.0, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
+        """Give a command, ``age_ns`` ago, through the command ring and run until it is answered."""
+        id_ = self.give(verb, value, age_ns=age_ns)
         for _ in range(round(limit_s * self.settings.loop.rate_hz)):
             self.loop.tick()
             for reply in self._replies.read():
-                if reply["id"] == self._id:
+                if reply["id"] == id_:
                     self.reply = reply
                     return Refusal(int(reply["reason"]))
         raise TimeoutError(f"{verb.name} was not answered within {limit_s} s")

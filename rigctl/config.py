@@ -157,6 +157,12 @@ class CylinderSettings(Settings):
     heartbeat_timeout_ms: int = Field(ge=10, le=1000, description="drive's consumer heartbeat time (0x1016)")
     command_deadline_ms: int = Field(ge=5, le=1000, description="drive's RPDO deadline (0x1400:05)")
     stop_deceleration_mm_s2: float = Field(gt=0, le=10_000, description="quick stop deceleration (0x6085)")
+    brake_delay_ms: int = Field(
+        default=100, ge=0, le=1000, description="time the brake takes to close; no arming before it has passed"
+    )
+    brake_test: bool = Field(
+        default=True, description="arming a loaded rope waits 2 s on the closed brake, the stroke must not move"
+    )
     stroke_min_mm: float = Field(ge=-2000, le=2000, description="lowest stroke commanded (positive = shorter rope)")
     stroke_max_mm: float = Field(ge=-2000, le=2000, description="highest stroke commanded")
     status_rate_hz: int | None = Field(

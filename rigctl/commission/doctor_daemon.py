@@ -26,6 +26,8 @@ TITLES: dict[Check, str] = {
     Check.DRIVE_STALE: "drive: fresh samples",
     Check.DRIVE_FAULT: "drive: no fault",
     Check.DRIVE_SUPERVISION: "drive: enforces its own stop",
+    Check.SEQUENCE_RUNNING: "drive: off, brake closed",
+    Check.NOT_AT_STANDSTILL: "stroke: stands still",
     Check.EMERGENCY: "devices: no emergency",
     Check.RIVAL: "bus: no other controller",
     Check.E_STOP: "emergency stop: released",

@@ -59,6 +59,7 @@ class Fault(IntEnum):
     DRIVE_EMERGENCY = 27  # the drive has
     RIVAL = 28  # another controller commands this bus
     E_STOP_UNSEEN = 29  # the I/O node that mirrors the emergency stop is silent
+    BRAKE_SLIPS = 41  # the brake let the stroke move in the brake test
 
 
 class EStop(IntFlag):
@@ -94,6 +95,8 @@ class Check(IntFlag):
     RIVAL = 1 << 21  # another controller commands this bus
     E_STOP_IO = 1 << 22  # the emergency stop is pressed: the I/O node's input
     E_STOP_IO_UNSEEN = 1 << 23  # an I/O node is fitted, and its input is not seen
+    NOT_AT_STANDSTILL = 1 << 29  # the stroke has moved within the last STILL_NS, see rigctl.control.arming
+    SEQUENCE_RUNNING = 1 << 30  # the drive is not off, or its brake has not had its time to close
     HOST = 1 << 20  # these four are not known: the gateway has not judged them within the last seconds
 
 
@@ -120,6 +123,8 @@ class Sight:
     drive_age_ns: int = 1 << 62
     drive_enabled: bool = False
     drive_off: bool = False  # no power, brake closed or closing
+    off_ns: int = 0  # for how long the drive has reported a state without power
+    still_ns: int = 0  # for how long the stroke has stood still, see rigctl.control.arming
     brake_slip_known: bool = False  # acknowledged: whoever arms now has the motor carry the load
     drive_faulted: bool = False
     drive_warning: bool = False

@@ -53,6 +53,7 @@ KINDS: dict[Kind, str] = {
     Kind.LIMIT: "a limit of the rig file that only logs is passed; a: fault, b: action, value, limit",
     Kind.LIMIT_OVER: "such a limit is kept again; as limit",
     Kind.RECEIVE_FAILED: "the bus could not be read; text: why",
+    Kind.BRAKE_TEST: "brake test at arm; a: 1 held, 0 rope slack; value: stroke moved in mm, limit: tension in N",
     Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
 }
 NOTES: dict[Note, str] = {
