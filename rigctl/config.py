@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from rigctl import strict_yaml
 from rigctl.config_base import Settings, require
+from rigctl.config_bounds import findings
 from rigctl.config_io import IoSettings
 from rigctl.config_limits import LimitSettings
 from rigctl.config_page import PageSettings
@@ -276,6 +277,9 @@ class SafetySettings(Settings):
     )
     overrun_ticks: int = Field(ge=1, le=1000, description="periods skipped ...")
     overrun_window_ms: int = Field(ge=10, le=60_000, description="... within this time")
+    waiver: str | None = Field(
+        default=None, min_length=10, description="why settings may be out of the bounds physics give them, in words"
+    )
 
 
 class CalibrationSettings(Settings):
@@ -414,6 +418,9 @@ class RigSettings(Settings):
             require(
                 io.stale_ms >= least, "io.stale_ms", io.stale_ms, f"event_ms and two loop periods ({least:g}) or more"
             )
+        if self.safety.waiver is None:
+            for key, found, allowed in findings(self):
+                require(agree=False, key=key, found=found, allowed=allowed)
         return self
 
     @property

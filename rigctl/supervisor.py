@@ -25,6 +25,7 @@ from rigctl import __version__
 from rigctl.commission import ledger
 from rigctl.commission.ledger import IN_FORCE, Standing
 from rigctl.config import RigSettings
+from rigctl.config_bounds import findings
 from rigctl.control.modes import Mode
 from rigctl.devices import busload
 from rigctl.devices.objects import DriveState, drive_state
@@ -126,6 +127,8 @@ class Supervisor:
         self._runtime.write_json(ACTIVE, self._active)
         self._note(Doing.DAEMON_STARTED, reason=f"rigctl {__version__}")
         self._say_calibration()
+        for key, found, allowed in findings(settings):
+            self._say(f"WARNING: {key}: found {found}, allowed {allowed}; waived: {settings.safety.waiver}")
         for name in self._modules:
             self._spawn(name)
         self._design()

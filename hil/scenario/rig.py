@@ -18,6 +18,8 @@ from rigctl.strict_yaml import Document
 _ADDED = frozenset({"directory", "plain"})
 _DEVICE_FILES = frozenset({"eds", "dbc"})
 """What describes the devices is read with the rig file and stays as it is there."""
+STUDY = "a scenario is a study: no load hangs on the simulated rig"
+"""Waives `rigctl.config_bounds` for what a scenario changes, such as a rig without a spring; not for the rig file."""
 
 
 def settings_of(source: ScenarioFile) -> RigSettings:
@@ -84,8 +86,11 @@ class _Layers(Wording):
             ScenarioError: it is no rig.
         """
         added = {"directory": base.directory, "plain": base.plain}
+        data = {**self._data, **added}
+        if isinstance(safety := data.get("safety"), dict):
+            data["safety"] = {**safety, "waiver": safety.get("waiver") or STUDY}
         try:
-            settings = RigSettings.model_validate({**self._data, **added})
+            settings = RigSettings.model_validate(data)
         except ValidationError as error:
             raise ScenarioError(self.lines(error)) from None
         if settings.simulation is None:
