@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from rigctl import strict_yaml
 from rigctl.config_base import Settings, require
-from rigctl.config_bounds import findings
+from rigctl.config_bounds import as_study, findings
 from rigctl.config_io import IoSettings
 from rigctl.config_limits import LimitSettings
 from rigctl.config_page import PageSettings
@@ -476,8 +476,12 @@ class RigSettings(Settings):
         return pathlib.Path(self.directory) / name
 
 
-def load(path: str | pathlib.Path) -> RigSettings:
+def load(path: str | pathlib.Path, *, study: bool = False) -> RigSettings:
     """Read and validate a rig file.
+
+    Args:
+        path: the rig file.
+        study: nothing is moved by what is made of it, so that the bounds of `rigctl.config_bounds` are waived.
 
     Raises:
         ConfigError: one line per finding, ``FILE:LINE: key: found X, allowed Y``.
@@ -492,7 +496,8 @@ def load(path: str | pathlib.Path) -> RigSettings:
     for key in _ADDED & document.data.keys():
         raise ConfigError([f"{file}:{document.line_of((key,))}: {key}: found an unknown key"])
     try:
-        settings = RigSettings.model_validate({**document.data, "directory": str(file.resolve().parent)})
+        data = as_study(document.data) if study else document.data
+        settings = RigSettings.model_validate({**data, "directory": str(file.resolve().parent)})
     except ValidationError as error:
         raise ConfigError(Wording(RigSettings, _ADDED, document, file).lines(error)) from None
     for name in settings.canopen_nodes:

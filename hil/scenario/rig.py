@@ -12,14 +12,13 @@ from hil.scenario.errors import ScenarioError
 from hil.scenario.format import ScenarioFile, read_yaml
 from rigctl import config
 from rigctl.config import ConfigError, RigSettings
+from rigctl.config_bounds import as_study
 from rigctl.config_wording import Path, Wording
 from rigctl.strict_yaml import Document
 
 _ADDED = frozenset({"directory", "plain"})
 _DEVICE_FILES = frozenset({"eds", "dbc"})
 """What describes the devices is read with the rig file and stays as it is there."""
-STUDY = "a scenario is a study: no load hangs on the simulated rig"
-"""Waives `rigctl.config_bounds` for what a scenario changes, such as a rig without a spring; not for the rig file."""
 
 
 def settings_of(source: ScenarioFile) -> RigSettings:
@@ -86,11 +85,8 @@ class _Layers(Wording):
             ScenarioError: it is no rig.
         """
         added = {"directory": base.directory, "plain": base.plain}
-        data = {**self._data, **added}
-        if isinstance(safety := data.get("safety"), dict):
-            data["safety"] = {**safety, "waiver": safety.get("waiver") or STUDY}
         try:
-            settings = RigSettings.model_validate(data)
+            settings = RigSettings.model_validate({**as_study(self._data), **added})
         except ValidationError as error:
             raise ScenarioError(self.lines(error)) from None
         if settings.simulation is None:

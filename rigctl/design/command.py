@@ -37,13 +37,14 @@ def tune(
     from rigctl import config
 
     try:
-        settings = config.load(file)
+        settings = config.load(file, study=True)
     except config.ConfigError as error:
         end(USAGE, "\nrigctl: ".join(error.findings))
     _check_outputs(file, {"--json": None if json == STANDARD_OUTPUT else json, "--plot": plot, "--gains": gains})
     found = _design(file, settings)
     _write(file, settings, found, json, plot, gains)
     if json != STANDARD_OUTPUT:
+        from rigctl.config_bounds import STUDY, findings
         from rigctl.design import table
 
         for line in table.lines(settings, found):
@@ -51,6 +52,9 @@ def tune(
         for written in (json, plot, gains):
             if written is not None:
                 say(f"written: {written}")
+        if settings.safety.waiver == STUDY:
+            for key, value, allowed in findings(settings):
+                say(f"note: `rigctl run` refuses this file: {key}: found {value}, allowed {allowed}")
         kept = settings.design.gains_file
         if kept is not None and (gains is None or gains.resolve() != settings.file(kept).resolve()):
             say(f"note: `rigctl run` takes the gains of {settings.file(kept)}, not these")
