@@ -1,4 +1,4 @@
-"""A refused design says which weight helps; the search finds weights that meet the limit, or says what is against it."""
+"""A refused design says which weight helps; the search finds weights that meet the limit, or what is against it."""
 
 from __future__ import annotations
 
