@@ -146,23 +146,27 @@ class Lockstep:
         """Put a frame on the bus as a foreign node would."""
         self._stranger.send(frame)
 
-    def command(self, verb: Verb | Setting, value: float = 0.0, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
-        """Give a command, ``age_ns`` ago, through the command ring and run until it is answered."""
+    def give(self, verb: Verb | Setting, value: float = 0.0, *, age_ns: int = 0) -> int:
+        """Put a command on the ring, to be read at the next tick; its id. Nobody waits for the answer."""
         self._id += 1
         self._commands.write(self.clock.now() - age_ns, self._id, verb, value)
-        return self._answer(verb.name, limit_s)
+        return self._id
+
+    def command(self, verb: Verb | Setting, value: float = 0.0, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
+        """Give a command, ``age_ns`` ago, through the command ring and run until it is answered."""
+        return self._answer(verb.name, self.give(verb, value, age_ns=age_ns), limit_s)
 
     def hold(self, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
         """Give HOLD, ``age_ns`` ago, through its own ring and run until it is answered."""
         self._id += 1
         self._holds.write(self.clock.now() - age_ns, self._id, 0, 0, b"test")
-        return self._answer("HOLD", limit_s)
+        return self._answer("HOLD", self._id, limit_s)
 
-    def _answer(self, what: str, limit_s: float) -> Refusal:
+    def _answer(self, what: str, id_: int, limit_s: float) -> Refusal:
         for _ in range(round(limit_s * self.settings.loop.rate_hz)):
             self.loop.tick()
             for reply in self._replies.read():
-                if reply["id"] == self._id:
+                if reply["id"] == id_:
                     self.reply = reply
                     return Refusal(int(reply["reason"]))
         raise TimeoutError(f"{what} was not answered within {limit_s} s")

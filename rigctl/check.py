@@ -10,6 +10,7 @@ from rich.table import Table
 from rigctl import config_wording
 from rigctl.config import RigSettings
 from rigctl.config_base import Settings
+from rigctl.config_bounds import Stop, findings
 from rigctl.config_limits import SIGNALS
 from rigctl.control import limits, safety
 from rigctl.control.modes import Mode
@@ -23,12 +24,15 @@ _OF_CANOPEN = ("node", "eds")  # keys without a meaning for a device with plain 
 
 def as_dict(settings: RigSettings) -> dict[str, Any]:
     """Resolved rig and bus load, for JSON."""
-    load = busload.bus_load(settings)
+    load, stop = busload.bus_load(settings), Stop.of(settings)
     return {
         "rig": settings.model_dump(mode="json", exclude={"directory", "plain"}),
         "bus_load_pct": None if load is None else round(load * 100, 2),
         "bus_load_limit_pct": busload.LIMIT * 100,
         "accepted": accepted(settings),
+        "stop_distance_mm": round(stop.distance_mm, 3),
+        "stop_n": round(stop.newtons, 2),
+        "waived_bounds": [f"{key}: found {found}, allowed {allowed}" for key, found, allowed in findings(settings)],
     }
 
 
@@ -86,6 +90,11 @@ def show(settings: RigSettings, console: Console) -> None:
         frames.add_row(item.name, str(item.size), f"{item.rate_hz:g}", f"{item.bit_s:.0f}")
     console.print(frames)
     console.print(verdict(settings), highlight=False)
+    console.print(Stop.of(settings).in_words(settings), highlight=False)
+    for key, found, allowed in findings(settings):
+        console.print(
+            f"WAIVED ({settings.safety.waiver}): {key}: found {found}, allowed {allowed}", highlight=False, markup=False
+        )
 
 
 def _watched(settings: RigSettings) -> Table:

@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from rigctl import strict_yaml
 from rigctl.config_base import CanopenDevice, Hexadecimal, Settings, require
+from rigctl.config_bounds import as_study, findings
 from rigctl.config_io import IoSettings
 from rigctl.config_limits import OF_STATUS, LimitSettings
 from rigctl.config_page import PageSettings
@@ -161,6 +162,12 @@ class CylinderSettings(CanopenDevice):
     heartbeat_timeout_ms: int = Field(ge=10, le=1000, description="drive's consumer heartbeat time (0x1016)")
     command_deadline_ms: int = Field(ge=5, le=1000, description="drive's RPDO deadline (0x1400:05)")
     stop_deceleration_mm_s2: float = Field(gt=0, le=10_000, description="quick stop deceleration (0x6085)")
+    brake_delay_ms: int = Field(
+        default=100, ge=0, le=1000, description="time the brake takes to close; no arming before it has passed"
+    )
+    brake_test: bool = Field(
+        default=True, description="arming a loaded rope waits 2 s on the closed brake, the stroke must not move"
+    )
     stroke_min_mm: float = Field(ge=-2000, le=2000, description="lowest stroke commanded (positive = shorter rope)")
     stroke_max_mm: float = Field(ge=-2000, le=2000, description="highest stroke commanded")
     status_rate_hz: int | None = Field(
@@ -314,6 +321,9 @@ class SafetySettings(Settings):
     )
     overrun_ticks: int = Field(ge=1, le=1000, description="periods skipped ...")
     overrun_window_ms: int = Field(ge=10, le=60_000, description="... within this time")
+    waiver: str | None = Field(
+        default=None, min_length=10, description="why settings may be out of the bounds physics give them, in words"
+    )
 
 
 class CalibrationSettings(Settings):
@@ -459,6 +469,9 @@ class RigSettings(Settings):
             require(
                 io.stale_ms >= least, "io.stale_ms", io.stale_ms, f"event_ms and two loop periods ({least:g}) or more"
             )
+        if self.safety.waiver is None:
+            for key, found, allowed in findings(self):
+                require(agree=False, key=key, found=found, allowed=allowed)
         return self
 
     @property
@@ -520,8 +533,12 @@ class RigSettings(Settings):
         return pathlib.Path(self.directory) / name
 
 
-def load(path: str | pathlib.Path) -> RigSettings:
+def load(path: str | pathlib.Path, *, study: bool = False) -> RigSettings:
     """Read and validate a rig file.
+
+    Args:
+        path: the rig file.
+        study: nothing is moved by what is made of it, so that the bounds of `rigctl.config_bounds` are waived.
 
     Raises:
         ConfigError: one line per finding, ``FILE:LINE: key: found X, allowed Y``.
@@ -536,7 +553,8 @@ def load(path: str | pathlib.Path) -> RigSettings:
     for key in _ADDED & document.data.keys():
         raise ConfigError([f"{file}:{document.line_of((key,))}: {key}: found an unknown key"])
     try:
-        settings = RigSettings.model_validate({**document.data, "directory": str(file.resolve().parent)})
+        data = as_study(document.data) if study else document.data
+        settings = RigSettings.model_validate({**data, "directory": str(file.resolve().parent)})
     except ValidationError as error:
         raise ConfigError(Wording(RigSettings, _ADDED, document, file).lines(error)) from None
     for name in settings.canopen_nodes:

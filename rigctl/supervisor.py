@@ -26,6 +26,7 @@ from rigctl import __version__, memory
 from rigctl.commission import ledger
 from rigctl.commission.ledger import IN_FORCE, Standing
 from rigctl.config import RigSettings
+from rigctl.config_bounds import findings
 from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
 from rigctl.devices import busload
@@ -147,6 +148,8 @@ class Supervisor:
         self._put_active()
         self._note(Doing.DAEMON_STARTED, reason=f"rigctl {__version__}")
         self._say_calibration()
+        for key, found, allowed in findings(settings):
+            self._say(f"WARNING: {key}: found {found}, allowed {allowed}; waived: {settings.safety.waiver}")
         for name in self._modules:
             try:
                 self._spawn(name)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from hil.faults.stand import Injector, Stand, Step
+from rigctl.control.modes import Verb
+from rigctl.control.safety import Action, Fault, Trip
 
 
 def hangs(ticks: int) -> Injector:
@@ -26,5 +30,31 @@ def overruns(ticks: int, every_s: float) -> Injector:
                 stand.rig.clock.skip = ticks
 
         return step
+
+    return inject
+
+
+def _give(stand: Stand, verbs: Iterable[Verb]) -> None:
+    for verb in verbs:
+        stand.rig.give(verb)
+
+
+def commanded(*verbs: Verb, after_s: float = 0.01) -> Injector:
+    """An operator's commands: the first at once, the others ``after_s`` later, none waits for an answer."""
+
+    def inject(stand: Stand) -> Step:
+        first, *others = verbs
+        stand.rig.give(first)
+        return stand.ends_after(after_s, lambda: _give(stand, others))
+
+    return inject
+
+
+def quick_stop_then(*verbs: Verb, after_s: float = 0.01) -> Injector:
+    """A limit whose action is a quick stop trips; the operator's commands come while the drive is still stopping."""
+
+    def inject(stand: Stand) -> Step:
+        stand.rig.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), stand.rig.clock.now())
+        return stand.ends_after(after_s, lambda: _give(stand, verbs))
 
     return inject

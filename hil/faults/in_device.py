@@ -229,6 +229,15 @@ def brake_stays_open() -> Injector:
     return inject
 
 
+def brake_gives_way(speed_mm_s: float) -> Injector:
+    """The closed brake lets the load down at this speed."""
+
+    def inject(stand: Stand) -> None:
+        stand.drive.defect = lambda speed, braked: (-speed_mm_s, False) if braked else (speed, False)
+
+    return inject
+
+
 def _device(stand: Stand, address: Address) -> Node:
     if address in (CELL, CELL_STATUS):
         return stand.cell

@@ -288,6 +288,15 @@ DRIVE = (
         why="with power the motor carries; without it somebody has to be told, but nothing may arm by itself",
     ),
     Fault(
+        "brake_weak",
+        "device",
+        "the closed brake gives way by 0.06 mm/s: less than any limit sees",
+        in_device.brake_gives_way(0.06),
+        {Mode.DISARMED: Reaction.REFUSED},
+        around=Around(change=(("cylinder.brake_test", True),)),
+        why="the brake test of the arming finds it",
+    ),
+    Fault(
         "power_dip", "device", "all devices are without power for 100 ms", in_device.power_dip(0.1), HOLD, within_ms=20
     ),
 )

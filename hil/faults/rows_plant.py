@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from hil.faults import in_controller, in_plant
-from hil.faults.expected import DRIVE_STOPS, HOLD, LOST, PASSING, RIDE, Around, Fault, Reaction
-from rigctl.control.modes import Mode
+from hil.faults.expected import ARMED, DRIVE_MS, DRIVE_STOPS, HOLD, LOST, PASSING, RIDE, Around, Fault, Reaction
+from rigctl.control.modes import Mode, Verb
 
 PLANT = (
     Fault("backlash_doubled", "plant", "the nut has twice its play", in_plant.backlash(2.0), RIDE, band_n=3),
@@ -137,5 +137,23 @@ CONTROLLER = (
         seconds=1.5,
         why="50 missed within a second is what the rig file allows",
         counter="skipped",
+    ),
+    Fault(
+        "arm_during_run_out",
+        "controller",
+        "an operator disarms, and arms again 10 ms later",
+        in_controller.commanded(Verb.DISARM, Verb.ARM),
+        {Mode.HOLD: Reaction.RIDDEN},
+        band_n=1,
+        why="the drive has its power again after the brake has closed",
+    ),
+    Fault(
+        "reset_during_quick_stop",
+        "controller",
+        "an operator resets and arms 10 ms after a quick stop has begun",
+        in_controller.quick_stop_then(Verb.RESET, Verb.ARM),
+        dict.fromkeys(ARMED, Reaction.DRIVE_OFF),
+        latency_ms=DRIVE_MS,
+        why="refused until the stop has ended",
     ),
 )

@@ -11,6 +11,7 @@ from rich.table import Table
 from hil.scenario.case import Case
 from hil.scenario.figures import LOOP_FIGURES, TRUTH_FIGURES, Figure, Values, figures
 from hil.scenario.play import Played
+from rigctl.config_bounds import findings
 from rigctl.config_wording import unit_of
 
 COLUMNS = 4
@@ -27,6 +28,9 @@ def as_dict(case: Case, played: Played) -> dict[str, Any]:
         "target_n": played.target_n,
         "stiffness_n_mm": case.settings.plant.stiffness_n_mm,
         "duration_s": scenario.duration_s,
+        "waived_bounds": [
+            f"{key}: found {found}, allowed {allowed}" for key, found, allowed in findings(case.settings)
+        ],
         "ended": asdict(played.ended),
         "windows": {name: {"from_s": span[0], "to_s": span[1]} for name, span in scenario.spans.items()},
         **figures(played, scenario.spans),
@@ -40,6 +44,8 @@ def show(said: dict[str, Any], console: Console) -> None:
         f"[bold]{said['scenario']}[/] on {said['rig']}: {said['duration_s']:g} s, {how}, target {said['target_n']:g} N",
         highlight=False,
     )
+    for bound in said["waived_bounds"]:
+        console.print(f"note: a rig with a load could not run so: {bound}", highlight=False, markup=False)
     names = list(said["windows"])
     for first in range(0, len(names), COLUMNS):
         part = names[first : first + COLUMNS]

@@ -12,6 +12,7 @@ from hil.scenario.errors import ScenarioError
 from hil.scenario.format import ScenarioFile, read_yaml
 from rigctl import config
 from rigctl.config import ConfigError, RigSettings
+from rigctl.config_bounds import as_study
 from rigctl.config_wording import Path, Wording
 from rigctl.strict_yaml import Document
 
@@ -85,7 +86,7 @@ class _Layers(Wording):
         """
         added = {"directory": base.directory, "plain": base.plain}
         try:
-            settings = RigSettings.model_validate({**self._data, **added})
+            settings = RigSettings.model_validate({**as_study(self._data), **added})
         except ValidationError as error:
             raise ScenarioError(self.lines(error)) from None
         if settings.simulation is None:

@@ -26,10 +26,10 @@ from rigctl.telemetry.session import SessionError, close, open_client
 
 OPEN_S = 2.0
 ASK_S = 2.0
-COMMAND_S = 6.0  # the gateway answers within 4 s, arm included ...
-TRIAL_S = 20.0  # ... or when a trial is over: 1 s for an average, up to 10 s for an identification
+COMMAND_S = 6.0  # the gateway answers within 1.5 s ...
+TRIAL_S = 20.0  # ... or when it is over: an average takes 1 s, an arm up to 8 s, an identification up to 10 s
 _RIG = re.compile(r"[a-z][a-z0-9_]{0,31}")
-_TRIALS = ("tare", "calibrate", "identify", "gains")
+_TRIALS = ("arm", "tare", "calibrate", "identify", "gains")
 
 
 _Some = TypeVar("_Some")

@@ -29,6 +29,8 @@ TITLES: dict[Check, str] = {
     Check.DRIVE_REFUSES: "drive: ours to command",
     Check.DRIVE_SUPERVISION: "drive: enforces its own stop",
     Check.NODE_NOT_OPERATIONAL: "devices: heartbeats come, operational",
+    Check.SEQUENCE_RUNNING: "drive: off, brake closed",
+    Check.NOT_AT_STANDSTILL: "stroke: stands still",
     Check.EMERGENCY: "devices: no emergency",
     Check.RIVAL: "bus: no other controller",
     Check.E_STOP: "emergency stop: released",

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import can
 
 from rigctl.config import RigSettings
-from rigctl.control import limits
+from rigctl.control import arming, limits
 from rigctl.control.clock import Clock
 from rigctl.control.correction import Correction
 from rigctl.control.inbox import Inbox
@@ -18,7 +18,7 @@ from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
 from rigctl.control.outbox import Outbox
 from rigctl.control.plausibility import Plausibility
-from rigctl.control.safety import Fault, Trip, Watch
+from rigctl.control.safety import Check, Fault, Trip, Watch
 from rigctl.control.signs import SignCheck
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.devices.drive import Power, next_controlword
@@ -148,6 +148,7 @@ class Loop:
         if self.stop_requested and not machine.stopping:
             self._stop_until = t_ns + STOP_LIMIT_NS
             machine.stop()
+        orders.prepare(t_ns)
         machine.follow_drive(sight.drive_enabled, t_ns)
         orders.attend(t_ns)
         if machine.mode is Mode.TENSIONING and law.tensioned(estimate):
@@ -247,7 +248,7 @@ class Loop:
         late = t_ns >= self._stop_until
         if still or late:
             self.machine.power_off()
-        if (still and not self.observer.sight.drive_enabled) or late:
+        if (still and not arming.awaited(self.observer.sight, self.settings) & Check.SEQUENCE_RUNNING) or late:
             self.finished = True
             inbox = self.inbox
             self._logbook.event(t_ns, Kind.STOPPED, value=number(inbox.stroke_mm), limit=number(inbox.tension_n))

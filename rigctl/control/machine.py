@@ -49,6 +49,8 @@ class Machine:
         self.action = Action.HOLD
         self._cut_after_ns, self._cut_at_ns = cut_after_ns, 0
         self.stopping = False
+        self.awaiting = False
+        """An accepted arm command waits for the sequence before the drive's power, see `rigctl.control.arming`."""
         self.changes: list[Change] = []
         self.answers: list[Answer] = []
         self._arm_id: int | None = None
@@ -74,7 +76,8 @@ class Machine:
         if self.mode is Mode.FAULT and self.action >= Action.QUICK_STOP:
             cut = self.action is Action.POWER_OFF and t_ns >= self._cut_at_ns
             return Power.CUT if cut else Power.QUICK_STOP
-        return Power.ON if self.arming or (self._powered and drive_enabled) else Power.OFF
+        on = (self.arming and not self.awaiting) or (self._powered and drive_enabled)
+        return Power.ON if on else Power.OFF
 
     @property
     def drive_wanted(self) -> bool:
@@ -135,13 +138,21 @@ class Machine:
 
     def follow_drive(self, drive_enabled: bool, t_ns: int) -> None:
         """Finish arming once the drive is enabled, or give up."""
-        if self._arm_id is None:
+        if self._arm_id is None or self.awaiting:
             return
         if drive_enabled:
             self._go(Event.ENABLED)
             self._finish_arming(Refusal.NONE)
         elif t_ns >= self._arm_until:
             self._finish_arming(Refusal.DRIVE_TIMEOUT)
+
+    def switch_on(self, t_ns: int) -> None:
+        """What an arm command awaited has come: the drive may have its power."""
+        self.awaiting, self._arm_until = False, t_ns + ARM_LIMIT_NS
+
+    def refuse_arming(self, refusal: Refusal) -> None:
+        """The arm command under way comes to nothing."""
+        self._finish_arming(refusal)
 
     def end_trial(self, refusal: Refusal) -> None:
         """Answer the trial under way, if there is one."""
@@ -186,4 +197,4 @@ class Machine:
     def _finish_arming(self, refusal: Refusal) -> None:
         if self._arm_id is not None:
             self.answers.append(Answer(self._arm_id, Verb.ARM, refusal))
-            self._arm_id = None
+            self._arm_id, self.awaiting = None, False

@@ -83,6 +83,8 @@ class Refusal(IntEnum):
     SLACK = 14  # there is nothing to be found on a slack rope
     STRAYED = 15  # tension or stroke left the bounds of the excitation
     FAULT_LATCHED = 16  # a limit has the tension ramped down; only HOLD stops that
+    STOP_RUNNING = 21  # the drive is still stopping, or its brake is closing
+    BRAKE_SLIPPED = 22  # the brake did not hold the load while the drive was off; value: mm
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,7 @@ class Situation:
 
     failed_checks: int = 0  # preflight, bits of safety.Check
     cause_present: bool = False  # the latched fault's cause
+    stop_running: bool = False  # the drive is still stopping, or its brake is closing
     fault_latched: bool = False
     drive_enabled: bool = False
     drive_faulted: bool = False
@@ -111,8 +114,11 @@ def preflight_passed(situation: Situation) -> Refusal:
 
 
 def cause_gone(situation: Situation) -> Refusal:
-    """The latched fault's cause is no longer seen."""
-    return Refusal.CAUSE_PRESENT if situation.cause_present else Refusal.NONE
+    """The latched fault's cause is no longer seen, and the stop it began has ended."""
+    # A reset during the stop would also take back the power off that follows if the drive does not obey.
+    if situation.cause_present:
+        return Refusal.CAUSE_PRESENT
+    return Refusal.STOP_RUNNING if situation.stop_running else Refusal.NONE
 
 
 def rope_tight(situation: Situation) -> Refusal:

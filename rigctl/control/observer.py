@@ -6,6 +6,7 @@ import math
 from collections import deque
 
 from rigctl.config import RigSettings
+from rigctl.control.arming import Standstill
 from rigctl.control.correction import Correction
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.inbox import Inbox
@@ -54,6 +55,8 @@ class Observer:
         self._io_fitted = settings.io is not None
         self._e_stop_fitted = settings.cylinder.e_stop_input is not None
         self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
+        self._standstill = Standstill(settings)
+        self._off_since_ns: int | None = None
 
     @property
     def slack(self) -> bool:
@@ -84,6 +87,12 @@ class Observer:
         sight.brake_slip_known &= not sight.drive_enabled
         sight.drive_off = state in OFF_STATES
         sight.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
+        if not (sight.drive_off or state is DriveState.FAULT):
+            self._off_since_ns = None
+        elif self._off_since_ns is None:
+            self._off_since_ns = now_ns
+        sight.off_ns = 0 if self._off_since_ns is None else now_ns - self._off_since_ns
+        sight.still_ns = self._standstill.look(now_ns, inbox.stroke_mm, inbox.speed_mm_s, sight.drive_age_ns)
         self._look_at_drive_status(now_ns)
         if self._io_fitted:
             sight.io_age_ns = now_ns - inbox.io_t_ns

@@ -6,13 +6,13 @@ import math
 from dataclasses import replace
 
 from rigctl.config import RigSettings
-from rigctl.control import modes, safety, trials
+from rigctl.control import arming, modes, safety, trials
 from rigctl.control.correction import Correction, tare_limit_n
 from rigctl.control.logbook import Logbook, number
 from rigctl.control.machine import Machine
 from rigctl.control.modes import Mode, Refusal, Setting, Situation, Verb
 from rigctl.control.observer import Observer
-from rigctl.control.safety import HOST_CHECKS, Check, Fault, Watch
+from rigctl.control.safety import HOST_CHECKS, Action, Check, Fault, Trip, Watch
 from rigctl.control.tension import Gains, TensionLaw
 from rigctl.telemetry.events import Kind
 from rigctl.telemetry.record import COMMAND_LIFETIME_NS
@@ -41,9 +41,10 @@ class Orders:
         self._settings, self._machine, self._observer = settings, machine, observer
         self._law, self._watch, self._logbook, self._supervised = law, watch, logbook, supervised
         self._look_ns = 0
-        self._near_end = False  # the last command was an ARM that drives away from an end of the stroke
+        self._near_end = False  # the last ARM is to drive away from an end of the stroke
         self._found = (0.0, 0.0)  # value and spread of the last trial
         self._held_ns = 0  # when the last HOLD from the ring of holds was given
+        self._sequence = arming.Sequence(settings)  # before the drive's power
         self._gains: list[float] = []  # those of a set that have come
 
     def take(self, slot: object, t_ns: int) -> bool:
@@ -78,7 +79,8 @@ class Orders:
         machine = self._machine
         if t_ns >= self._look_ns and machine.mode in (Mode.DISARMED, Mode.FAULT) and not machine.arming:
             self._look_ns = t_ns + LOOK_NS
-            self._observer.sight.failed_checks = int(self.failed_checks())
+            failing = self.failed_checks()
+            self._observer.sight.failed_checks = int(failing & ~arming.AWAITED_CHECKS or failing)
         trial = self.trial
         if trial is None:
             return
@@ -90,6 +92,25 @@ class Orders:
             machine.end_trial(verdict)
         self.trial = None
 
+    def prepare(self, t_ns: int) -> None:
+        """Go on with what an accepted ARM awaits; the preflight must hold to the end of it."""
+        machine, sight, sequence = self._machine, self._observer.sight, self._sequence
+        if not machine.awaiting:
+            return
+        step = sequence.step(t_ns, sight, slack=self._observer.slack)
+        if step is arming.Step.SLIPPED:
+            machine.refuse_arming(Refusal.BRAKE_SLIPPED)
+            trip = Trip(Fault.BRAKE_SLIPS, sequence.moved_mm, arming.BRAKE_TEST_MM, Action.HOLD)
+            if machine.trip(trip, t_ns):
+                self._logbook.trip(t_ns, Kind.TRIP, trip)
+        elif step is arming.Step.LATE or self.failed_checks(near_end=self._near_end) & ~arming.AWAITED_CHECKS:
+            machine.refuse_arming(Refusal.PREFLIGHT)
+        elif step is arming.Step.READY:
+            machine.switch_on(t_ns)
+            if sequence.tested is not None:
+                held = int(sequence.tested)
+                self._logbook.event(t_ns, Kind.BRAKE_TEST, held, 0, sequence.moved_mm, number(sequence.tension_n))
+
     def answer(self, t_ns: int) -> None:
         """Send the answers the machine has ready."""
         machine = self._machine
@@ -98,7 +119,12 @@ class Orders:
         for given in machine.answers:
             checks, value, spread = 0, number(self._observer.tension_n), 0.0
             if given.refusal is Refusal.PREFLIGHT:
-                checks = int(self.failed_checks(near_end=self._near_end))
+                failing = self.failed_checks(near_end=self._near_end)
+                checks = int(failing & ~arming.AWAITED_CHECKS or failing)  # what passes by itself only if nothing else
+            elif given.refusal is Refusal.BRAKE_SLIPPED:
+                value = number(self._sequence.moved_mm)
+            elif given.refusal is Refusal.STOP_RUNNING:
+                value = number(self._observer.inbox.speed_mm_s)
             elif given.refusal is Refusal.CAUSE_PRESENT:
                 value = float(self._watch.present(self._observer.sight))
                 checks = self._watch.blocking(self._observer.sight)
@@ -121,13 +147,19 @@ class Orders:
         verified = self._supervised and not self._observer.inbox.restarted
         sight = self._observer.sight
         beyond = self._watch.beyond(sight, Mode.HOLD)
-        return safety.preflight(sight, self._settings, beyond, supervision_verified=verified, near_end=near_end)
+        failing = safety.preflight(sight, self._settings, beyond, supervision_verified=verified, near_end=near_end)
+        return failing | arming.awaited(sight, self._settings)
 
     def _obey(self, id_: int, verb: Verb, value: float, t_ns: int) -> None:
         machine, observer, settings = self._machine, self._observer, self._settings
-        self._near_end = verb is Verb.ARM and value == 1.0
+        if verb is Verb.ARM and not machine.arming:
+            self._near_end = value == 1.0
+        near_end = verb is Verb.ARM and self._near_end
+        failing = self.failed_checks(near_end=near_end)
+        stops = machine.action >= Action.QUICK_STOP or observer.sight.drive_faulted
         situation = Situation(
-            failed_checks=int(self.failed_checks(near_end=self._near_end)),
+            failed_checks=int(failing & ~arming.AWAITED_CHECKS),
+            stop_running=stops and arming.stop_running(observer.sight, settings),
             fault_latched=machine.fault is not Fault.NONE,
             value=value,
             cause_present=self._watch.present(observer.sight) is not Fault.NONE,
@@ -138,13 +170,15 @@ class Orders:
             target_min_n=settings.tension.target_min_n,
             target_max_n=settings.tension.target_max_n,
         )
-        fault, arming = machine.fault, machine.arming
+        fault, was_arming = machine.fault, machine.arming
         machine.command(id_, verb, situation, t_ns)
-        if machine.arming and not arming:  # what is shown while armed is what was found then
+        if machine.arming and not was_arming:  # what is shown while armed is what was found then
             observer.sight.failed_checks = situation.failed_checks
+            machine.awaiting = True
+            self._sequence.begin(t_ns)
         self.trial = trials.begin(machine.trial, settings, observer.inbox) if machine.trial is not None else None
         if fault is not machine.fault:
-            observer.sight.brake_slip_known |= fault is Fault.STROKE_MOVES
+            observer.sight.brake_slip_known |= fault in (Fault.STROKE_MOVES, Fault.BRAKE_SLIPS)
             self._logbook.event(t_ns, Kind.RESET, fault)
         if verb is Verb.TARGET and machine.answers and machine.answers[-1].refusal is Refusal.NONE:
             self._law.target_n = value

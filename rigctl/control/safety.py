@@ -66,6 +66,7 @@ class Fault(IntEnum):
     DRIVE_UNASKED = 35  # the drive is enabled, or moves under power, and not because we asked for it
     DRIVE_REFUSES = 36  # the drive says itself that it does not do as it is told: statusword bits 9, 11, 12
     NODE_NOT_OPERATIONAL = 37  # a device's heartbeat has stopped, or says that it has left OPERATIONAL
+    BRAKE_SLIPS = 41  # the brake let the stroke move in the brake test
 
 
 class EStop(IntFlag):
@@ -104,6 +105,8 @@ class Check(IntFlag):
     STATUS_STALE = 1 << 24  # the drive's current, temperature and inputs do not come
     DRIVE_REFUSES = 1 << 25  # the drive is somebody else's to command, or limits what it is told
     NODE_NOT_OPERATIONAL = 1 << 26  # no heartbeat of a device, or one of another state
+    NOT_AT_STANDSTILL = 1 << 29  # the stroke has moved within the last STILL_NS, see rigctl.control.arming
+    SEQUENCE_RUNNING = 1 << 30  # the drive is not off, or its brake has not had its time to close
     HOST = 1 << 20  # these four are not known: the gateway has not judged them within the last seconds
 
 
@@ -130,6 +133,8 @@ class Sight:
     drive_age_ns: int = 1 << 62
     drive_enabled: bool = False
     drive_off: bool = False  # no power, brake closed or closing
+    off_ns: int = 0  # for how long the drive has reported a state without power
+    still_ns: int = 0  # for how long the stroke has stood still, see rigctl.control.arming
     brake_slip_known: bool = False  # acknowledged: whoever arms now has the motor carry the load
     drive_faulted: bool = False
     drive_warning: bool = False

@@ -109,4 +109,4 @@ class Design:
             return " (its gains were edited by hand, no waiver covers that)"
         if self.waiver:
             return " (unstable with the mechanism in the file, no waiver helps)"
-        return " (or a design.waiver in words)"
+        return " (or a design.waiver in words); rigctl tune --auto looks for weights that meet it"

@@ -22,7 +22,7 @@ _TO_ON: dict[DriveState, Controlword] = {
     DriveState.READY_TO_SWITCH_ON: Controlword.SWITCH_ON,
     DriveState.SWITCHED_ON: Controlword.ENABLE_OPERATION,
     DriveState.OPERATION_ENABLED: Controlword.ENABLE_OPERATION,
-    DriveState.QUICK_STOP_ACTIVE: Controlword.DISABLE_VOLTAGE,
+    DriveState.QUICK_STOP_ACTIVE: Controlword.QUICK_STOP,  # it may still move: nothing cuts its stop short
 }
 _TO_OFF: dict[DriveState, Controlword] = {
     DriveState.SWITCHED_ON: Controlword.SHUTDOWN,

@@ -33,7 +33,7 @@ from rigctl.telemetry.session import MESSAGE_BYTES, finish
 POLL_S = 0.002
 ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # after its lifetime the loop would not carry it out any more
 WAIT_NS = {
-    Verb.ARM: 4_000_000_000,  # the loop gives the drive up to 3 s
+    Verb.ARM: 8_000_000_000,  # standstill 2 s, brake test 2 s, the drive 2 s
     Verb.TARE: ANSWER_NS + 2_000_000_000,
     Verb.CALIBRATE: ANSWER_NS + 2_000_000_000,
     Verb.IDENTIFY: ANSWER_NS + 10_000_000_000,

@@ -35,6 +35,7 @@ class Kind(IntEnum):
     RECEIVE_FAILED = 17  # text: why
     CAUSE = 45  # as TRIP: a further cause stands, while a fault is latched ...
     CAUSE_OVER = 46  # ... and it, or what tripped, is gone
+    BRAKE_TEST = 55  # a: 1 held, 0 not possible on a slack rope, value: stroke moved in mm, limit: tension in N
     LOCAL_HOLD = 65  # a: user, b: process it came from, text: operator; what came of it is in the reply
     SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
 
@@ -70,6 +71,8 @@ FAULT_TEXT: dict[Fault, str] = {
     Fault.DRIVE_CONTRADICTS: "drive's position and speed contradict each other by {value:.2f} mm (limit {limit:.2f})",
     Fault.STROKE_MOVES: "the stroke moves though the drive is off ({value:.2f} mm/s): the brake does not hold; "
     "reset, then arm: the motor carries",
+    Fault.BRAKE_SLIPS: "brake test: the stroke moved by {value:.2f} mm on the closed brake (limit {limit:.2f} mm), the "
+    "drive stays off; secure the load, or reset, then arm: the motor carries; have the brake repaired",
     Fault.STRETCH_UNEXPLAINED: "tension and stroke contradict each other by {value:.1f} mm of stretch "
     "(limit {limit:.1f} mm): rope, cell or payload",
     Fault.E_STOP: "emergency stop pressed ({seen})",
@@ -127,6 +130,10 @@ CHECK_TEXT: dict[Check, str] = {
     Check.DRIVE_REFUSES: "drive is not ours to command: somebody else has enabled it, its remote bit is off, or a "
     "limit of its own is active (statusword bits 9, 11): withdraw its panel or service tool, look at its display",
     Check.NODE_NOT_OPERATIONAL: "a device sends no heartbeat or is not operational: check its power and cable",
+    Check.NOT_AT_STANDSTILL: "the stroke does not stand still (within 0.02 mm and below 0.05 mm/s for 0.2 s): wait; if "
+    "it goes on, the brake slips",
+    Check.SEQUENCE_RUNNING: "the drive is not off with its brake closed yet (cylinder.brake_delay_ms): wait a second; "
+    "if it goes on, switch the drive's power off and on",
     Check.E_STOP_IO_UNSEEN: "emergency stop's input on the I/O node is not seen: check the node's power and cable",
     Check.TARE: "no tare on record that still holds: rigctl tare (or calibration.waiver)",
     Check.MARGINS: "no accepted margins of the law in use: rigctl tune",
@@ -239,6 +246,10 @@ def refusal_text(
             return "command came too late and was not carried out"
         case Refusal.STOPPING:
             return "daemon is stopping"
+        case Refusal.STOP_RUNNING:
+            return f"the drive is still stopping or closing its brake ({value:.2f} mm/s): wait a second, then reset"
+        case Refusal.BRAKE_SLIPPED:
+            return f"brake test: the stroke moved by {value:.2f} mm on the closed brake: secure the load"
         case Refusal.DRIVE_TIMEOUT:
             return "drive did not become enabled"
         case _:
@@ -314,6 +325,12 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.STOPPED: lambda _a, _b, v, m, _t: Worded("info", f"loop stopped, stroke {v:.2f} mm, tension {m:z.1f} N"),
     Kind.SIGNS: lambda _a, _b, v, m, _t: Worded(
         "info", f"signs checked: the stroke follows, tension rises by {v:.2f} N/mm (plant: {m:.2f})"
+    ),
+    Kind.BRAKE_TEST: lambda a, _b, v, m, _t: Worded(
+        "info",
+        f"brake test: held {m:.1f} N for 2 s, stroke moved {v:z.3f} mm"
+        if a
+        else "brake test not possible: the rope is slack",
     ),
     Kind.CORRECTION: lambda _a, _b, v, m, _t: Worded("info", f"tension cell: zero {v:+z.3f} N, scale {m:.5f}"),
     Kind.GAINS: lambda _a, _b, _v, _m, t: Worded("info", f"gains changed: K_T, K_v, K_i = {t}"),

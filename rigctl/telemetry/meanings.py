@@ -57,6 +57,7 @@ KINDS: dict[Kind, str] = {
     Kind.CAUSE: "a further cause of a fault stands; as trip",
     Kind.CAUSE_OVER: "a cause of a fault is gone; as trip",
     Kind.RECEIVE_FAILED: "the bus could not be read; text: why",
+    Kind.BRAKE_TEST: "brake test at arm; a: 1 held, 0 rope slack; value: stroke moved in mm, limit: tension in N",
     Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
 }
 NOTES: dict[Note, str] = {

@@ -26,7 +26,13 @@ from tests import daemons
 
 # The rig PC is shared with other tests here: patience in time, not in function.
 PATIENT: dict[str, dict[str, Any]] = {
-    "safety": {"stale_ms": 100, "bus_silent_ms": 100, "inclination_stale_ms": 500, "overrun_ticks": 900},
+    "safety": {
+        "stale_ms": 100,
+        "bus_silent_ms": 100,
+        "inclination_stale_ms": 500,
+        "overrun_ticks": 900,
+        "waiver": "a simulated rig on a busy machine",
+    },
     "cylinder": {"command_deadline_ms": 150, "heartbeat_timeout_ms": 200},
     "loop": {"cpu": None},
 }
@@ -34,7 +40,13 @@ PATIENT: dict[str, dict[str, Any]] = {
 
 # A loop without real time waits for a processor like everybody else.
 UNPRIVILEGED: dict[str, dict[str, Any]] = {
-    "safety": {"stale_ms": 500, "bus_silent_ms": 500, "inclination_stale_ms": 2000, "overrun_ticks": 1000},
+    "safety": {
+        "stale_ms": 500,
+        "bus_silent_ms": 500,
+        "inclination_stale_ms": 2000,
+        "overrun_ticks": 1000,
+        "waiver": "a simulated rig on a busy machine",
+    },
     "cylinder": {"heartbeat_timeout_ms": 1000, "command_deadline_ms": 1000},
 }
 

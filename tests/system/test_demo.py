@@ -71,7 +71,13 @@ def test_limits_that_are_not_met_fail_the_demo(tmp_path: pathlib.Path) -> None:
 def test_in_real_time_every_part_runs_in_its_own_process(tmp_path: pathlib.Path) -> None:
     changes = {
         "demo": SHORT,
-        "safety": {"stale_ms": 100, "bus_silent_ms": 100, "inclination_stale_ms": 500, "overrun_ticks": 900},
+        "safety": {
+            "stale_ms": 100,
+            "bus_silent_ms": 100,
+            "inclination_stale_ms": 500,
+            "overrun_ticks": 900,
+            "waiver": "a simulated rig on a busy machine",
+        },
         "cylinder": {"command_deadline_ms": 150, "heartbeat_timeout_ms": 200},
         "telemetry": {"lease_s": 15},  # shorter than the time between two of its commands: it has to renew it
     }

@@ -54,7 +54,7 @@ def test_a_limit_on_a_temperature_the_drive_does_not_tell_is_refused(tmp_path: p
     with pytest.raises(config.ConfigError) as refused:
         load(tmp_path, "  temperature_object: null\n")
     (line,) = refused.value.findings
-    assert " limits: found drive_temperature_c, allowed none of it: cylinder.temperature_object is null" in line
+    assert ".signal: found drive_temperature_c, allowed none of it: cylinder.temperature_object is null" in line
 
 
 def test_increments_that_do_not_fit_in_32_bits_are_refused(tmp_path: pathlib.Path) -> None:

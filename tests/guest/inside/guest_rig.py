@@ -36,6 +36,7 @@ SLOW: dict[str, dict[str, Any]] = {
         "inclination_stale_ms": 2000,
         "overrun_ticks": 90,
         "overrun_window_ms": 1000,
+        "waiver": "a simulated rig in user-mode Linux",
     },
     "estimator": {"tension_walk_n": 30.0},  # calm enough for 100 Hz
     "preflight": {"disk_free_mib": 64},  # the guest's disk is half of its gigabyte of memory

@@ -98,7 +98,7 @@ def bad_for(row: Row) -> Sight:
 def test_the_table_covers_every_fault_a_tick_can_see() -> None:
     assert {named(row) for row in ROWS} == set(BAD)
     assert {fault for fault, _ in BAD} == set(Fault) - {
-        Fault.NONE, Fault.LOOP_EXCEPTION, Fault.LIMIT, Fault.LIMIT_UNSEEN,
+        Fault.NONE, Fault.LOOP_EXCEPTION, Fault.LIMIT, Fault.LIMIT_UNSEEN, Fault.BRAKE_SLIPS
     }  # fmt: skip
 
 

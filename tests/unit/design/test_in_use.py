@@ -20,7 +20,13 @@ pytestmark = pytest.mark.real_time
 WAIVER = "demanding limit, for a test"
 # The machine is shared with other tests here: patience in time, not in function.
 PATIENT: dict[str, dict[str, Any]] = {
-    "safety": {"stale_ms": 100, "bus_silent_ms": 100, "inclination_stale_ms": 500, "overrun_ticks": 900},
+    "safety": {
+        "stale_ms": 100,
+        "bus_silent_ms": 100,
+        "inclination_stale_ms": 500,
+        "overrun_ticks": 900,
+        "waiver": "a simulated rig on a busy machine",
+    },
     "cylinder": {"command_deadline_ms": 150, "heartbeat_timeout_ms": 200},
     "loop": {"cpu": None},
 }

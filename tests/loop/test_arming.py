@@ -1,0 +1,212 @@
+"""What lies between one stop and the next power: standstill, the drive off, the brake closed, and the brake test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from hil.lockstep import Lockstep, lockstep
+from hil.nodes.power_stage import Phase
+from rigctl.config import RigSettings
+from rigctl.control import arming
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.safety import Action, Check, Fault, Trip
+from rigctl.control.tension import Gains
+from rigctl.devices.objects import Controlword, DriveState
+from rigctl.telemetry.events import CHECK_TEXT, Kind, worded
+
+Enter = Callable[[Mode], None]
+MS = 1_000_000
+TICK_S = 0.001
+
+
+def quick_stopped_at_speed(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    assert rig.command(Verb.TARGET, 250.0) is Refusal.NONE
+    rig.run(0.5)
+    rig.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), rig.clock.now())
+
+
+def watched(rig: Lockstep, seconds: float) -> Iterator[tuple[Phase, int, bool]]:
+    """Phase of the motor, controlword and whether the stroke moves, tick by tick."""
+    for _ in range(round(seconds / TICK_S)):
+        rig.loop.tick()
+        moving = abs(rig.rig.truth.speed_mm_s) > arming.STILL_MM_S
+        yield rig.rig.drive.control.stage.phase, rig.loop.outbox.controlword, moving
+
+
+@pytest.mark.parametrize("ticks", [1, 10, 30, 60, 120, 180])
+def test_reset_and_arm_during_a_quick_stop_cut_nothing_short(rig: Lockstep, enter: Enter, ticks: int) -> None:
+    quick_stopped_at_speed(rig, enter)
+    for _ in range(ticks):
+        rig.loop.tick()
+    rig.give(Verb.RESET)
+    rig.give(Verb.ARM)
+    phases = []
+    for phase, word, moving in watched(rig, 0.6):
+        assert not (moving and word == Controlword.DISABLE_VOLTAGE), "no power off for a drive that obeys"
+        phases.append(phase)
+    assert Phase.FALLING not in phases
+    closing = phases.index(Phase.CLOSING) if Phase.CLOSING in phases else 0
+    assert Phase.OPENING not in phases[closing : closing + 50], "the brake closes before it opens again"
+    assert rig.loop.machine.mode is Mode.FAULT
+
+
+def test_reset_is_refused_until_the_stop_has_ended_and_says_so(rig: Lockstep, enter: Enter) -> None:
+    quick_stopped_at_speed(rig, enter)
+    rig.loop.tick()
+    assert rig.command(Verb.RESET) is Refusal.STOP_RUNNING
+    assert abs(rig.reply["value"]) > 1.0
+    until_ns = rig.clock.now() + 1_000 * MS
+    while rig.command(Verb.RESET) is not Refusal.NONE:
+        assert rig.clock.now() < until_ns
+    assert rig.rig.drive.control.stage.phase is Phase.BRAKED
+    assert rig.loop.observer.sight.off_ns >= rig.settings.cylinder.brake_delay_ms * MS
+    assert rig.command(Verb.ARM) is Refusal.NONE
+
+
+def test_a_reset_cannot_take_back_the_power_off_of_a_drive_that_does_not_stop(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    drive = rig.rig.drive
+    drive.defect = lambda speed, closed: (-10.0 if drive.control.stage.powered else speed, closed)
+    while rig.loop.machine.fault is Fault.NONE:
+        rig.loop.tick()
+    assert rig.loop.machine.action is Action.POWER_OFF
+    assert rig.command(Verb.RESET) is Refusal.STOP_RUNNING
+    rig.run(0.2)
+    assert drive.control.stage.phase is Phase.BRAKED
+
+
+def test_arm_right_after_disarm_waits_for_the_brake_to_close(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.HOLD)
+    assert rig.command(Verb.DISARM) is Refusal.NONE
+    id_ = rig.give(Verb.ARM)
+    phases = [phase for phase, _, _ in watched(rig, 0.6)]
+    assert phases.index(Phase.BRAKED) < phases.index(Phase.OPENING), "closed before it opens again"
+    assert [reply["reason"] for reply in rig._replies.read() if reply["id"] == id_] == [Refusal.NONE]
+    assert rig.loop.machine.mode is Mode.HOLD
+
+
+def test_a_drive_that_is_moved_by_something_else_is_not_switched_on(rig: Lockstep) -> None:
+    rig.rig.drive.defect = lambda _speed, _closed: (0.15, False)  # less than a brake that slips trips at
+    rig.run(0.4)
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+    assert Check(int(rig.reply["checks"])) == Check.NOT_AT_STANDSTILL
+    assert rig.rig.drive.control.state is DriveState.READY_TO_SWITCH_ON
+    rig.rig.drive.defect = None
+    assert rig.command(Verb.ARM) is Refusal.NONE, "it waits until the stroke has stood still"
+
+
+def test_an_arm_that_waits_is_refused_by_what_fails_meanwhile_and_ended_by_disarm(rig: Lockstep) -> None:
+    rig.rig.drive.defect = lambda _speed, _closed: (0.15, False)
+    rig.run(0.4)
+    first = rig.give(Verb.ARM)
+    rig.run(0.1)
+    assert rig.loop.machine.arming
+    assert not any(rig.rig.drive.control.enabled for _ in watched(rig, 0.1))
+    rig.rig.drive.press_e_stop(True)
+    rig.run(0.1)
+    assert not rig.loop.machine.arming
+    (reply,) = [reply for reply in rig._replies.read() if reply["id"] == first]
+    assert Check.E_STOP in Check(int(reply["checks"]))
+    assert Check.NOT_AT_STANDSTILL not in Check(int(reply["checks"])), "what passes by itself is named alone only"
+
+
+def test_one_toggling_count_of_a_coarse_encoder_is_standstill(settings: RigSettings) -> None:
+    still = arming.Standstill(settings)
+    count_mm, period_s = 0.005, 1.0 / settings.loop.rate_hz
+    for i in range(400):
+        stroke = 50.0 + count_mm * (i // 7 % 2)
+        speed = count_mm / period_s / 7.0 * (1 if i % 14 == 7 else -1 if i % 14 == 0 else 0) * 0.2
+        found = still.look(i * MS, stroke, speed, MS)
+    assert found >= arming.STILL_NS
+
+
+@pytest.mark.parametrize("speed_mm_s", [0.12, -0.12, 8.0])
+def test_a_stroke_that_creeps_is_not_at_standstill(settings: RigSettings, speed_mm_s: float) -> None:
+    still = arming.Standstill(settings)
+    found = [still.look(i * MS, 50.0 + speed_mm_s * i * 1e-3, 0.0, MS) for i in range(1000)]  # its speed says nothing
+    assert max(found) < arming.STILL_NS
+
+
+@pytest.mark.parametrize(("stroke", "age_ns"), [(float("nan"), 0), (50.0, 16 * MS)])
+def test_what_is_not_seen_does_not_stand_still(settings: RigSettings, stroke: float, age_ns: int) -> None:
+    still = arming.Standstill(settings)
+    assert max(still.look(i * MS, stroke, 0.0, age_ns) for i in range(500)) < arming.STILL_NS
+
+
+# -- brake test -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def loaded(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
+    """DISARMED, 300 N on the brake, with a brake test."""
+    tested = settings.model_copy(update={"cylinder": settings.cylinder.model_copy(update={"brake_test": True})})
+    with lockstep(tested, gains) as subject:
+        subject.rig.plant.preload(300.0)
+        subject.run(0.6)
+        yield subject
+
+
+def slips(rig: Lockstep, speed_mm_s: float) -> None:
+    rig.rig.drive.defect = lambda speed, braked: (-speed_mm_s, False) if braked else (speed, False)
+
+
+def told(rig: Lockstep, kind: Kind) -> list[str]:
+    names = ("kind", "a", "b", "value", "limit", "text")
+    found = [[slot[name].item() for name in names] for slot in rig.events.read()]
+    return [worded(k, a, b, value, limit, text.decode()).text for k, a, b, value, limit, text in found if k == kind]
+
+
+def test_the_brake_is_tested_under_the_load_for_two_seconds_before_the_drive_has_power(loaded: Lockstep) -> None:
+    began_ns = loaded.clock.now()
+    assert loaded.command(Verb.ARM, limit_s=4.0) is Refusal.NONE
+    assert loaded.clock.now() - began_ns >= arming.BRAKE_TEST_NS
+    (line,) = told(loaded, Kind.BRAKE_TEST)
+    assert line.startswith("brake test: held 300.")
+    assert "0.000 mm" in line
+
+
+def test_a_brake_that_gives_way_slowly_is_found_latched_and_said(loaded: Lockstep) -> None:
+    slips(loaded, 0.06)  # no standstill check, and no limit of a slipping brake, sees this
+    assert loaded.command(Verb.ARM, limit_s=4.0) is Refusal.BRAKE_SLIPPED
+    assert abs(loaded.reply["value"]) == pytest.approx(arming.BRAKE_TEST_MM, abs=0.01)
+    assert not loaded.rig.drive.control.enabled
+    machine = loaded.loop.machine
+    assert (machine.mode, machine.fault) == (Mode.FAULT, Fault.BRAKE_SLIPS)
+    (line,) = told(loaded, Kind.TRIP)
+    assert "moved by -0.10 mm on the closed brake (limit 0.10 mm)" in line
+
+
+def test_once_that_is_acknowledged_the_motor_may_carry_the_load(loaded: Lockstep) -> None:
+    slips(loaded, 0.06)
+    loaded.command(Verb.ARM, limit_s=4.0)
+    assert loaded.command(Verb.RESET) is Refusal.NONE
+    began_ns = loaded.clock.now()
+    assert loaded.command(Verb.ARM, limit_s=1.0) is Refusal.NONE, "not tested again: what it would find is known"
+    assert loaded.clock.now() - began_ns < 500 * MS
+    before = loaded.rig.truth.stroke_mm
+    loaded.run(0.5)
+    assert loaded.rig.truth.stroke_mm == pytest.approx(before, abs=0.01)
+
+
+def test_a_slack_rope_leaves_nothing_to_test_with(settings: RigSettings, gains: Gains) -> None:
+    tested = settings.model_copy(update={"cylinder": settings.cylinder.model_copy(update={"brake_test": True})})
+    with lockstep(tested, gains) as rig:
+        rig.run(0.3)
+        assert rig.command(Verb.ARM, limit_s=1.0) is Refusal.NONE
+        assert told(rig, Kind.BRAKE_TEST) == ["brake test not possible: the rope is slack"]
+
+
+def test_the_daemon_ends_after_the_brake_has_had_its_time(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.COMPENSATING)
+    rig.loop.stop_requested = True
+    while not rig.loop.finished:
+        rig.loop.tick()
+    assert rig.rig.drive.control.stage.phase is Phase.BRAKED
+
+
+def test_both_checks_are_said_in_words() -> None:
+    for check in (Check.NOT_AT_STANDSTILL, Check.SEQUENCE_RUNNING):
+        assert "wait" in CHECK_TEXT[check]

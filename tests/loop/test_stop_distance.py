@@ -1,0 +1,33 @@
+"""A loop that dies leaves the drive to stop by itself, within the distance that the rig file is judged by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from hil.lockstep import Lockstep
+from hil.nodes.power_stage import Phase
+from rigctl.config_bounds import Stop
+from rigctl.control.modes import Mode, Refusal, Verb
+
+DEAD_TICKS = 500
+
+
+@pytest.mark.parametrize("target_n", [350.0, 250.0])
+def test_a_dead_loops_stroke_stops_within_the_distance_the_check_prints(
+    rig: Lockstep, enter: Callable[[Mode], None], target_n: float
+) -> None:
+    enter(Mode.COMPENSATING)
+    assert rig.command(Verb.TARGET, target_n) is Refusal.NONE
+    rig.run(0.5)
+    speed, before = rig.rig.truth.speed_mm_s, rig.rig.truth
+    assert abs(speed) > 7.0
+    stroke_mm, tension_n = before.stroke_mm, before.tension_n
+    rig.clock.skip = DEAD_TICKS
+    rig.clock.next_tick()  # the rig goes on, and nobody commands it
+    stop, tension = Stop.of(rig.settings), rig.settings.tension
+    assert rig.rig.drive.control.stage.phase is Phase.BRAKED
+    moved_mm = abs(rig.rig.truth.stroke_mm - stroke_mm)
+    assert 0.1 < moved_mm <= stop.distance_mm * abs(speed) / tension.speed_max_mm_s * 1.05  # ripple of the screw
+    assert abs(rig.rig.truth.tension_n - tension_n) <= stop.newtons * 1.05
