@@ -37,13 +37,12 @@ from rigctl.telemetry.runtime import ACTIVE, AlreadyRunningError, FolderError, R
 from rigctl.telemetry.supervision import Doing, Supervision
 from rigctl.termination import ENDING, on_signals
 
-POLL_S = 0.05
+POLL_S = 0.02  # told to end, or without its folder, the daemon lets a ramp go on for so long: 0.2 mm at 10 mm/s
 START_LIMIT_S = 20.0
 STOP_LIMIT_S = 5.0
 BACKOFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 LOOPING = 3  # ends in a row, from here on the operator is told how many
 STABLE_S = 10.0
-LOOK_S = 0.2  # how often the runtime folder is looked at
 WATCHDOG_PERIOD_NS = 500_000_000
 WATCHDOG_STALE_NS = 1_000_000_000
 
@@ -84,7 +83,6 @@ class Supervisor:
         self._runtime = Runtime.of(settings.rig)
         self._stopping = False
         self._feed_at_ns = 0
-        self._look_at = 0.0
         self._supervision: Supervision | None = None
         self._folder_lost = ""
         self._modules = PROCESSES | (PAGE if settings.page is not None else {})
@@ -270,10 +268,6 @@ class Supervisor:
     # -- watch ----------------------------------------------------------------------------------------------
     def _lost(self) -> bool:
         """Whether the runtime folder is gone: no process could be started any more, so the daemon ends in order."""
-        now = time.monotonic()
-        if now < self._look_at:
-            return False
-        self._look_at = now + LOOK_S
         if why := self._runtime.lost():
             self._folder_lost = f"the runtime folder {self._runtime.directory} is lost: {why}"
             self._note(Doing.FOLDER_LOST, reason=f"{why}; the daemon ends with the stroke held")

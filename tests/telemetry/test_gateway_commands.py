@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pathlib
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -176,3 +177,19 @@ def test_a_command_that_is_meant_for_another_daemon_is_not_carried_out(own: Daem
         Client(own.endpoint, own.settings.rig, "another")
     with Client(own.endpoint, own.settings.rig, RUN_ID) as mine:
         assert mine.command("arm", "kim")["accepted"]
+
+
+def peak_mib(pid: int) -> int:
+    """Most memory a process has had so far."""
+    lines = pathlib.Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(int(line.split()[1]) // 1024 for line in lines if line.startswith("VmHWM:"))
+
+
+def test_a_message_of_100_mb_is_dropped_before_it_is_put_together(own: Daemon) -> None:
+    assert own.gateway is not None
+    with own.client() as client:
+        before = peak_mib(own.gateway.pid)
+        replies = client.session.get(client.keys.command("hold"), payload=bytes(100_000_000), timeout=5.0)
+        assert all(reply.ok is None for reply in replies)
+        assert client.command("arm", "kim")["accepted"]
+        assert peak_mib(own.gateway.pid) - before < 50
