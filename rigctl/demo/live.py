@@ -61,14 +61,14 @@ class LiveStage:
         """See `Stage`."""
         try:
             self._simulator.sdo[od.SIM_MOTION_START].raw = 1
-        except canopen.SdoError as error:
+        except canopen.sdo.SdoError as error:
             raise DemoError(f"the simulated mechanism did not start: {error}") from None
 
     def moving(self) -> bool:
         """See `Stage`."""
         try:
             return bool(self._simulator.sdo[od.SIM_MOTION_STATE].raw)
-        except canopen.SdoError as error:
+        except canopen.sdo.SdoError as error:
             raise DemoError(f"the simulated rig does not answer: {error}") from None
 
     def moment(self) -> Moment:

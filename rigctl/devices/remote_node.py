@@ -17,6 +17,7 @@ from rigctl.devices import objects as od
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it logs, an error here says, with the device
 _MOST_SEGMENTS = 4  # no object read here is longer than one
+_ASK_AGAIN_S = 0.05
 _MOST_ENTRIES = 64  # a count beyond it is of a multiplexed PDO, which carries no process data of ours
 _GARBLED = (struct.error, canopen.ObjectDictionaryError)  # canopen's, at frames too short and values of no such size
 
@@ -181,6 +182,7 @@ class RemoteNode:
                 if not waited:
                     say(f"waiting for {self.name} (node {self.id}), for {left_s:.0f} s more at most (can.boot_wait_s)")
                     waited = True
+                time.sleep(min(left_s, _ASK_AGAIN_S))  # it may answer at once, and wrongly
             else:
                 break
         if waited:
