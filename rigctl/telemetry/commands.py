@@ -18,13 +18,24 @@ from rigctl.commission.clerk import Clerk, Filed
 from rigctl.commission.preflight import Preflight
 from rigctl.control.modes import FILED, Setting, Verb
 from rigctl.control.safety import Fault
+from rigctl.one_line import on_one_line
 from rigctl.telemetry.keys import Keys
 from rigctl.telemetry.lease import ACTS
 from rigctl.telemetry.lease_keeper import Keeper
 from rigctl.telemetry.lease_request import LeaseRequest, parse_lease
 from rigctl.telemetry.notes import DeskBook
 from rigctl.telemetry.record import COMMAND_LIFETIME_NS
-from rigctl.telemetry.request import Request, RequestError, Sight, answer, parse, refused, silent, verb_of
+from rigctl.telemetry.request import (
+    PAYLOAD_BYTES,
+    Request,
+    RequestError,
+    Sight,
+    answer,
+    parse,
+    refused,
+    silent,
+    verb_of,
+)
 from rigctl.telemetry.ring import RingReader, RingWriter
 from rigctl.telemetry.session import finish
 
@@ -159,14 +170,16 @@ class Desk:
         name = key.rsplit("/", 1)[-1]
         try:
             if key != self._keys.command(name):
-                raise RequestError(f"found the key {key}, allowed one rig and one command")
+                raise RequestError(f"found the key {on_one_line(key)}, allowed one rig and one command")
+            if query.payload is not None and len(query.payload) > PAYLOAD_BYTES:  # before it is copied
+                raise RequestError(f"found {len(query.payload)} bytes, allowed {PAYLOAD_BYTES}")
             payload = bytes(query.payload) if query.payload is not None else None
             if (act := ACTS.get(name)) is not None:
                 self._asked.put(LeaseAsked(query, parse_lease(act, payload)))
             else:
                 self._asked.put(Asked(query, parse(verb_of(name), payload)))
         except RequestError as error:
-            message = refused(name, "", "bad_request", str(error))
+            message = refused(on_one_line(name), "", "bad_request", str(error))
             send_answer(query, key, message)
             self._asked.put(Refused(message))
 

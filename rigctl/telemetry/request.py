@@ -19,7 +19,7 @@ from rigctl.telemetry.lease import ACTS, ID_BYTES, is_id
 
 VERBS = {verb.name.lower(): verb for verb in Verb}
 _OPERATOR_LENGTH = 64
-_PAYLOAD_BYTES = 16_384  # a gain file and more
+PAYLOAD_BYTES = 16_384  # a gain file and more
 _ALLOWED = '{"operator": "NAME"}'
 _ALLOWED_MORE = {
     Verb.ARM: '{"operator": "NAME"} and "near_end": true',
@@ -105,7 +105,7 @@ def decoded(payload: bytes | None, kind: type[_Some], allowed: str) -> _Some:
     """
     if not payload:
         raise RequestError(f"found no payload, allowed {allowed}")
-    if len(payload) > _PAYLOAD_BYTES:
+    if len(payload) > PAYLOAD_BYTES:
         raise RequestError(f"found {len(payload)} bytes, allowed {allowed}")
     try:
         return msgspec.json.decode(payload, type=kind)
