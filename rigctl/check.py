@@ -15,6 +15,7 @@ from rigctl.config_limits import SIGNALS
 from rigctl.control import limits, safety
 from rigctl.control.modes import Mode
 from rigctl.devices import busload
+from rigctl.quantity import significant
 
 NARROW = 72
 """Columns below which meaning and unit are left out, as the key ends in its unit: else it is the values that go."""
@@ -87,7 +88,7 @@ def show(settings: RigSettings, console: Console) -> None:
     for column in ("bytes", "per second", "bit/s at worst"):
         frames.add_column(column)
     for item in busload.traffic(settings):
-        frames.add_row(item.name, str(item.size), f"{item.rate_hz:g}", f"{item.bit_s:.0f}")
+        frames.add_row(item.name, str(item.size), significant(item.rate_hz), f"{item.bit_s:.0f}")
     console.print(frames)
     console.print(verdict(settings), highlight=False)
     console.print(Stop.of(settings).in_words(settings), highlight=False)
@@ -107,7 +108,7 @@ def _watched(settings: RigSettings) -> Table:
     for row in (*safety.table(settings), *limits.rows(settings)):
         nanoseconds = row.unit == "ns"
         limit = row.sign * row.limit * (1e-6 if nanoseconds else 1.0)
-        beyond = f"{limit:g} {'ms' if nanoseconds else row.unit}".rstrip() if limit or row.unit else "-"
+        beyond = significant(limit, "ms" if nanoseconds else row.unit) if limit or row.unit else "-"
         modes = "".join(mode.name[0] if mode in row.modes else "." for mode in Mode)
         action = row.action.name.lower().replace("_", " ")
         what = row.text if row.fault is safety.Fault.LIMIT else f"{row.fault.name} {row.text}".strip()
@@ -125,5 +126,5 @@ def _add_section(table: Table, section: str, settings: Settings, narrow: bool) -
         if isinstance(found, Settings):
             _add_section(table, f"  {section}.{key}", found, narrow)
             continue
-        text = "-" if found is None else f"{found:g}" if isinstance(found, float) else str(found)
+        text = "-" if found is None else significant(found) if isinstance(found, float) else str(found)
         table.add_row(f"  {key}", text, *(() if narrow else (config_wording.unit_of(key), info.description or "")))

@@ -388,7 +388,7 @@ def _ending(last: np.void | None, clean: bool) -> tuple[int, str]:
     if last is None or not clean:
         return 1, "the loop did not stop by itself; the drive holds by its own supervision"
     mode = Mode(int(last["mode"])).name
-    where = f"stroke {last['stroke_mm']:.2f} mm, tension {last['tension_n']:z.1f} N"
+    where = f"stroke {last['stroke_mm']:z.2f} mm, tension {last['tension_n']:z.1f} N"
     if last["drive_quality"] or drive_state(int(last["statusword"])) is DriveState.OPERATION_ENABLED:
         return 1, f"stopped in {mode}: last seen {where}; the brake was not seen to close"
     return 0, f"stopped in {mode}: {where}, brake closed"

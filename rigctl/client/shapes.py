@@ -142,8 +142,9 @@ _SHOWN = (
     "frames_refused", "send_failures", "error_frames",
 )  # fmt: skip
 _CODES: dict[str, Any] = {"d": Real | None, "q": Time | None}
+_NARROW: dict[str, Any] = {"target_n": Bounded | None, "t_ns": Time}
 _FIELDS: list[tuple[str, Any]] = [
-    (field.name, Bounded | None if field.name == "target_n" else _CODES.get(field.code, Count))
+    (field.name, _NARROW.get(field.name) or _CODES.get(field.code, Count))
     for field in RECORD.fields
     if field.name not in _REPLACED
 ]

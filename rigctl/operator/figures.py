@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from rigctl import quantity
+
 MODE_STYLE = {
     "DISARMED": "black on white",
     "HOLD": "bold white on blue",
@@ -20,10 +22,7 @@ def number(value: Any, digits: int, unit: str = "", *, sign: bool = False) -> st
     """A number with its unit; a dash where there is none."""
     if not isinstance(value, int | float):
         return NOTHING
-    text = f"{value:+.{digits}f}" if sign else f"{value:.{digits}f}"
-    if float(text) == 0:
-        text = text.replace("-", "+" if sign else "")
-    return f"{text} {unit}".rstrip()
+    return quantity.number(value, digits, unit, sign=sign)
 
 
 def mode(state: dict[str, Any]) -> str:

@@ -10,6 +10,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
 from rigctl.operator import figures
+from rigctl.quantity import count, significant
 
 if TYPE_CHECKING:
     from rigctl.operator.watch import View
@@ -53,11 +54,11 @@ def tension_bar(state: dict[str, Any], width: int) -> list[Text]:
     active = state["mode"] in ("TENSIONING", "COMPENSATING")
     colour = "green" if inside else "red" if state["mode"] == "COMPENSATING" else "yellow" if active else "dim"
     bar = scale(width, value, low, high, {band[0]: "[", target: "┼", band[1]: "]"})
-    legend = f"{low:<.0f}".ljust(width // 2 - 8) + f"target {target:.1f} N".center(16)
+    legend = f"{low:z.0f}".ljust(width // 2 - 8) + f"target {target:z.1f} N".center(16)
     return [
         _row("vertical", f"{figures.number(value, 2, 'N'):>10}  {figures.error(state)}", f"bold {colour}".strip()),
         _row("", bar, colour),
-        _row("", legend + f"{high:.0f}".rjust(width - len(legend)), "dim"),
+        _row("", legend + f"{high:z.0f}".rjust(width - len(legend)), "dim"),
     ]
 
 
@@ -68,7 +69,7 @@ def stroke_bar(state: dict[str, Any], limits: dict[str, Any], width: int) -> lis
     first = _row("stroke", f"{figures.number(stroke, 2, 'mm'):>10}  {speed}")
     if low is None or high is None:
         return [first]
-    text = f"{low:g} ", f" {high:g} mm"
+    text = f"{significant(low)} ", f" {significant(high, 'mm')}"
     near = stroke is not None and not low + 0.05 * (high - low) <= stroke <= high - 0.05 * (high - low)
     bar = scale(width - len(text[0]) - len(text[1]), stroke, low, high, {low: "├", high: "┤"})
     return [first, _row("", text[0] + bar + text[1], "yellow" if near else "")]
@@ -116,7 +117,7 @@ class Screen:
         return [Text(blank, style), Text(text.center(width), style), Text(blank, style)]
 
     def _values(self, state: dict[str, Any], width: int) -> list[Text]:
-        skipped = f"{state['skipped']} of {state['tick']} ticks"
+        skipped = f"{state['skipped']} of {count(state['tick'], 'tick')}"
         flaws, slope = figures.flaws(state), state["quality"]["inclination"]
         return [
             *tension_bar(state, width),

@@ -6,6 +6,7 @@ from typing import Any
 
 from rigctl.operator import figures
 from rigctl.operator.options import BAD, DONE, Connect, Json, Rig, daemon, end, say_json
+from rigctl.quantity import count
 
 
 def status(json: Json = False, connect: Connect = None, rig: Rig = None) -> None:
@@ -33,6 +34,7 @@ def rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
     if state.get("mode") is not None:
         flaws, n = figures.flaws(state), figures.number
         tension = f"{n(state['tension_n'], 2, 'N')} (vertical {n(state['vertical_n'], 2, 'N')})"
+        skipped = f"{state['skipped']} of {count(state['tick'], 'tick')}"
         late = figures.percentiles(state["lateness_us"])
         result += [
             ("tension", tension, "bold"),
@@ -44,7 +46,7 @@ def rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
             *([("signals", flaws, "bold yellow")] if flaws else []),
             ("lateness", late, ""),
             ("work", figures.percentiles(state["work_us"]), ""),
-            ("skipped", f"{state['skipped']} of {state['tick']} ticks", "bold yellow" if state["skipped"] else ""),
+            ("skipped", skipped, "bold yellow" if state["skipped"] else ""),
             ("bus", figures.counters(state), ""),
             ("age", n(state["age_ms"], 1, "ms"), ""),
             *([("design", state["design"], "")] if state.get("design") else []),

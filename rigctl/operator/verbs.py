@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from rigctl.operator import figures
 from rigctl.operator.lease import give
 from rigctl.operator.options import BAD, DONE, Connect, Json, Operator, Rig, Wait, daemon, end, operator_name, say
 from rigctl.operator.options import say_json as put_json
@@ -136,6 +137,10 @@ def _tell(answer: dict[str, Any], json: bool) -> NoReturn:
     end(DONE if accepted else BAD)
 
 
+def _standing(state: dict[str, Any]) -> str:
+    return f"tension {figures.number(state['tension_n'], 1, 'N')}, stroke {figures.number(state['stroke_mm'], 2, 'mm')}"
+
+
 def _finish(client: Client, verb: str, answer: dict[str, Any], states: Feed) -> dict[str, Any]:
     """Follow the state until the command has ended, one way or the other."""
     goal, passing = _ENDS[verb]
@@ -149,11 +154,11 @@ def _finish(client: Client, verb: str, answer: dict[str, Any], states: Feed) -> 
             continue
         heard = time.monotonic()
         mode = state.get("mode")
-        if state.get("t_ns", 0) < answer["t_ns"] or mode in (passing, None):
+        if state.get("t_ns", 0) < answer.get("t_ns", 0) or mode in (passing, None):
             continue
         about = {"mode": mode, "value": state["tension_n"]}
         if mode == goal:
-            text = f"{verb.upper()}: {goal}, tension {state['tension_n']:z.1f} N, stroke {state['stroke_mm']:.2f} mm"
+            text = f"{verb.upper()}: {goal}, {_standing(state)}"
             return {**answer, **about, "text": text}
         why = f" {state['fault']}: {state['fault_text']}" if mode == "FAULT" else ""
         text = f"{verb.upper()} failed: ended in {mode}{why}"

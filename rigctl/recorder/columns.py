@@ -9,7 +9,9 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from rigctl.recorder.enums import Names, enum_of
 from rigctl.recorder.recording import SLOTS, Recording, Said
+from rigctl.telemetry.record import NEVER_AGE_NS, Slot
 
 _SEQ = ("", "sequence number, without gaps")
 _WALL = ("ns", "t_ns on the wall clock, since 1970 UTC")
@@ -18,12 +20,17 @@ _TIME = ("s", "t_ns after the first record")
 
 @dataclass(frozen=True)
 class Column:
-    """A quantity: ``values`` an array, or a list of text; ``unit`` "" for none."""
+    """A quantity: ``values`` an array, or a list of text; ``unit`` "" for none.
+
+    ``names``: of an enumeration's numbers, None for what is none. ``absent``: rows without a value, None for none.
+    """
 
     name: str
     unit: str
     description: str
     values: npt.NDArray[Any] | list[str]
+    names: Names | None = None
+    absent: npt.NDArray[np.bool_] | None = None
 
 
 def tables(recording: Recording) -> dict[str, list[Column]]:
@@ -58,8 +65,14 @@ def _slots(name: str, slots: npt.NDArray[np.void], recording: Recording) -> list
             rows = np.ascontiguousarray(slots[field]).view(np.uint8).reshape(-1, width)
             columns.append(Column(field, unit, description, rows))
         else:
-            columns.append(Column(field, unit, description, np.ascontiguousarray(slots[field])))
+            columns.append(_column(SLOTS[name], field, unit, description, np.ascontiguousarray(slots[field])))
     return columns
+
+
+def _column(slot: Slot, field: str, unit: str, description: str, values: npt.NDArray[Any]) -> Column:
+    named = enum_of(slot, field)
+    absent = values > NEVER_AGE_NS if field.endswith("_age_ns") else None
+    return Column(field, unit, description, values, named[1] if named is not None else None, absent)
 
 
 def _said(items: list[Said], recording: Recording) -> list[Column]:

@@ -12,16 +12,19 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from rigctl.output_file import OutputError
 from rigctl.recorder.columns import Column, tables
 from rigctl.recorder.contents import figures
+from rigctl.recorder.enums import Names
 from rigctl.recorder.recording import Recording
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 Tables = dict[str, list[Column]]
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def check(out: pathlib.Path) -> None:
@@ -74,7 +77,7 @@ def write(recording: Recording, kind: str, out: pathlib.Path) -> list[str]:
 
 
 def _arrow(columns: list[Column], words: dict[str, str], *, text: bool) -> pa.Table:
-    """``text``: for CSV, which has no bytes and no metadata: hexadecimal, and units in the header."""
+    """``text``: for CSV, without bytes, enumerations and metadata: hexadecimal, numbers, units in the header."""
     import pyarrow as pa
 
     arrays, fields = [], []
@@ -83,12 +86,30 @@ def _arrow(columns: list[Column], words: dict[str, str], *, text: bool) -> pa.Ta
         if isinstance(values, np.ndarray) and values.ndim == 2:
             rows = [bytes(row) for row in values]
             array = pa.array([row.hex() for row in rows] if text else rows)
+        elif isinstance(values, list):
+            array = pa.array([_cell(item) for item in values] if text else values)
+        elif column.names is not None and not text:
+            array = _dictionary(values, column.names)
         else:
-            array = pa.array(values)
+            array = pa.array(values, mask=column.absent)
         name = f"{column.name} [{column.unit}]" if text and column.unit else column.name
         arrays.append(array)
         fields.append(pa.field(name, array.type, metadata={"unit": column.unit, "description": column.description}))
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=words))
+
+
+def _dictionary(values: npt.NDArray[Any], names: Names) -> pa.Array:
+    """Numbers of an enumeration as their names; one without a name is its number in words."""
+    import pyarrow as pa
+
+    known, places = np.unique(values, return_inverse=True)
+    words = [names.get(number, str(number)) for number in known.tolist()]
+    return pa.DictionaryArray.from_arrays(pa.array(places.astype(np.int32)), pa.array(words, pa.string()))
+
+
+def _cell(text: str) -> str:
+    """Text as a spreadsheet shows it: what begins as a formula does would be reckoned, and may call a program."""
+    return f"'{text}" if text.startswith(_FORMULA) else text
 
 
 def _words(recording: Recording) -> dict[str, str]:
@@ -118,14 +139,17 @@ def _mat(recording: Recording, found: Tables, folder: pathlib.Path) -> None:
     units: dict[str, dict[str, str]] = {}
     descriptions: dict[str, dict[str, str]] = {}
     for topic, columns in found.items():
-        content[topic] = {column.name: _for_matlab(column.values) for column in columns}
+        content[topic] = {column.name: _for_matlab(column) for column in columns}
         units[topic] = {column.name: column.unit for column in columns}
         descriptions[topic] = {column.name: column.description for column in columns}
     content |= {"units": units, "descriptions": descriptions}
     savemat(folder / "recording.mat", content, long_field_names=True, do_compression=True, oned_as="column")
 
 
-def _for_matlab(values: Any) -> Any:
+def _for_matlab(column: Column) -> Any:
+    values = column.values
+    if column.absent is not None and isinstance(values, np.ndarray) and column.absent.any():
+        return np.where(column.absent, np.nan, values)  # it has no other null
     if isinstance(values, list):
         cells = np.empty(len(values), object)
         cells[:] = values

@@ -15,7 +15,15 @@ import numpy.typing as npt
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from google.protobuf.message import DecodeError
 
-from rigctl.recorder.protobuf import WIRE_32, WIRE_64, WIRE_BYTES, tag
+from rigctl.recorder.protobuf import (
+    ENUM_BYTES,
+    WIRE_32,
+    WIRE_64,
+    WIRE_BYTES,
+    WIRE_VARINT,
+    of_varints,
+    tag,
+)
 from rigctl.telemetry.record import Slot
 
 _P = FieldDescriptorProto
@@ -26,6 +34,7 @@ _KINDS = {
     _P.TYPE_FIXED64: (WIRE_64, "<u8"),
     _P.TYPE_FIXED32: (WIRE_32, "<u4"),
     _P.TYPE_BYTES: (WIRE_BYTES, ""),
+    _P.TYPE_ENUM: (WIRE_VARINT, "<u4"),
 }
 _BYTES_MAX = 8
 
@@ -105,6 +114,8 @@ class Layout:
                     if not size:
                         continue
                     code = f"S{size}"
+                if kind == _P.TYPE_ENUM:
+                    code = f"({ENUM_BYTES},)u1"
                 names.append(name)
                 formats.append(code)
                 offsets.append(at)
@@ -135,10 +146,11 @@ class Layout:
         wired = rows.view(kinds)[:, 0]
         everything = len(which) == len(made)
         for name in kinds.names or ():
+            values = of_varints(wired[name]) if wired[name].ndim == 2 else wired[name]
             if everything:
-                made[name] = wired[name]
+                made[name] = values
             else:
-                made[name][which] = wired[name]
+                made[name][which] = values
 
 
 def _rows(data: bytes, starts: npt.NDArray[np.intp], width: int) -> npt.NDArray[np.uint8]:

@@ -11,9 +11,13 @@ import numpy as np
 import numpy.typing as npt
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 
+from rigctl.recorder.enums import enum_of
 from rigctl.telemetry.record import FrameFlag, Slot
 
-WIRE_64, WIRE_BYTES, WIRE_32 = 1, 2, 5
+WIRE_VARINT, WIRE_64, WIRE_BYTES, WIRE_32 = 0, 1, 2, 5
+ENUM = "enum"
+ENUM_BYTES = 3
+"""A number of up to 16 bits as a varint of fixed width: bytes that could be left out are not (protobuf allows it)."""
 _P = FieldDescriptorProto
 _KINDS = {
     "d": (_P.TYPE_DOUBLE, WIRE_64, "<f8"),
@@ -24,6 +28,7 @@ _KINDS = {
     "H": (_P.TYPE_FIXED32, WIRE_32, "<u4"),
     "B": (_P.TYPE_FIXED32, WIRE_32, "<u4"),
     "8s": (_P.TYPE_BYTES, WIRE_BYTES, "S8"),
+    ENUM: (_P.TYPE_ENUM, WIRE_VARINT, f"({ENUM_BYTES},)u1"),
 }
 
 
@@ -37,6 +42,8 @@ class Encoding:
         self._fields = [
             (name, "f" if code == "d" and exact is not None and name not in exact else code) for name, code in codes
         ]
+        self._enums = {name: found for name, _ in codes if (found := enum_of(slot, name)) is not None}
+        self._fields = [(name, ENUM if name in self._enums else code) for name, code in self._fields]
         self._slot = slot
         self._has_bytes = self._fields[-1][1] == "8s"
         layout: list[tuple[str, str]] = []
@@ -53,7 +60,13 @@ class Encoding:
         file = files.file.add(name=f"rigctl/{self._slot.name}.proto", package="rigctl", syntax="proto3")
         message = file.message_type.add(name=self._slot.name.capitalize())
         for number, (name, code) in enumerate(self._fields, 1):
-            message.field.add(name=name, number=number, type=_KINDS[code][0], label=_P.LABEL_OPTIONAL)
+            field = message.field.add(name=name, number=number, type=_KINDS[code][0], label=_P.LABEL_OPTIONAL)
+            if code == ENUM:
+                field.type_name = f".rigctl.{self._enums[name][0]}"
+        for kind, names in dict(self._enums.values()).items():
+            enum = file.enum_type.add(name=kind)
+            for value, words in sorted(names.items()):
+                enum.value.add(name=f"{kind.upper()}_{words}", number=value)
         return bytes(files.SerializeToString())
 
     def encode(self, slots: npt.NDArray[np.void]) -> list[bytes]:
@@ -62,7 +75,7 @@ class Encoding:
         for number, (name, code) in enumerate(self._fields, 1):
             made[f"tag_{name}"] = np.void(tag(number, _KINDS[code][1]))
             with np.errstate(over="ignore"):  # beyond what 32 bits hold is infinite
-                made[name] = slots[name]
+                made[name] = _varints(slots[name]) if code == ENUM else slots[name]
         width = self._dtype.itemsize
         ends = np.full(len(slots), width)
         if self._has_bytes:
@@ -75,6 +88,20 @@ class Encoding:
 def numbers_of(slot: Slot) -> Slot:
     """A table without its texts, whose width is not fixed; what they say is recorded in words beside it."""
     return Slot(slot.name, tuple(field for field in slot.fields if field.code in _KINDS))
+
+
+def _varints(values: npt.NDArray[np.integer]) -> npt.NDArray[np.uint8]:
+    """Numbers below 2^16 as varints of ``ENUM_BYTES`` bytes, shape ``(count, ENUM_BYTES)``."""
+    whole = values.astype(np.uint32)[:, None] >> np.arange(0, 7 * ENUM_BYTES, 7, dtype=np.uint32)
+    whole &= 0x7F
+    whole[:, :-1] |= 0x80
+    return whole.astype(np.uint8)
+
+
+def of_varints(rows: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint32]:
+    """What `_varints` has made of the numbers."""
+    parts = (rows & 0x7F).astype(np.uint32) << np.arange(0, 7 * ENUM_BYTES, 7, dtype=np.uint32)
+    return np.asarray(parts.sum(axis=1, dtype=np.uint32))
 
 
 def tag(number: int, wire: int) -> bytes:

@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.control.safety import Action, Fault
+from rigctl.quantity import significant
 from rigctl.recorder.audit_log import Item
 from rigctl.telemetry import supervision
-from rigctl.telemetry.events import failed_checks
+from rigctl.telemetry.events import Kind, failed_checks
 from rigctl.telemetry.messages import event_message
 from rigctl.telemetry.notes import note_message
 from rigctl.telemetry.ring import RingReader
@@ -44,7 +46,22 @@ def _event(slot: np.void) -> Words:
     severity, message = event_message(slot, 0)
     numbers = {name: _number(slot, name) for name in ("value", "limit")}
     details = {"severity": severity, "a": message["a"], "b": message["b"], **numbers}
-    return message["kind"].lower(), "", message["text"], details
+    return message["kind"].lower(), "", message["text"], details | _names(slot)
+
+
+def _names(slot: np.void) -> dict[str, str]:
+    """Names of what ``a`` and ``b`` of an event stand for."""
+    return {word: _name(kind, int(slot[field])) for field, (word, kind) in _NAMED.get(int(slot["kind"]), {}).items()}
+
+
+_TRIPPED: dict[str, tuple[str, type[IntEnum]]] = {"a": ("fault", Fault), "b": ("action", Action)}
+_NAMED: dict[int, dict[str, tuple[str, type[IntEnum]]]] = {
+    Kind.MODE: {"a": ("from", Mode), "b": ("to", Mode)},
+    Kind.TRIP: _TRIPPED,
+    Kind.LIMIT: _TRIPPED,
+    Kind.LIMIT_OVER: _TRIPPED,
+    Kind.RESET: {"a": ("fault", Fault)},
+}
 
 
 def _note(slot: np.void) -> Words:
@@ -58,7 +75,7 @@ def _desk(slot: np.void) -> Words:
     asked = {"id": int(slot["id"]), "verb": verb, "value": value, "holder": _text(slot, "holder")}
     who = _text(slot, "operator")
     if not slot["answered"]:
-        return "command_given", who, verb + (f" {value:g}" if value is not None else ""), asked
+        return "command_given", who, verb + (f" {significant(value)}" if value is not None else ""), asked
     accepted = bool(slot["accepted"])
     details = {**asked, "accepted": accepted, "reason": _text(slot, "reason"), "ledger_entry": _text(slot, "entry")}
     return "command_accepted" if accepted else "command_refused", who, _text(slot, "text"), details
@@ -67,7 +84,7 @@ def _desk(slot: np.void) -> Words:
 def _order(slot: np.void) -> Words:
     code, value = int(slot["verb"]), _number(slot, "value")
     name = _name(Verb if code in Verb._value2member_map_ else Setting, code)
-    text = name + (f" {value:g}" if value is not None else "")
+    text = name + (f" {significant(value)}" if value is not None else "")
     return "order", "", text, {"id": int(slot["id"]), "verb": code, "value": value}
 
 

@@ -19,6 +19,7 @@ from rigctl.commission import ledger
 from rigctl.commission.clerk import Clerk, Filed
 from rigctl.commission.preflight import Preflight
 from rigctl.control.modes import FILED, Setting, Verb
+from rigctl.one_line import on_one_line
 from rigctl.telemetry.flow import Flow
 from rigctl.telemetry.keys import Keys
 from rigctl.telemetry.lease import ACTS
@@ -26,7 +27,16 @@ from rigctl.telemetry.lease_keeper import Keeper
 from rigctl.telemetry.lease_request import LeaseRequest, parse_lease
 from rigctl.telemetry.notes import DeskBook
 from rigctl.telemetry.record import COMMAND_LIFETIME_NS
-from rigctl.telemetry.request import Request, RequestError, Sight, answer, parse, refused, silent, verb_of
+from rigctl.telemetry.request import (
+    Request,
+    RequestError,
+    Sight,
+    answer,
+    parse,
+    refused,
+    silent,
+    verb_of,
+)
 from rigctl.telemetry.ring import RingReader, RingWriter
 from rigctl.telemetry.session import MESSAGE_BYTES, finish
 
@@ -199,14 +209,14 @@ class Desk:
         asked: Asked | LeaseAsked | Refused
         try:
             if key != self._keys.command(name):
-                raise RequestError(f"found the key {key}, allowed one rig and one command")
+                raise RequestError(f"found the key {on_one_line(key)}, allowed one rig and one command")
             payload = _payload_of(query)
             if (act := ACTS.get(name)) is not None:
                 asked = LeaseAsked(query, parse_lease(act, payload))
             else:
                 asked = Asked(query, parse(verb_of(name), payload))
         except RequestError as error:
-            asked = Refused(refused(name, "", "bad_request", str(error)))
+            asked = Refused(refused(on_one_line(name), "", "bad_request", str(error)))
         if isinstance(asked, Asked) and asked.request.verb is Verb.HOLD:
             self._holds.append(asked)
             self._asked.put(HoldAsked())
@@ -215,7 +225,7 @@ class Desk:
         operator, now = request.operator if request is not None else "", time.monotonic_ns()
         holder = request is not None and self._keeper.is_holder(operator, request.lease, now)
         if why := self._flow.admit(operator, now, holder=holder):
-            send_answer(query, key, refused(name, operator, "too_many", why))
+            send_answer(query, key, refused(on_one_line(name), operator, "too_many", why))
             return
         if isinstance(asked, Refused):
             send_answer(query, key, asked.message)

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
 
+from rigctl.config_limits import SIGNALS
 from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Check, EStop, Fault
 from rigctl.devices import emergency
+from rigctl.quantity import Number, count, significant
 from rigctl.telemetry import can_errors
+from rigctl.telemetry.record import NEVER_AGE_NS
 
 
 class Kind(IntEnum):
@@ -59,16 +62,17 @@ FAULT_TEXT: dict[Fault, str] = {
     Fault.DRIVE_STALE: "no drive status for {value:.0f} ms (limit {limit:.0f} ms)",
     Fault.DRIVE_FAULT: "drive reports a fault and holds by itself",
     Fault.BUS_SILENT: "no frame on the bus for {value:.0f} ms (limit {limit:.0f} ms)",
-    Fault.OVERRUN: "{value:.0f} ticks skipped, loop cannot keep its rate (limit {limit:.0f})",
+    Fault.OVERRUN: "{value:.0f} ticks skipped, loop cannot keep its rate (limit {limit:.0f} ticks)",
     Fault.LOOP_EXCEPTION: "exception in the loop",
     Fault.STROKE_END: "stroke limit reached before the tension was",
     Fault.DRIVE_NOT_FOLLOWING: "drive does not do what it is told (enabled state or speed)",
     Fault.INNOVATION: "tension or cylinder speed contradicts what the filter expects",
     Fault.SIGN_DRIVE: "the stroke does not go where the drive is told: check the drive's sign and scale",
     Fault.SIGN_CELL: "the tension does not follow the stroke as the plant says: check the signs of cell and drive",
-    Fault.LIMIT: "{text} {limit:g} ({value:.4g})",
+    Fault.LIMIT: "{text} {limit:.10g}{unit} ({value:.4g}{unit})",
     Fault.CELL_STUCK: "tension cell has sent the very same value {value:.0f} times more",
-    Fault.DRIVE_CONTRADICTS: "drive's position and speed contradict each other by {value:.2f} mm (limit {limit:.2f})",
+    Fault.DRIVE_CONTRADICTS: "drive's position and speed contradict each other by {value:.2f} mm "
+    "(limit {limit:.2f} mm)",
     Fault.STROKE_MOVES: "the stroke moves though the drive is off ({value:.2f} mm/s): the brake does not hold; "
     "reset, then arm: the motor carries",
     Fault.BRAKE_SLIPS: "brake test: the stroke moved by {value:.2f} mm on the closed brake (limit {limit:.2f} mm), the "
@@ -163,13 +167,16 @@ _NMT: dict[float, str] = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pr
 
 def fault_text(fault: Fault, value: float, limit: float, text: str = "") -> str:
     """One line for a fault; ``text``: what is beyond its limit, where the rig file says so."""
-    scale = _SCALE.get(fault, 1.0)
-    return FAULT_TEXT[fault].format(
-        value=value * scale,
-        limit=limit * scale,
+    scale, words = _SCALE.get(fault, 1.0), FAULT_TEXT[fault]
+    if fault in _SCALE and value > NEVER_AGE_NS:
+        words = words.replace("{value:.0f} ms", "as long as the loop has run")
+    return words.format(
+        value=Number(value * scale),
+        limit=Number(limit * scale),
         text=text,
+        unit=_unit_of(text),
         seen=_SEEN.get(value, "input not known"),
-        speed=f" ({value:.2f} mm/s)" if limit else "",
+        speed=f" ({Number(value):.2f} mm/s)" if limit else "",
         state=_node_words(value, limit),
         emergency=_emergency_words(value),
     )
@@ -188,6 +195,13 @@ def _node_words(value: float, limit: float) -> str:
     if limit:
         return f"has sent no heartbeat for {value * 1e-6:.0f} ms (limit {limit * 1e-6:.0f} ms)"
     return f"is {_NMT.get(value, 'in an unknown state')}, not operational: start the daemon anew"
+
+
+def _unit_of(limit: str) -> str:
+    """Unit of a limit of the rig file, from its words: ``tension_n above``."""
+    signal, _, words = limit.partition(" ")
+    unit = SIGNALS[signal].unit if signal in SIGNALS else ""
+    return f" {unit}{'/s' if 'per second' in words else ''}" if unit else ""
 
 
 def _trip(a: int, b: int, value: float, limit: float, text: str) -> Worded:
@@ -234,7 +248,7 @@ def refusal_text(
         case Refusal.LOADED:
             return f"the rope is not unloaded: the cell reads {value:z.2f} N, more than calibration.tare_limit_n"
         case Refusal.OUT_OF_RANGE:
-            return f"target must be {limits[0]:g} to {limits[1]:g} N"
+            return f"target must be {significant(limits[0])} to {significant(limits[1], 'N')}"
         case Refusal.CAUSE_PRESENT:
             there = [cause for cause in Fault if checks >> cause & 1] or [fault]
             there.sort(key=lambda cause: list(standing).index(cause) if cause in standing else len(standing))
@@ -309,7 +323,7 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.MODE: _mode,
     Kind.TRIP: _trip,
     Kind.LIMIT: lambda a, _b, v, m, t: Worded("warning", f"limit: {fault_text(Fault(a), v, m, t)}"),
-    Kind.LIMIT_OVER: lambda _a, _b, _v, m, t: Worded("info", f"limit: no longer {t} {m:g}"),
+    Kind.LIMIT_OVER: lambda _a, _b, _v, m, t: Worded("info", f"limit: no longer {t} {m:.10g}{_unit_of(t)}"),
     Kind.CAUSE: lambda a, _b, v, m, t: Worded("error", f"{Fault(a).name} stands: {fault_text(Fault(a), v, m, t)}"),
     Kind.CAUSE_OVER: lambda a, _b, _v, _m, t: Worded("info", f"{Fault(a).name} no longer stands{t and f': {t}'}"),
     Kind.RESET: lambda a, _b, _v, _l, _t: Worded("info", f"fault {Fault(a).name} reset"),
@@ -324,7 +338,7 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.STARTED: lambda _a, _b, _v, _l, _t: Worded("info", "loop started, DISARMED"),
     Kind.STOPPED: lambda _a, _b, v, m, _t: Worded("info", f"loop stopped, stroke {v:.2f} mm, tension {m:z.1f} N"),
     Kind.SIGNS: lambda _a, _b, v, m, _t: Worded(
-        "info", f"signs checked: the stroke follows, tension rises by {v:.2f} N/mm (plant: {m:.2f})"
+        "info", f"signs checked: the stroke follows, tension rises by {v:.2f} N/mm (plant: {m:.2f} N/mm)"
     ),
     Kind.BRAKE_TEST: lambda a, _b, v, m, _t: Worded(
         "info",
@@ -337,10 +351,10 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.LOCAL_HOLD: lambda a, b, _v, _l, t: Worded(
         "info", f"HOLD from {t} via the local socket (uid {a}, process {b})"
     ),
-    Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{a} ticks skipped at once"),
+    Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{count(a, 'tick')} skipped at once"),
 }  # fmt: skip
 
 
 def worded(kind: int, a: int, b: int, value: float, limit: float, text: str) -> Worded:
     """An ``EVENT`` slot in words."""
-    return _WORDS[Kind(kind)](a, b, value, limit, text)
+    return _WORDS[Kind(kind)](a, b, Number(value), Number(limit), text)

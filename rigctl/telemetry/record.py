@@ -45,6 +45,10 @@ class Slot:
         )
 
 
+NEVER_AGE_NS = 1 << 60
+"""An age beyond this says that there has been no sample; messages and exports have null in its place."""
+
+
 class Quality(IntFlag):
     """Why a signal is not good; 0 is good."""
 
@@ -65,6 +69,8 @@ class Flag(IntFlag):
     STOPPING = 64
 
 
+_AGE = "age of that sample; null before the first one (in a record: above 2^60)"
+
 RECORD = Slot(
     "record",
     (
@@ -78,15 +84,15 @@ RECORD = Slot(
         Field("flags", "H", "", "bits, see flags"),
         Field("tension_n", "d", "N", "tension cell, along the rope"),
         Field("reading_n", "d", "N", "the same as the cell sends it, before zero and scale"),
-        Field("tension_age_ns", "q", "ns", "age of that sample"),
+        Field("tension_age_ns", "q", "ns", _AGE),
         Field("tension_quality", "B", "", "bits, see quality; 0 good"),
         Field("tangential_rad", "d", "rad", "rope inclination along the move"),
         Field("normal_rad", "d", "rad", "rope inclination along the rail"),
-        Field("inclination_age_ns", "q", "ns", "age of that sample"),
+        Field("inclination_age_ns", "q", "ns", _AGE),
         Field("inclination_quality", "B", "", "bits, see quality; 0 good"),
         Field("stroke_mm", "d", "mm", "cylinder stroke, positive shortens the rope"),
         Field("speed_mm_s", "d", "mm/s", "cylinder speed"),
-        Field("drive_age_ns", "q", "ns", "age of that sample"),
+        Field("drive_age_ns", "q", "ns", _AGE),
         Field("drive_quality", "B", "", "bits, see quality; 0 good"),
         Field("statusword", "H", "", "CiA 402 statusword 0x6041"),
         Field("controlword", "H", "", "CiA 402 controlword 0x6040 sent"),

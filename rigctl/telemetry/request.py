@@ -13,13 +13,14 @@ import msgspec
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Check, Fault
 from rigctl.one_line import on_one_line
+from rigctl.quantity import significant
 from rigctl.telemetry.events import failed_checks, refusal_text
 from rigctl.telemetry.lease import ACTS, ID_BYTES, is_id
 from rigctl.telemetry.ring import RingReader
 
 VERBS = {verb.name.lower(): verb for verb in Verb}
 _OPERATOR_LENGTH = 64
-_PAYLOAD_BYTES = 16_384  # a gain file and more
+PAYLOAD_BYTES = 16_384  # a gain file and more
 _ALLOWED = '{"operator": "NAME"}'
 _ALLOWED_MORE = {
     Verb.ARM: '{"operator": "NAME"} and "near_end": true',
@@ -108,7 +109,7 @@ def decoded(payload: bytes | None, kind: type[_Some], allowed: str) -> _Some:
     """
     if not payload:
         raise RequestError(f"found no payload, allowed {allowed}")
-    if len(payload) > _PAYLOAD_BYTES:
+    if len(payload) > PAYLOAD_BYTES:
         raise RequestError(f"found {len(payload)} bytes, allowed {allowed}")
     try:
         return msgspec.json.decode(payload, type=kind)
@@ -208,26 +209,26 @@ def sight_of(records: RingReader, standing: Mapping[Fault, str] = MappingProxyTy
 def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
     match verb:
         case Verb.ARM:
-            return f"armed, {mode.name}, stroke {sight.stroke_mm:.2f} mm, tension {sight.tension_n:z.1f} N"
+            return f"armed, {mode.name}, stroke {sight.stroke_mm:z.2f} mm, tension {sight.tension_n:z.1f} N"
         case Verb.TENSION:
-            return f"ramping to {sight.target_n:g} N, {mode.name}"
+            return f"ramping to {significant(sight.target_n, 'N')}, {mode.name}"
         case Verb.RELEASE:
             return f"ramping to slack, {mode.name}"
         case Verb.HOLD:
-            return f"stroke held at {sight.stroke_mm:.2f} mm, tension {sight.tension_n:z.1f} N"
+            return f"stroke held at {sight.stroke_mm:z.2f} mm, tension {sight.tension_n:z.1f} N"
         case Verb.DISARM:
             latched = ", the fault stays latched" if mode is Mode.FAULT else ""
             return f"drive off, brake closed, {mode.name}{latched}"
         case Verb.RESET:
             return f"fault cleared, {mode.name}"
         case Verb.TARGET:
-            return f"{value:g} N, {mode.name}"
+            return f"{significant(value, 'N')}, {mode.name}"
         case Verb.GAINS:
             return mode.name
         case Verb.IDENTIFY:
-            return f"excited for {value:.1f} s, {mode.name}, stroke {sight.stroke_mm:.2f} mm"
+            return f"excited for {value:.1f} s, {mode.name}, stroke {sight.stroke_mm:z.2f} mm"
         case _:
-            return f"the cell reads {value:.3f} N, {mode.name}"
+            return f"the cell reads {value:z.3f} N, {mode.name}"
 
 
 def refused(name: str, operator: str, reason: str, text: str, **more: Any) -> dict[str, Any]:

@@ -71,11 +71,17 @@ def _state_fields() -> list[dict[str, Any]]:
     """Those of the record that nothing derived replaces, and the derived ones."""
     derived = {row[0] for row in DERIVED}
     taken: Rows = tuple(
-        (row["name"], "number?" if row["struct"] == "d" else "integer", row["unit"], row["description"])
+        (row["name"], _json_type(row), row["unit"], row["description"])
         for row in _record_fields()
         if row["name"] not in derived
     )
     return _rows(taken + DERIVED)
+
+
+def _json_type(row: dict[str, Any]) -> str:
+    if row["struct"] == "d":
+        return "number?"
+    return "integer?" if row["name"].endswith("_age_ns") else "integer"
 
 
 def _commands(keys: Keys, verbs: Mapping[Any, tuple[str, tuple[str, ...]]], name_of: Callable[[Any], str]) -> Any:

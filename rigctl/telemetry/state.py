@@ -14,7 +14,7 @@ from rigctl.control.modes import Mode
 from rigctl.control.safety import BLOCK_RESET, Action, Check, Fault, Row
 from rigctl.telemetry.events import Kind, failed_checks, fault_text
 from rigctl.telemetry.meanings import Rows
-from rigctl.telemetry.record import Flag, Quality
+from rigctl.telemetry.record import NEVER_AGE_NS, Flag, Quality
 
 ALIVE_NS = 250_000_000  # a loop whose newest record is older than this does not run
 WINDOW_NS = 1_000_000_000
@@ -168,12 +168,14 @@ def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wa
         return {"loop_alive": False, "age_ms": None, "wall_ns": wall_ns, "mode": None}
     values: dict[str, Any] = {name: record[name].item() for name in record.dtype.names or ()}
     age_ns = now_ns - values["t_ns"]
+    never = {name: None for name in values if name.endswith("_age_ns") and values[name] > NEVER_AGE_NS}
     compensating = values["mode"] == Mode.COMPENSATING and values["target_n"] > 0
     error_n = values["vertical_n"] - values["target_n"] if compensating else None
     return {
         **values,
+        **never,
         "wall_ns": wall_ns - age_ns,
-        "age_ms": round(age_ns / 1e6, 3),
+        "age_ms": max(0.0, round(age_ns / 1e6, 3)),
         "loop_alive": age_ns < ALIVE_NS,
         "mode": _name(Mode, values["mode"]),
         "mode_code": values["mode"],
@@ -235,7 +237,7 @@ def preflight_of(
 DERIVED: Rows = (
     ("rig", "string", "", "name of the rig"),
     ("wall_ns", "integer", "ns", "t_ns on the wall clock, since 1970 UTC"),
-    ("age_ms", "number?", "ms", "age of this record when the message was made; null without a record"),
+    ("age_ms", "number?", "ms", "age of this record when the message was made, 0 at least; null without a record"),
     ("loop_alive", "boolean", "", f"the record is younger than {ALIVE_NS // 1_000_000} ms"),
     ("mode", "string?", "", "mode's name; null without a record, whose fields are then not there"),
     ("mode_code", "integer", "", "its number, as in the record"),

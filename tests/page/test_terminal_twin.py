@@ -32,9 +32,9 @@ def test_a_limit_is_passed_until_it_is_kept_again() -> None:
     passed = PassedLimits()
     for event in EVENTS:
         passed.note(event)
-    assert passed.now == ["stroke_mm above 117 (118.2)", "stroke_mm below -17 (-18)"]
+    assert passed.now == ["stroke_mm above 117 mm (118.2 mm)", "stroke_mm below -17 mm (-18 mm)"]
     passed.note(limit(Kind.LIMIT_OVER, "stroke_mm above", 0.0, 117.0, 5))
-    assert passed.now == ["stroke_mm below -17 (-18)"]
+    assert passed.now == ["stroke_mm below -17 mm (-18 mm)"]
     passed.note({"kind": "STARTED", "text": "loop started, DISARMED"})
     assert passed.now == []
 

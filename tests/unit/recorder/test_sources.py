@@ -17,7 +17,10 @@ from rigctl import config
 from rigctl.config import AuditSettings, RigSettings
 from rigctl.config_recording import RecordingSettings
 from rigctl.control.inbox import Inbox
-from rigctl.recorder import chain
+from rigctl.control.modes import Mode
+from rigctl.control.safety import Fault
+from rigctl.recorder import chain, protobuf
+from rigctl.recorder.layout import Layout
 from rigctl.recorder.process import Recorder
 from rigctl.recorder.protobuf import Encoding
 from rigctl.recorder.sources import SOURCES, Rings
@@ -67,6 +70,36 @@ def test_a_record_of_any_bits_is_decoded_to_the_same_values(raw: bytes) -> None:
         for name in RECORD.dtype.names or ():
             found, value = getattr(message, name), slot[name].item()
             assert found == value or (math.isnan(found) and math.isnan(value)), name
+
+
+def test_enumerations_have_their_names_in_the_file() -> None:
+    slots = np.zeros(1, RECORD.dtype)
+    slots["mode"], slots["fault"], slots["tension_quality"] = Mode.FAULT, Fault.TENSION_HIGH, 9
+    slots["speed_verdict"] = 1
+    (message,) = decoded(RECORD, slots)
+    fields = message.DESCRIPTOR.fields_by_name  # type: ignore[attr-defined]
+
+    def name(field: str) -> str:
+        return str(fields[field].enum_type.values_by_number[getattr(message, field)].name)
+
+    assert name("mode") == "MODE_FAULT"
+    assert name("fault") == "FAULT_TENSION_HIGH"
+    assert name("tension_quality") == "QUALITY_STALE_NEVER"
+    assert name("speed_verdict") == "VERDICT_USED"
+
+
+def test_a_recording_from_before_there_were_enumerations_is_read_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    slots = np.zeros(5, RECORD.dtype)
+    slots["mode"], slots["fault"], slots["rail_quality"] = [0, 1, 2, 3, 5], [0, 1, 300, 65535, 2], [0, 8, 255, 1, 128]
+    new = Encoding(RECORD)
+    monkeypatch.setattr(protobuf, "enum_of", lambda _slot, _field: None)
+    for encoding in (new, Encoding(RECORD)):
+        messages = encoding.encode(slots)
+        starts = np.cumsum([0, *map(len, messages)])[:-1].tolist()
+        layout = Layout(encoding.descriptor(), encoding.name, RECORD)
+        found = layout.decode(b"".join(messages), starts, [len(message) for message in messages])
+        assert found.dtype == RECORD.dtype
+        assert np.array_equal(found, slots)
 
 
 def test_frames_keep_their_bytes_their_length_and_what_kind_they_are() -> None:

@@ -75,6 +75,15 @@ def test_a_loop_is_alive_while_its_records_are_new(age_ns: int, alive: bool) -> 
     assert found["age_ms"] == pytest.approx(age_ns / 1e6)
 
 
+def test_a_record_made_meanwhile_has_no_negative_age() -> None:
+    assert state(record(t_ns=NOW + 1_400_000))["age_ms"] == 0.0
+
+
+def test_a_signal_that_never_came_has_no_age() -> None:
+    found = state(record(tension_age_ns=(1 << 61) + 5, drive_age_ns=7))
+    assert (found["tension_age_ns"], found["drive_age_ns"]) == (None, 7)
+
+
 def test_no_record_is_a_state_too() -> None:
     found = state(None)
     assert found["loop_alive"] is False

@@ -1,0 +1,35 @@
+"""Figures as an operator reads them: never an exponent, never a negative zero, the unit behind them. The one place."""
+
+from __future__ import annotations
+
+import math
+from decimal import Decimal
+
+
+class Number(float):
+    """A float whose every format is for people: ``f"{Number(x):.1f}"``, ``f"{Number(x):.4g}"``."""
+
+    def __format__(self, spec: str) -> str:
+        """``g`` gives as many significant digits in positional notation; a zero has no minus."""
+        if spec.endswith("g") and math.isfinite(self):
+            digits = Decimal(float.__format__(self, spec))
+            return format(digits + 0, "f")
+        if spec.endswith("f") and "z" not in spec:
+            sign, rest = (spec[:1], spec[1:]) if spec[:1] in "+- " else ("", spec)
+            spec = f"{sign}z{rest}" if not rest[:1] or rest[:1] not in "<>^=" else spec
+        return float.__format__(self, spec)
+
+
+def number(value: float, digits: int, unit: str = "", *, sign: bool = False) -> str:
+    """A value with so many decimals, and its unit."""
+    return f"{Number(value):{'+' if sign else ''}.{digits}f} {unit}".rstrip()
+
+
+def significant(value: float, unit: str = "", digits: int = 10) -> str:
+    """A value with up to so many significant digits, and its unit: what somebody has set, as he wrote it."""
+    return f"{Number(value):.{digits}g} {unit}".rstrip()
+
+
+def count(number: int, one: str, many: str = "") -> str:
+    """``1 tick``, ``2 ticks``."""
+    return f"{number} {one if number == 1 else many or one + 's'}"

@@ -1,0 +1,36 @@
+"""Fields of the slots whose numbers have names, and the names, as recordings and exports give them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+
+from rigctl.control.gate import Verdict
+from rigctl.control.modes import Mode
+from rigctl.control.safety import Fault
+from rigctl.telemetry.record import RECORD, Quality, Slot
+from rigctl.telemetry.state import quality_words
+
+Names = Mapping[int, str]
+
+
+def _of(kind: type[IntEnum]) -> Names:
+    return {int(member): member.name for member in kind}
+
+
+_KINDS: dict[str, Names] = {
+    "Mode": _of(Mode),
+    "Fault": {0: "NONE", **_of(Fault)},
+    "Verdict": _of(Verdict),
+    "Quality": {bits: quality_words(bits).replace("+", "_").upper() for bits in range(2 * max(Quality))},
+}
+"""Names of an enumeration by their number. Quality is a set of bits: every combination has its name."""
+
+
+def enum_of(slot: Slot, field: str) -> tuple[str, Names] | None:
+    """Enumeration a field of a table is of, and its names; None for a number."""
+    if slot.name != RECORD.name:
+        return None
+    kind = {"mode": "Mode", "fault": "Fault"}.get(field)
+    kind = kind or next((kind for kind in ("Quality", "Verdict") if field.endswith(f"_{kind.lower()}")), None)
+    return None if kind is None else (kind, _KINDS[kind])
