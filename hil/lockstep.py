@@ -17,6 +17,7 @@ from hil.rig import SimulatedRig
 from rigctl.config import RigSettings
 from rigctl.control.clock import SimulatedClock
 from rigctl.control.correction import Correction
+from rigctl.control.homed import LastStroke
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import LawFactory, Loop
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
@@ -53,8 +54,9 @@ class Lockstep:
         log: bool = False,
         law: LawFactory | None = None,
         correction: Correction | None = None,
+        last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen
     ) -> None:
-        """``log``: keep every frame, with its time, in ``frames``. ``law`` and ``correction``: see `Loop`."""
+        """``log``: keep every frame, with its time, in ``frames``. The rest: see `Loop`."""
         runtime.make_rings(settings)
         self.settings, self.runtime = settings, runtime
         self.rig_ns = START_NS
@@ -80,6 +82,8 @@ class Lockstep:
             supervised=self.report.supervised,
             law=law,
             correction=correction,
+            watched=self.report.watched,
+            last_stroke=last_stroke,
         )
         self._id = 0
         self.on_advance: Callable[[], None] | None = None
@@ -153,10 +157,14 @@ def lockstep(
     log: bool = False,
     law: LawFactory | None = None,
     correction: Correction | None = None,
+    last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen
 ) -> Iterator[Lockstep]:
     """A `Lockstep` whose rings are gone afterwards."""
     with tempfile.TemporaryDirectory(prefix="rigctl-lockstep-", dir="/dev/shm") as folder:
-        subject = Lockstep(settings, gains, Runtime(pathlib.Path(folder)), log=log, law=law, correction=correction)
+        runtime = Runtime(pathlib.Path(folder))
+        subject = Lockstep(
+            settings, gains, runtime, log=log, law=law, correction=correction, last_stroke=last_stroke
+        )  # fmt: skip
         try:
             yield subject
         finally:

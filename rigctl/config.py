@@ -168,6 +168,12 @@ class CylinderSettings(Settings):
     e_stop_input: int | None = Field(
         default=None, ge=0, le=31, description="bit of the digital inputs (0x60FD), 0 = pressed; null = none fitted"
     )
+    absolute_encoder: bool = Field(
+        default=True, description="keeps its position without power; false = the stroke is confirmed at every start"
+    )
+    stroke_waiver: str | None = Field(
+        default=None, min_length=10, description="why a start may arm on a stroke that is not the last known, in words"
+    )
 
     @model_validator(mode="after")
     def _stroke_has_length(self) -> CylinderSettings:
@@ -452,6 +458,11 @@ class RigSettings(Settings):
         if self.calibration is None:
             return None
         return self.file(self.calibration.file or f"calibration/{self.rig}.json")
+
+    @property
+    def last_stroke(self) -> pathlib.Path:
+        """Where the recorder keeps the stroke that was last known: beside the ledger."""
+        return (self.ledger or self.file(f"calibration/{self.rig}.json")).with_suffix(".stroke.json")
 
     @property
     def audit_log(self) -> pathlib.Path:

@@ -22,9 +22,10 @@ import msgspec
 import numpy as np
 
 from rigctl import __version__
-from rigctl.commission import ledger
+from rigctl.commission import last_stroke, ledger
 from rigctl.commission.ledger import IN_FORCE, Standing
 from rigctl.config import RigSettings
+from rigctl.control.homed import LastStroke
 from rigctl.control.modes import Mode
 from rigctl.devices import busload
 from rigctl.devices.objects import DriveState, drive_state
@@ -126,6 +127,7 @@ class Supervisor:
         self._runtime.write_json(ACTIVE, self._active)
         self._note(Doing.DAEMON_STARTED, reason=f"rigctl {__version__}")
         self._say_calibration()
+        self._put_last_stroke(None)
         for name in self._modules:
             self._spawn(name)
         self._design()
@@ -194,6 +196,14 @@ class Supervisor:
         self._runtime.write_json(IN_FORCE, standing)
         return standing
 
+    def _put_last_stroke(self, newest: np.void | None) -> None:
+        """For a control process about to start: by the newest record of this run, else by the file."""
+        seen_mm = last_stroke.of_record(newest)
+        last = LastStroke(seen_mm) if seen_mm is not None else last_stroke.read(self.settings)
+        if last.why:
+            self._say(f"WARNING: the stroke last known: {last.why}; it has to be confirmed")
+        self._runtime.write_json(last_stroke.IN_FORCE, last)
+
     def _spawn(self, name: str) -> None:
         command = [sys.executable, "-m", self._modules[name], str(self._runtime.directory)]
         stdin = subprocess.PIPE if name == "control" else subprocess.DEVNULL
@@ -238,6 +248,7 @@ class Supervisor:
             elif now >= child.retry_at:
                 if child.name == "control":
                     self._put_calibration()
+                    self._put_last_stroke(self._runtime.record_reader().latest())
                 self._spawn(child.name)
                 if child.name == "control":
                     self._send_gains()

@@ -22,9 +22,9 @@ from rigctl.telemetry.session import SessionError, close, open_client
 
 OPEN_S = 2.0
 ASK_S = 2.0
-COMMAND_S = 6.0  # the gateway answers within 4 s, arm included ...
-TRIAL_S = 20.0  # ... or when a trial is over: 1 s for an average, up to 10 s for an identification
-_TRIALS = ("tare", "calibrate", "identify", "gains")
+COMMAND_S = 6.0  # the gateway answers within 4 s ...
+TRIAL_S = 24.0  # ... or when a trial is over, up to 10 s; arming reads the devices' settings back: up to 15 s more
+_TRIALS = ("arm", "tare", "calibrate", "identify", "gains")
 
 
 class NoDaemonError(RuntimeError):

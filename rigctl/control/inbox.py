@@ -9,7 +9,8 @@ import can
 
 from rigctl.config import RigSettings
 from rigctl.control.correction import Correction
-from rigctl.devices import codecs, dbc
+from rigctl.control.readback import Readback
+from rigctl.devices import codecs, dbc, sdo
 from rigctl.devices import objects as od
 from rigctl.devices.plain import PlainMessage
 from rigctl.telemetry import can_errors
@@ -19,6 +20,7 @@ from rigctl.telemetry.ring import RingWriter
 MAX_FRAMES_PER_TICK = 256
 MAX_NOTICES = 32
 NEVER_NS = -(1 << 61)
+ANSWERED_NS = 1_000_000_000  # an SDO server answers sooner
 OVERRANGE = 1.2  # a cell reads somewhat beyond its rated range, not more
 _SATURATED, _INVALID = Quality.SATURATED.value, Quality.INVALID.value
 _NEVER = Quality.NEVER.value
@@ -45,9 +47,15 @@ def rival_ids(settings: RigSettings) -> list[int]:
 class Inbox:
     """Drains the bus to empty without blocking and decodes by CAN id; foreign ids are only counted."""
 
-    def __init__(self, bus: can.BusABC, settings: RigSettings, frames: RingWriter | None = None) -> None:
-        """``frames``: where every frame that comes is kept, None for nowhere."""
-        self._bus, self._frames = bus, frames
+    def __init__(
+        self,
+        bus: can.BusABC,
+        settings: RigSettings,
+        frames: RingWriter | None = None,
+        readback: Readback | None = None,
+    ) -> None:
+        """``frames``: where every frame that comes is kept, None for nowhere. ``readback``: whose SDO answers come."""
+        self._bus, self._frames, self._readback = bus, frames, readback
         rail = settings.rail_encoder
         self._divisors: tuple[int, ...] = (1, settings.inclinometer_divisor, 1)
         self._divisors += (settings.loop.rate_hz // rail.rate_hz if rail is not None else 1,)
@@ -57,7 +65,7 @@ class Inbox:
         self._e_stop_bit = 1 << e_stop if e_stop is not None else 0
         self._io_mask = settings.io.mask if settings.io is not None else 0
         self._rated_current_a = settings.cylinder.rated_current_a or math.nan
-        self._rail_node = rail.node if rail is not None else 0
+        self._drive_node, self._rail_node = settings.cylinder.node, rail.node if rail is not None else 0
         self._counts_per_turn = rail.counts_per_turn if rail is not None else 1
         self.correction = Correction()
         self.reading_n = math.nan  # as the cell sends it
@@ -80,23 +88,23 @@ class Inbox:
         # By the newest of the drive's input and its emergency message; by the I/O node's input.
         self.e_stop = self.io_e_stop = False
         self.bus_t_ns = self.rival_t_ns = self.io_t_ns = self._io_opened_ns = NEVER_NS
+        self._foreign_request_ns = NEVER_NS
         self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
-        self.received = self.refused = self.error_frames = self.receive_failures = 0
-        self.failure_text = ""  # of the last receive that failed
-        self._drive_node = settings.cylinder.node
+        self.received = self.refused = self.error_frames = self.receive_failures = self._syncs = 0
+        self.failure_text = self.rival_words = ""  # of the last receive that failed; what the rival heard last did
         self._in_error: set[int] = set()
         self.sensors_in_error = 0  # cell, inclinometer and I/O node with an emergency that stands
         self.drive_in_error = False
         self.emergencies: list[tuple[int, int]] = []  # (node, code) since last taken
         self.node_states: list[tuple[int, int]] = []  # (node, NMT state) changes since last taken
         self.bus_errors: list[tuple[int, int]] = []  # (error class, its details) since last taken
+        self.foreign_sdo: list[tuple[int, int, str]] = []  # (node, index << 8 | sub, in words) since last taken
         self.restarted = False  # a device booted since start-up: what was set and verified there is gone
         self._tension_max_n = settings.tension_cell.range_n * OVERRANGE
         self._slope_max_rad = math.radians(settings.inclinometer.range_deg)
         self._states: dict[int, int] = {}
         self._counts = [0] * 5  # cell, slope, drive, rail, drive status frames since the first of each
         self._bases = [-1] * 5  # SYNCs sent when the first came
-        self._syncs = 0
 
     def _handlers_of(self, settings: RigSettings) -> dict[int, Handler]:
         """What to do with the frames of each identifier that means something."""
@@ -120,6 +128,8 @@ class Inbox:
         for node in nodes.values():
             handlers[od.EMCY_BASE + node] = self._emergency_handler(node)
             handlers[od.HEARTBEAT_BASE + node] = self._heartbeat_handler(node)
+            handlers[od.SDO_RX_BASE + node] = self._sdo_request_handler(node)
+            handlers[od.SDO_TX_BASE + node] = self._sdo_answer_handler(node)
         for can_id in rival_ids(settings):
             handlers[can_id] = self._on_rival
         if settings.status_divisor:
@@ -265,7 +275,36 @@ class Inbox:
 
     def _on_rival(self, _data: bytes | bytearray, now_ns: int) -> None:
         """What only a controller sends, and it was not us: the bus gives nobody his own frames."""
-        self.rival_t_ns = now_ns
+        self.rival_t_ns, self.rival_words = now_ns, "commands this bus"
+
+    def _sdo_request_handler(self, node: int) -> Handler:
+        """A request to a device is another master's: the bus gives nobody his own frames."""
+
+        def on_request(data: bytes | bytearray, now_ns: int) -> None:
+            where = sdo.multiplexer(data)
+            self._foreign_request_ns = now_ns
+            self._on_foreign_sdo(node, where, sdo.foreign_request(node, data), now_ns)
+            if self._readback is not None:
+                self._readback.suspect(node, where)
+
+        return on_request
+
+    def _sdo_answer_handler(self, node: int) -> Handler:
+        def on_answer(data: bytes | bytearray, now_ns: int) -> None:
+            if self._readback is not None and self._readback.take(node, data, now_ns):
+                return
+            if now_ns - self._foreign_request_ns < ANSWERED_NS:
+                self.rival_t_ns = now_ns  # what it asked for has been told
+            else:
+                self._on_foreign_sdo(node, sdo.multiplexer(data), sdo.foreign_answer(node, data), now_ns)
+
+        return on_answer
+
+    def _on_foreign_sdo(self, node: int, where: tuple[int, int] | None, words: str, now_ns: int) -> None:
+        self.rival_t_ns, self.rival_words = now_ns, words
+        if len(self.foreign_sdo) < MAX_NOTICES:
+            index, sub = where or (0, 0)
+            self.foreign_sdo.append((node, index << 8 | sub, words))
 
     def _emergency_handler(self, node: int) -> Handler:
         def on_emergency(data: bytes | bytearray, _now_ns: int) -> None:

@@ -83,7 +83,7 @@ class Observer:
             sight.io_age_ns = now_ns - inbox.io_t_ns
             sight.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
         sight.drive_warning = bool(inbox.statusword & STATUS_WARNING)
-        sight.rival_age_ns = now_ns - inbox.rival_t_ns
+        sight.rival_age_ns, sight.rival_words = now_ns - inbox.rival_t_ns, inbox.rival_words
         sight.bus_age_ns = now_ns - inbox.bus_t_ns
         sight.error_frames = self._recent_error_frames(now_ns)
         sight.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0

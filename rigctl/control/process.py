@@ -16,6 +16,7 @@ import can
 import msgspec
 from can.typechecking import CanFilters
 
+from rigctl.commission import last_stroke
 from rigctl.commission.ledger import in_force
 from rigctl.config import RigSettings
 from rigctl.control import realtime
@@ -37,7 +38,7 @@ EXIT_CANNOT_START = 1
 
 def receive_filters(settings: RigSettings) -> CanFilters:
     """Ids the loop reads; on interfaces that filter in the kernel nothing else wakes or fills the socket."""
-    bases = (od.TPDO1_BASE, od.EMCY_BASE, od.HEARTBEAT_BASE)
+    bases = (od.TPDO1_BASE, od.EMCY_BASE, od.HEARTBEAT_BASE, od.SDO_TX_BASE, od.SDO_RX_BASE)
     ids = [base + node for base in bases for node in settings.canopen_nodes.values()]
     ids += [od.TPDO2_BASE + settings.cylinder.node] if settings.status_divisor else []
     ids += rival_ids(settings)
@@ -129,7 +130,7 @@ def run(directory: str) -> int:
     if settings.can.interface in FILTERS_IN_FULL:
         bus.set_filters(receive_filters(settings))
     clock = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000)
-    correction = in_force(runtime).correction
+    correction, last = in_force(runtime).correction, last_stroke.in_force(runtime)
     loop = Loop(
         settings,
         gains,
@@ -139,6 +140,8 @@ def run(directory: str) -> int:
         supervised=report.supervised,
         host_checks=Check.HOST,  # the gateway judges them before an operator can arm
         correction=correction,
+        watched=report.watched,
+        last_stroke=last,
     )
     signal.signal(signal.SIGTERM, _stop_on_signal(loop))
     frozen = realtime.freeze_garbage_collector()  # before real time: it takes 100 ms, which another loop must not wait
@@ -149,6 +152,7 @@ def run(directory: str) -> int:
             "pid": os.getpid(),
             "host_checks": int(Check.HOST),  # those the loop began with: for a replay
             "realtime": [asdict(setting) for setting in applied],
+            "last_stroke": asdict(last),  # the same
             "warnings": [f"{setting.name}: {setting.warning}" for setting in applied if not setting.ok],
             **report.as_json(),
         },

@@ -13,6 +13,7 @@ from enum import IntEnum, IntFlag
 
 from rigctl.config import RigSettings
 from rigctl.control.correction import tare_limit_n
+from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.modes import Mode
 
 
@@ -59,6 +60,8 @@ class Fault(IntEnum):
     DRIVE_EMERGENCY = 27  # the drive has
     RIVAL = 28  # another controller commands this bus
     E_STOP_UNSEEN = 29  # the I/O node that mirrors the emergency stop is silent
+    SUPERVISION_LOST = 38  # an object that safety hangs on is not what start-up wrote, or is not answered for
+    STROKE_JUMPED = 39  # the drive's position went from one sample to the next where no stroke can go
 
 
 class EStop(IntFlag):
@@ -95,6 +98,7 @@ class Check(IntFlag):
     E_STOP_IO = 1 << 22  # the emergency stop is pressed: the I/O node's input
     E_STOP_IO_UNSEEN = 1 << 23  # an I/O node is fitted, and its input is not seen
     HOST = 1 << 20  # these four are not known: the gateway has not judged them within the last seconds
+    STROKE_UNCONFIRMED = 1 << 27  # the drive's position is not the stroke that was last known
 
 
 HOST_CHECKS = Check.TARE | Check.MARGINS | Check.REALTIME | Check.DISK | Check.HOST
@@ -138,6 +142,12 @@ class Sight:
     rope_lost: bool = False
     device_restarted: bool = False
     rival_age_ns: int = 1 << 62  # since another controller was heard
+    rival_words: str = ""  # what it did
+    stroke_unconfirmed: bool = False  # see rigctl.control.homed
+    stroke_jump_mm: float = 0.0  # until it is confirmed
+    settings_lost: int = 0  # objects found changed, or not answered for, see rigctl.control.readback
+    disobeys: bool = False  # one of them is what the drive needs to do as it is commanded
+    settings_words: str = ""  # the first of them
     sensor_emergency: bool = False
     drive_emergency: bool = False
     drive_reversed: bool = False  # see rigctl.control.signs
@@ -176,6 +186,7 @@ class Row:
     action: Action = Action.HOLD
     text: str = ""
     sign: float = 1.0
+    words: Callable[[Sight], str] | None = None  # what the trip says beside value and limit
 
 
 _ARMED = frozenset({Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING, Mode.FAULT})
@@ -228,7 +239,11 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
     return (
         Row(Fault.E_STOP, lambda x: x.e_stop, 0, 0, _EVERY, "", Action.QUICK_STOP),
         Row(Fault.BUS_SILENT, lambda x: x.bus_age_ns, s.bus_silent_ms * _MS, 0, _ARMED, "ns"),
-        Row(Fault.RIVAL, lambda x: x.rival_age_ns < RIVAL_NS, 0, 0, _ARMED, ""),
+        Row(Fault.RIVAL, lambda x: x.rival_age_ns < RIVAL_NS, 0, 0, _ARMED, "", words=lambda x: x.rival_words),
+        Row(Fault.SUPERVISION_LOST, lambda x: x.settings_lost, 0, 0, _ARMED, "", words=lambda x: x.settings_words),
+        Row(Fault.SUPERVISION_LOST, lambda x: x.disobeys, 0, 0, _ARMED, "commands", lost,
+            words=lambda x: x.settings_words),
+        Row(Fault.STROKE_JUMPED, lambda x: x.stroke_jump_mm, TOLERANCE_MM, 0, _ARMED, "mm", lost),
         Row(Fault.DRIVE_STALE, lambda x: x.drive_age_ns, stale, 0, _ARMED, "ns"),
         Row(Fault.CELL_STALE, lambda x: x.cell_age_ns, stale, 0, _ARMED, "ns"),
         Row(Fault.INCLINATION_STALE, lambda x: x.inclination_age_ns, slope, 0, _ARMED, "ns"),
@@ -329,7 +344,7 @@ class Watch:
                     self._quiet_until[i] = t_ns + LOG_AGAIN_NS
                     self._log(i, value, begins=True)
             elif strongest is None or row.action > strongest.action:
-                strongest = _trip(row, value)
+                strongest = _trip(row, value, row.words(sight) if row.words is not None else row.text)
         return strongest
 
     def beyond(self, sight: Sight, mode: Mode) -> set[Fault]:
@@ -358,18 +373,19 @@ class Watch:
 
     def _log(self, i: int, value: float, *, begins: bool) -> None:
         self._logged[i] = begins
-        self.crossed.append((_trip(self._rows[i], value), begins))
+        row = self._rows[i]
+        self.crossed.append((_trip(row, value, row.text), begins))
 
 
-def _trip(row: Row, value: float) -> Trip:
-    return Trip(row.fault, row.sign * float(value), row.sign * float(row.limit), row.action, row.text)
+def _trip(row: Row, value: float, text: str) -> Trip:
+    return Trip(row.fault, row.sign * float(value), row.sign * float(row.limit), row.action, text)
 
 
 _BLOCK_RESET = frozenset(
     {Fault.BUS_SILENT, Fault.DRIVE_STALE, Fault.CELL_STALE, Fault.CELL_INVALID, Fault.INCLINATION_STALE,
      Fault.INCLINATION_INVALID, Fault.TENSION_HIGH, Fault.OVERRUN, Fault.DEVICE_RESTARTED, Fault.CELL_STUCK,
      Fault.E_STOP, Fault.E_STOP_UNSEEN, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SENSOR_EMERGENCY,
-     Fault.RIVAL}
+     Fault.RIVAL, Fault.SUPERVISION_LOST, Fault.STROKE_JUMPED}
 )  # fmt: skip
 
 
@@ -407,6 +423,7 @@ def preflight(
         Check.EMERGENCY: not beyond.isdisjoint(_EMERGENCY),
         Check.LIMIT: Fault.LIMIT in beyond,
         Check.RIVAL: Fault.RIVAL in beyond,
+        Check.STROKE_UNCONFIRMED: sight.stroke_unconfirmed,
         Check.E_STOP_UNSEEN: sight.e_stop_unseen,
         Check.E_STOP_IO_UNSEEN: Fault.E_STOP_UNSEEN in beyond,
     }

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from rigctl.config import RigSettings
 from rigctl.devices import objects as od
+from rigctl.devices import sdo
 from rigctl.devices.plain import PlainMessage
 from rigctl.devices.startup import DEVICE_HEARTBEAT_MS
 
@@ -43,6 +44,8 @@ def traffic(settings: RigSettings) -> list[Traffic]:
         *([Traffic("drive inputs", od.DRIVE_TPDO2.size, float(status))] if status else []),
         *([Traffic("rail angle", od.ENCODER_TPDO.size, float(rail.rate_hz))] if rail else []),
         *([Traffic("I/O inputs", od.inputs_tpdo(io.block).size, 1000.0 / io.inhibit_ms)] if io else []),
+        Traffic("settings read back, request", sdo.SIZE, rate / sdo.every_ticks(settings)),
+        Traffic("settings read back, answer", sdo.SIZE, rate / sdo.every_ticks(settings)),
         Traffic("heartbeat, controller", 1, 1000.0 / settings.can.heartbeat_ms),
         Traffic("heartbeats, devices", 1, len(settings.canopen_nodes) * 1000.0 / DEVICE_HEARTBEAT_MS),
     ]

@@ -17,6 +17,7 @@ from rigctl.config import RigSettings
 from rigctl.config_io import INPUTS_PER_BLOCK, IoSettings
 from rigctl.devices import objects as od
 from rigctl.devices.remote_node import Device, RemoteNode, StartupError, StopSetting
+from rigctl.devices.sdo import Watched
 
 __all__ = ["Device", "StartupError", "bring_up", "refuse_rival", "release"]
 
@@ -44,10 +45,14 @@ class PlainDevice:
 
 @dataclass(frozen=True)
 class Report:
-    """What start-up found; ``supervision`` holds the drive's own stop settings as read back."""
+    """What start-up found; ``supervision`` holds the drive's own stop settings as read back.
+
+    ``watched``: every object that was verified, the drive's first, for `rigctl.control.readback`.
+    """
 
     devices: tuple[Device | PlainDevice, ...]
     supervision: tuple[StopSetting, ...]
+    watched: tuple[Watched, ...] = ()
 
     @property
     def supervised(self) -> bool:
@@ -57,7 +62,8 @@ class Report:
     def as_json(self) -> dict[str, Any]:
         """For control.json."""
         stop = [{**asdict(setting), "ok": setting.ok} for setting in self.supervision]
-        return {"devices": [asdict(device) for device in self.devices], "supervision": stop}
+        watched = [asdict(item) for item in self.watched]
+        return {"devices": [asdict(device) for device in self.devices], "supervision": stop, "watched": watched}
 
 
 def refuse_rival(bus: can.BusABC, settings: RigSettings) -> None:
@@ -130,12 +136,14 @@ def _configure(network: canopen.Network, settings: RigSettings) -> Report:
         _ask_for_status(drive, settings)
     drive.map_pdo(od.DRIVE_RPDO, od.RPDO1_COMMUNICATION, od.RPDO1_MAPPING, 1)
     drive.write(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_OF_OPERATION)
+    drive.watch(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_DISPLAY)
     supervision = _supervise(drive, settings)
     for node in nodes.values():
         node.write(DEVICE_HEARTBEAT_MS, od.PRODUCER_HEARTBEAT)
     for node in nodes.values():
         node.remote.nmt.state = "OPERATIONAL"
-    return Report((*devices, *_plain_devices(settings)), supervision)
+    watched = [item for node in (drive, *(n for n in nodes.values() if n is not drive)) for item in node.verified]
+    return Report((*devices, *_plain_devices(settings)), supervision, tuple(watched))
 
 
 def _check_encoder(encoder: RemoteNode, settings: RigSettings) -> None:

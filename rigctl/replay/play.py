@@ -15,10 +15,12 @@ from pydantic import ValidationError
 from rigctl.commission.ledger import IN_FORCE, Standing
 from rigctl.config import RigSettings
 from rigctl.control.correction import Correction
+from rigctl.control.homed import LastStroke
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
 from rigctl.control.safety import Check
 from rigctl.control.tension import Gains
+from rigctl.devices.sdo import Watched
 from rigctl.recorder.recording import Recording
 from rigctl.replay.feed import BATCH_TICKS, RecordedBus, RecordedClock, Slots, Tick, ticks
 from rigctl.telemetry.events import Kind
@@ -41,6 +43,8 @@ class Span:
     gains: Gains
     correction: Correction
     supervised: bool
+    watched: tuple[Watched, ...]
+    last_stroke: LastStroke
     host_checks: int
     cut_short: str  # why it ends before the process did, "" if it does not
 
@@ -84,6 +88,8 @@ def _span(recording: Recording, records: Slots) -> Span:
     try:
         settings = RigSettings.model_validate(active.get("settings"))
         gains = msgspec.convert(active.get("design", {}).get("gains"), Gains)
+        last = msgspec.convert(control.get("last_stroke", {}), LastStroke)
+        watched = msgspec.convert(control.get("watched", []), tuple[Watched, ...])
         correction = (msgspec.json.decode(standing, type=Standing) if standing else Standing()).correction
     except (ValidationError, msgspec.MsgspecError) as error:
         reason = str(error).splitlines()[0]
@@ -92,7 +98,7 @@ def _span(recording: Recording, records: Slots) -> Span:
     supervised = all(bool(stop.get("ok")) for stop in control.get("supervision", []))
     taken = int(started[-1].details.get("a", 0))
     host = int(control.get("host_checks", Check.HOST))
-    return Span(whole, started[-1].t_ns, taken, settings, gains, correction, supervised, host, cut_short)
+    return Span(whole, started[-1].t_ns, taken, settings, gains, correction, supervised, watched, last, host, cut_short)
 
 
 def _document(recording: Recording, name: str, t_ns: int) -> dict[str, Any]:
@@ -138,7 +144,8 @@ def play(
         clock, bus = RecordedClock(span.started_ns), RecordedBus()
         loop = Loop(
             settings, gains, bus, clock, Rings.of(runtime),
-            supervised=span.supervised, host_checks=span.host_checks, correction=span.correction,
+            supervised=span.supervised, host_checks=span.host_checks, correction=span.correction, watched=span.watched,
+            last_stroke=span.last_stroke,
         )  # fmt: skip
         replayed, orders = runtime.record_reader(), runtime.command_writer()
         batch: list[Tick] = []

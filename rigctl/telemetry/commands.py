@@ -23,10 +23,11 @@ from rigctl.telemetry.lease import ACTS
 from rigctl.telemetry.lease_keeper import Keeper
 from rigctl.telemetry.lease_request import LeaseRequest, parse_lease
 from rigctl.telemetry.notes import DeskBook
-from rigctl.telemetry.record import COMMAND_LIFETIME_NS
+from rigctl.telemetry.record import COMMAND_LIFETIME_NS, Flag
 from rigctl.telemetry.request import Request, RequestError, Sight, answer, parse, refused, silent, verb_of
 from rigctl.telemetry.ring import RingReader, RingWriter
 from rigctl.telemetry.session import finish
+from rigctl.telemetry.state import ALIVE_NS
 
 POLL_S = 0.002
 ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # after its lifetime the loop would not carry it out any more
@@ -36,6 +37,7 @@ WAIT_NS = {
     Verb.CALIBRATE: ANSWER_NS + 2_000_000_000,
     Verb.IDENTIFY: ANSWER_NS + 10_000_000_000,
 }
+READ_BACK_NS = 15_000_000_000  # more, while the loop says that it is arming: it reads the devices' settings back first
 _PENDING_MAX = 64  # and as many more of HOLD, so that no crowd of others keeps it out
 
 
@@ -251,12 +253,18 @@ class Desk:
             given = self._pending.pop(int(reply["id"]), None)
             if given is not None:
                 self._answered(given, reply, int(reply["id"]))
-        for number in [number for number, given in self._pending.items() if now_ns > given.until_ns]:
+        for number in [number for number, given in self._pending.items() if self._is_late(given, now_ns)]:
             given = self._pending.pop(number)
             if given.recorded is not None:
                 self._clerk.unanswered(given.recorded.filed)
             name, operator = given.request.verb.name.lower(), given.request.operator
             self._answer(given.query, given.request, silent(name, operator), number)
+
+    def _is_late(self, given: Pending, now_ns: int) -> bool:
+        more_ns = 0
+        if given.request.verb is Verb.ARM and now_ns > given.until_ns and self._sight().arming:
+            more_ns = READ_BACK_NS
+        return now_ns > given.until_ns + more_ns
 
     def _answered(self, given: Pending, reply: Any, number: int) -> None:
         """The loop's reply goes to the operator; that of a trial goes to the clerk first."""
@@ -305,4 +313,11 @@ def sight_of(records: RingReader) -> Sight:
         fault = Fault(int(record["fault"]))
     except ValueError:
         fault = Fault.NONE
-    return Sight(fault, float(record["stroke_mm"]), float(record["tension_n"]), float(record["target_n"]))
+    alive = time.monotonic_ns() - int(record["t_ns"]) < ALIVE_NS
+    return Sight(
+        fault,
+        float(record["stroke_mm"]),
+        float(record["tension_n"]),
+        float(record["target_n"]),
+        alive and bool(int(record["flags"]) & Flag.ARMING),
+    )

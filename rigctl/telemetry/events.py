@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
 
+from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Check, EStop, Fault
 from rigctl.telemetry import can_errors
@@ -32,6 +33,10 @@ class Kind(IntEnum):
     LIMIT = 15  # a: fault, b: action (LOG), value, limit, text: a limit of the rig file is passed ...
     LIMIT_OVER = 16  # ... and is kept again
     RECEIVE_FAILED = 17  # text: why
+    FOREIGN_SDO = 50  # a: node, b: index << 8 | sub-index (0: not known), text: what another master does there
+    SETTING_LOST = 51  # a: node, b: index << 8 | sub-index, value: found (NaN: no value), limit: wanted, text: in words
+    READ_BACK = 52  # a: objects that were as wanted, value: how long it took in s
+    STROKE = 53  # a: 1 the drive's position is believed, 0 not, value: it in mm, limit: last known in mm, text: why
     SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
 
 
@@ -71,7 +76,11 @@ FAULT_TEXT: dict[Fault, str] = {
     Fault.E_STOP: "emergency stop pressed ({seen})",
     Fault.E_STOP_UNSEEN: "the I/O node that mirrors the emergency stop has sent nothing for {value:.0f} ms "
     "(limit {limit:.0f} ms)",
-    Fault.RIVAL: "another controller commands this bus: find it and stop it",
+    Fault.RIVAL: "another controller {text}: find it and stop it",
+    Fault.SUPERVISION_LOST: "a device does not keep what start-up wrote, {text}: start the daemon anew, it writes all "
+    "of it again",
+    Fault.STROKE_JUMPED: "the drive's position jumped by {value:.2f} mm (limit {limit:.1f} mm): it is not believed; "
+    "measure the stroke at the cylinder, then rigctl confirm-stroke MM",
     Fault.CELL_NOISY: "tension cell jumps by {value:.1f} N from sample to sample (limit {limit:.1f} N)",
     Fault.CELL_NEGATIVE: "tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
     Fault.SENSOR_EMERGENCY: "a sensor's emergency message stands (see the events)",
@@ -101,14 +110,16 @@ CHECK_TEXT: dict[Check, str] = {
     Check.STROKE_RANGE: "stroke beyond its limits: bring it back by hand or with the drive's own tool",
     Check.STROKE_NEAR_END: "stroke too near its end (preflight.stroke_margin_mm): rigctl arm --near-end, then tension "
     "or release, whichever leads away from it",
-    Check.DRIVE_SUPERVISION: "drive's own stop on loss of the controller is not verified since a device started anew: "
-    "start the daemon anew",
+    Check.DRIVE_SUPERVISION: "the devices do not keep what start-up wrote, or a device started anew (see the events): "
+    "start the daemon anew, it writes all of it again",
     Check.CELL_IMPLAUSIBLE: "tension cell is stuck, noisy or reads a push: check cable and amplifier",
     Check.EMERGENCY: "a device's emergency message stands (see the events)",
     Check.RIVAL: "another controller commands this bus: find it and stop it",
     Check.LIMIT: "a limit of the rig file is passed (rigctl watch shows the signals)",
     Check.E_STOP: "emergency stop is pressed (drive's input): release it, then rigctl reset",
     Check.E_STOP_IO: "emergency stop is pressed (I/O node's input): release it, then rigctl reset",
+    Check.STROKE_UNCONFIRMED: "the stroke is not the one last known (see the events): measure it at the cylinder, then "
+    "rigctl confirm-stroke MM",
     Check.E_STOP_UNSEEN: "emergency stop's input is not seen: check the drive's second TPDO (cylinder.e_stop_input)",
     Check.E_STOP_IO_UNSEEN: "emergency stop's input on the I/O node is not seen: check the node's power and cable",
     Check.TARE: "no tare on record that still holds: rigctl tare (or calibration.waiver)",
@@ -185,6 +196,13 @@ def refusal_text(
             return f"the rope is not unloaded: the cell reads {value:z.2f} N, more than calibration.tare_limit_n"
         case Refusal.OUT_OF_RANGE:
             return f"target must be {limits[0]:g} to {limits[1]:g} N"
+        case Refusal.STROKE_DIFFERS:
+            return (
+                f"the drive's position says {value:z.2f} mm, allowed {TOLERANCE_MM:g} mm from the stroke measured: "
+                "measure it again, or home the drive with its own tool"
+            )
+        case Refusal.CAUSE_PRESENT if fault is Fault.STROKE_JUMPED:
+            return "cause still present: the stroke is not confirmed: measure it, then rigctl confirm-stroke MM"
         case Refusal.CAUSE_PRESENT:
             return f"cause still present: {fault.name}" + (_SILENT_HINT if fault in _SILENT else "")
         case Refusal.WRONG_MODE:
@@ -209,7 +227,7 @@ _TRIAL_TEXT = {
 }
 _SILENT = frozenset(
     {Fault.DEVICE_RESTARTED, Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE,
-     Fault.E_STOP_UNSEEN}
+     Fault.E_STOP_UNSEEN, Fault.SUPERVISION_LOST}
 )  # fmt: skip
 _UNSEEN = (
     Check.DRIVE_SUPERVISION | Check.CELL_STALE | Check.INCLINATION_STALE | Check.DRIVE_STALE | Check.E_STOP_IO_UNSEEN
@@ -222,6 +240,10 @@ _HINT: dict[tuple[Mode, Verb], str] = {
         (mode, verb): ": hold first"
         for mode in (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
         for verb in (Verb.DISARM, *TRIED_IN)
+    },
+    **{
+        (mode, Verb.CONFIRM_STROKE): ": hold, then disarm first"
+        for mode in (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
     },
     **{(mode, Verb.RESET): ": there is no fault" for mode in Mode if mode is not Mode.FAULT},
 }
@@ -236,6 +258,20 @@ def _emergency(a: int, b: int, _value: float, _limit: float, _text: str) -> Word
     if b == 0:
         return Worded("info", f"node {a}: emergency over")
     return Worded("error", f"node {a}: emergency 0x{b:04X}")
+
+
+def stroke_words(reads_mm: float, why: str) -> str:
+    """Why a stroke has to be confirmed, and what to do."""
+    return (
+        f"the stroke reads {reads_mm:z.2f} mm, but {why}: measure it at the cylinder; if it is {reads_mm:z.2f} mm, "
+        f"rigctl confirm-stroke {reads_mm:z.2f}, else home the drive with its own tool"
+    )
+
+
+def _stroke(a: int, _b: int, value: float, _limit: float, text: str) -> Worded:
+    if a:
+        return Worded("info", f"stroke {value:z.2f} mm: {text}")
+    return Worded("warning", stroke_words(value, text))
 
 
 _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
@@ -259,6 +295,10 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     ),
     Kind.CORRECTION: lambda _a, _b, v, m, _t: Worded("info", f"tension cell: zero {v:+z.3f} N, scale {m:.5f}"),
     Kind.GAINS: lambda _a, _b, _v, _m, t: Worded("info", f"gains changed: K_T, K_v, K_i = {t}"),
+    Kind.FOREIGN_SDO: lambda _a, _b, _v, _l, t: Worded("warning", f"another master {t}: find it and stop it"),
+    Kind.SETTING_LOST: lambda _a, _b, _v, _l, t: Worded("error", f"a device's setting is lost: {t}"),
+    Kind.STROKE: _stroke,
+    Kind.READ_BACK: lambda a, _b, v, _l, _t: Worded("info", f"{a} settings of the devices read back in {v:.2f} s"),
     Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{a} ticks skipped at once"),
 }  # fmt: skip
 

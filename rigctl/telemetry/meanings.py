@@ -53,6 +53,12 @@ KINDS: dict[Kind, str] = {
     Kind.LIMIT: "a limit of the rig file that only logs is passed; a: fault, b: action, value, limit",
     Kind.LIMIT_OVER: "such a limit is kept again; as limit",
     Kind.RECEIVE_FAILED: "the bus could not be read; text: why",
+    Kind.FOREIGN_SDO: "another master speaks to a device; a: node, b: object (index << 8 | sub-index), text: what",
+    Kind.SETTING_LOST: "a device does not keep an object as start-up wrote it; a, b: as foreign_sdo, value: found, "
+    "null for no answer, limit: wanted",
+    Kind.READ_BACK: "the devices' settings were read back before arming; a: how many, value: how long it took in s",
+    Kind.STROKE: "whether the drive's position is believed; a: 1 it is, 0 not, value: it in mm, limit: the last one "
+    "known in mm, null for none, text: why",
     Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
 }
 NOTES: dict[Note, str] = {
@@ -67,7 +73,7 @@ NOTES: dict[Note, str] = {
 PAYLOAD: Rows = (
     ("operator", "string", "", "who gives it; required"),
     ("lease", "string", "", "id from an earlier answer; without it the lease nobody holds is taken"),
-    ("value", "number", "N", "the target, or the known weight of calibrate"),
+    ("value", "number", "", "the target or the known weight of calibrate in N; the stroke of confirm_stroke in mm"),
     ("shunt", "boolean", "", "calibrate against the shunt"),
     ("adopt", "boolean", "", "calibrate sets the scale"),
     ("tight", "boolean", "", "identify only a tight rope"),
@@ -106,6 +112,7 @@ VERBS: dict[Verb, tuple[str, tuple[str, ...]]] = {
     Verb.TARE: ("the unloaded cell's mean over 1 s becomes its zero", ()),
     Verb.CALIBRATE: ("compare the cell with a known weight or the shunt", ("value", "shunt", "adopt")),
     Verb.IDENTIFY: ("excite the plant for some seconds and measure it", ("tight",)),
+    Verb.CONFIRM_STROKE: ("the stroke, measured at the cylinder, is what the drive's position says", ("value",)),
     Verb.GAINS: ("put other gains in force, once judged", ("gain_file", "name")),
 }
 ACTS: dict[Act, tuple[str, tuple[str, ...]]] = {

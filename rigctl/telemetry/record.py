@@ -63,6 +63,7 @@ class Flag(IntFlag):
     ARMING = 16
     DRIVE_ENABLED = 32
     STOPPING = 64
+    STROKE_UNCONFIRMED = 4096  # the drive's position is not believed to be where the stroke is, see control.homed
 
 
 RECORD = Slot(

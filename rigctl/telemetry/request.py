@@ -23,6 +23,7 @@ _ALLOWED = '{"operator": "NAME"}'
 _ALLOWED_MORE = {
     Verb.ARM: '{"operator": "NAME"} and "near_end": true',
     Verb.TARGET: '{"operator": "NAME", "value": NEWTONS}',
+    Verb.CONFIRM_STROKE: '{"operator": "NAME", "value": MILLIMETRES}',
     Verb.CALIBRATE: '{"operator": "NAME"} and "value": NEWTONS or "shunt": true, "adopt": true',
     Verb.IDENTIFY: '{"operator": "NAME"} and "tight": true',
     Verb.GAINS: '{"operator": "NAME", "gain_file": TEXT, "name": "FILE"}',
@@ -30,6 +31,7 @@ _ALLOWED_MORE = {
 _OPTIONS: dict[Verb, frozenset[str]] = {
     Verb.ARM: frozenset({"near_end"}),
     Verb.TARGET: frozenset({"value"}),
+    Verb.CONFIRM_STROKE: frozenset({"value"}),
     Verb.CALIBRATE: frozenset({"value", "shunt", "adopt"}),
     Verb.IDENTIFY: frozenset({"tight"}),
     Verb.GAINS: frozenset({"gain_file", "name"}),
@@ -151,10 +153,10 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
             raise RequestError(f"found {name}, allowed {allowed}")
     if verb is Verb.GAINS and not (found.gain_file and found.name and found.name.isprintable()):
         raise RequestError(f"found no gain file with a name, allowed {allowed}")
-    if found.value is None and verb is Verb.TARGET:
+    if found.value is None and verb in (Verb.TARGET, Verb.CONFIRM_STROKE):
         raise RequestError(f"found no value, allowed {allowed}")
     if found.value is not None and not math.isfinite(found.value):
-        raise RequestError(f"found value {found.value}, allowed a finite number of newtons")
+        raise RequestError(f"found value {found.value}, allowed a finite number")
     value = math.nan if found.value is None else found.value
     try:
         lease = lease_of(found.lease)
@@ -184,6 +186,7 @@ class Sight:
     stroke_mm: float = math.nan
     tension_n: float = math.nan
     target_n: float = math.nan
+    arming: bool = False  # an ARM is being carried out, and the loop runs
 
 
 def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
@@ -203,6 +206,8 @@ def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
             return f"fault cleared, {mode.name}"
         case Verb.TARGET:
             return f"{value:g} N, {mode.name}"
+        case Verb.CONFIRM_STROKE:
+            return f"the stroke is {value:z.2f} mm, {mode.name}"
         case Verb.GAINS:
             return mode.name
         case Verb.IDENTIFY:

@@ -3,8 +3,8 @@
 ``/dev/shm/rigctl-<rig>/``: ``records events frames commands replies notes desk supervision`` (rings), ``active.json``
 (what runs), ``recorder.json`` (what the recorder has kept),
 ``control.json`` (what the control process read back), ``calibration.json`` (the cell's zero, scale and due date in
-force), ``lease.json`` (who may command), ``gateway.*`` (the gateway's own), ``lock`` (held by the supervisor, with its
-pid in it).
+force), ``stroke.json`` (the stroke last known when the control process started), ``lease.json`` (who may command),
+``gateway.*`` (the gateway's own), ``lock`` (held by the supervisor, with its pid in it).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _SHORTEST_FRAME_BITS = 47  # 11-bit identifier, no data, no stuffing, the gap to
 _FASTEST_BIT_S = 1_000_000
 _FILES = (
     "records", "events", "frames", "commands", "replies", "notes", "desk", "supervision", "active.json",
-    "control.json", "recorder.json", "calibration.json", "lease.json", "gateway.cursor", "gateway.sock",
+    "control.json", "recorder.json", "stroke.json", "calibration.json", "lease.json", "gateway.cursor", "gateway.sock",
     "gateway.sock.lock",
 )  # fmt: skip
 
