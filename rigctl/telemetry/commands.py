@@ -271,7 +271,7 @@ class Desk:
         query, request = given.query, given.request
         try:
             verdict = self._preflight.verdict(time.monotonic_ns())
-            message = answer(request, reply, self._sight(), self._limits_n, verdict.failing, verdict.waived)
+            message = answer(request, reply, self._sight(), self._limits_n, verdict.words, verdict.waived)
         except (ValueError, KeyError) as error:
             text = f"the control loop's answer makes no sense: {error}"
             message = refused(request.verb.name.lower(), request.operator, "unknown", text)

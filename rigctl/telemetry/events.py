@@ -260,6 +260,11 @@ def _emergency(a: int, b: int, _value: float, _limit: float, _text: str) -> Word
     return Worded("error", f"node {a}: emergency 0x{b:04X}")
 
 
+def setting_words(text: str) -> str:
+    """Which setting a device does not keep, and what to do."""
+    return f"a device does not keep what start-up wrote, {text}: start the daemon anew, it writes all of it again"
+
+
 def stroke_words(reads_mm: float, why: str) -> str:
     """Why a stroke has to be confirmed, and what to do."""
     return (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,9 +12,10 @@ import numpy.typing as npt
 
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Check, Fault
-from rigctl.telemetry.events import Kind, failed_checks, fault_text
+from rigctl.telemetry.events import Kind, failed_checks, fault_text, setting_words, stroke_words
 from rigctl.telemetry.meanings import Rows
 from rigctl.telemetry.record import Flag, Quality
+from rigctl.telemetry.ring import RingReader
 
 ALIVE_NS = 250_000_000  # a loop whose newest record is older than this does not run
 WINDOW_NS = 1_000_000_000
@@ -88,6 +90,36 @@ class Trip:
         if self._fault != fault:  # its event is not in the ring any more
             return known.name.lower().replace("_", " ")
         return fault_text(known, self._value, self._limit, self._text)
+
+
+class Doubts:
+    """What the loop's events say of the devices' settings and of the stroke: words that no record has."""
+
+    def __init__(self, events: RingReader) -> None:
+        self._events, self._lock = events, threading.Lock()
+        self._words: dict[Check, str] = {}
+        self._read_back: dict[str, Any] | None = None
+
+    def look(self) -> Mapping[Check, str]:
+        """By check, what is known of it beside that it fails; of use only while it does."""
+        with self._lock:
+            for event in self._events.read():
+                self._note(event)
+            return dict(self._words)
+
+    @property
+    def read_back(self) -> dict[str, Any] | None:
+        """When all settings were last read back as they should be, and how many; None before the first time."""
+        return self._read_back
+
+    def _note(self, event: np.void) -> None:
+        kind, text = int(event["kind"]), bytes(event["text"]).decode(errors="replace")
+        if kind == Kind.SETTING_LOST:
+            self._words[Check.DRIVE_SUPERVISION] = setting_words(text)
+        elif kind == Kind.STROKE and not event["a"]:
+            self._words[Check.STROKE_UNCONFIRMED] = stroke_words(float(event["value"]), text)
+        elif kind == Kind.READ_BACK:
+            self._read_back = {"t_ns": int(event["t_ns"]), "settings": int(event["a"]), "took_s": float(event["value"])}
 
 
 def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wall_ns: int) -> dict[str, Any]:
@@ -192,6 +224,12 @@ DERIVED: Rows = (
         "object?",
         "",
         "failing: checks that arming would fail now, in words; waived: those that may, and why",
+    ),
+    (
+        "read_back",
+        "object?",
+        "",
+        "t_ns, settings, took_s: when the devices' settings were last all as start-up wrote them; null before",
     ),
     ("audit", "object?", "", "audit log: entries, head (hash of the last), failures; null before the recorder runs"),
     ("trip_dump", "string?", "", "file about the newest trip since the daemon's start, null for none"),
