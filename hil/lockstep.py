@@ -19,6 +19,7 @@ from hil.rig import SimulatedRig
 from rigctl.config import RigSettings
 from rigctl.control.clock import SimulatedClock
 from rigctl.control.correction import Correction
+from rigctl.control.homed import LastStroke
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import LawFactory, Loop
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
@@ -56,8 +57,9 @@ class Lockstep:
         log: bool = False,
         law: LawFactory | None = None,
         correction: Correction | None = None,
+        last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen
     ) -> None:
-        """``log``: keep every frame, with its time, in ``frames``. ``law`` and ``correction``: see `Loop`."""
+        """``log``: keep every frame, with its time, in ``frames``. The rest: see `Loop`."""
         runtime.make_rings(settings)
         self.settings, self.runtime = settings, runtime
         self.rig_ns = START_NS
@@ -85,6 +87,8 @@ class Lockstep:
             law=law,
             correction=correction,
             process_data=self.report.process_data,
+            watched=self.report.watched,
+            last_stroke=last_stroke,
         )
         self._id = 0
         self.on_advance: Callable[[], None] | None = None
@@ -192,10 +196,14 @@ def lockstep(
     log: bool = False,
     law: LawFactory | None = None,
     correction: Correction | None = None,
+    last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen
 ) -> Iterator[Lockstep]:
     """A `Lockstep` whose rings are gone afterwards."""
     with tempfile.TemporaryDirectory(prefix="rigctl-lockstep-", dir="/dev/shm") as folder:
-        subject = Lockstep(settings, gains, Runtime(pathlib.Path(folder)), log=log, law=law, correction=correction)
+        runtime = Runtime(pathlib.Path(folder))
+        subject = Lockstep(
+            settings, gains, runtime, log=log, law=law, correction=correction, last_stroke=last_stroke
+        )  # fmt: skip
         try:
             yield subject
         finally:

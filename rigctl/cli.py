@@ -64,6 +64,7 @@ for trial in (commission.tare, commission.calibrate, commission.identify, commis
     app.command()(trial)
 # A negative number is a number here, not an option.
 app.command(context_settings={"ignore_unknown_options": True})(verbs.target)
+app.command(context_settings={"ignore_unknown_options": True})(verbs.confirm_stroke)
 
 # click's own class, wherever this version of typer keeps its click.
 _UsageError = cast("type[typer.BadParameter]", typer.BadParameter.__bases__[0])

@@ -179,6 +179,12 @@ class CylinderSettings(CanopenDevice):
     e_stop_input: int | None = Field(
         default=None, ge=0, le=31, description="bit of the digital inputs (0x60FD), 0 = pressed; null = none fitted"
     )
+    absolute_encoder: bool = Field(
+        default=True, description="keeps its position without power; false = the stroke is confirmed at every start"
+    )
+    stroke_waiver: str | None = Field(
+        default=None, min_length=10, description="why a start may arm on a stroke that is not the last known, in words"
+    )
 
     position_pdo: PdoNumber = Field(default=1, description="TPDO with statusword and position (0x6041, 0x6064)")
     velocity_pdo: PdoNumber = Field(default=1, description="TPDO with velocity_object")
@@ -522,6 +528,11 @@ class RigSettings(Settings):
         if self.calibration is None:
             return None
         return self.file(self.calibration.file or f"calibration/{self.rig}.json")
+
+    @property
+    def last_stroke(self) -> pathlib.Path:
+        """Where the recorder keeps the stroke that was last known: beside the ledger."""
+        return (self.ledger or self.file(f"calibration/{self.rig}.json")).with_suffix(".stroke.json")
 
     @property
     def audit_log(self) -> pathlib.Path:

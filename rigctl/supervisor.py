@@ -23,10 +23,11 @@ import msgspec
 import numpy as np
 
 from rigctl import __version__, memory
-from rigctl.commission import ledger
+from rigctl.commission import last_stroke, ledger
 from rigctl.commission.ledger import IN_FORCE, Standing
 from rigctl.config import RigSettings
 from rigctl.config_bounds import findings
+from rigctl.control.homed import LastStroke
 from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
 from rigctl.devices import busload
@@ -148,6 +149,7 @@ class Supervisor:
         self._say_calibration()
         for key, found, allowed in findings(settings):
             self._say(f"WARNING: {key}: found {found}, allowed {allowed}; waived: {settings.safety.waiver}")
+        self._put_last_stroke(None)
         for name in self._modules:
             try:
                 self._spawn(name)
@@ -239,6 +241,14 @@ class Supervisor:
             self._say(f"WARNING: {self._no_room(error)}; zero and scale stay as they were")
         return standing
 
+    def _put_last_stroke(self, newest: np.void | None) -> None:
+        """For a control process about to start: by the newest record of this run, else by the file."""
+        seen_mm = last_stroke.of_record(newest)
+        last = LastStroke(seen_mm) if seen_mm is not None else last_stroke.read(self.settings)
+        if last.why:
+            self._say(f"WARNING: the stroke last known: {last.why}; it has to be confirmed")
+        self._runtime.write_json(last_stroke.IN_FORCE, last)
+
     def _spawn(self, name: str) -> None:
         command = [sys.executable, "-m", self._modules[name], str(self._runtime.directory)]
         stdin = subprocess.PIPE if name == "control" else subprocess.DEVNULL
@@ -316,6 +326,7 @@ class Supervisor:
                 self._look_at_active()
                 if child.name == "control":
                     self._put_calibration()
+                    self._put_last_stroke(self._runtime.record_reader().latest())
                 try:
                     self._spawn(child.name)
                 except OSError as error:

@@ -163,6 +163,26 @@ def io_contact_opens(seconds: float = math.inf) -> Injector:
     return inject
 
 
+def setting_lost(index: int, sub: int, value: int = 0) -> Injector:
+    """An object of the drive is written by its own service connection: no frame on the bus says so."""
+
+    def inject(stand: Stand) -> None:
+        entry = stand.drive.device.sdo[index]
+        (entry[sub] if sub else entry).raw = value
+
+    return inject
+
+
+def encoder_restarts(at_mm: float = 0.0) -> Injector:
+    """The drive's encoder counts from a new zero: where the stroke is now, it reads ``at_mm``."""
+
+    def inject(stand: Stand) -> None:
+        now_mm = stand.plant.truth.stroke_mm
+        stand.drive.distort(*STROKE, lambda raw: raw - round((now_mm - at_mm) / _UNITS[STROKE]))
+
+    return inject
+
+
 def tool_takes_over(speed_mm_s: float, *, deaf: bool = False, shows_remote: bool = False) -> Injector:
     """A service tool at the drive's own port has it enabled, and moves it; see `ServiceTool`."""
 

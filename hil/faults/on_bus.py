@@ -221,6 +221,45 @@ def rival() -> Injector:
     )
 
 
+def sdo_write(index: int, sub: int, size: int, value: int = 0) -> Injector:
+    """Another master writes an object of the drive, once: a commissioning tool that was left connected."""
+
+    def inject(stand: Stand) -> None:
+        specifier = 0x23 | (4 - size) << 2
+        data = struct.pack("<BHBI", specifier, index, sub, value)
+        stand.rig.inject(FRAME.pack(objects.SDO_RX_BASE + stand.drive.id, 8, data))
+
+    return inject
+
+
+def sdo_read() -> Injector:
+    """Another master reads the drive's temperature ten times a second."""
+
+    def inject(stand: Stand) -> Step:
+        data = struct.pack("<BHB4x", 0x40, objects.DRIVE_TEMPERATURE, 0)
+        ticks = [0]
+
+        def step(_: float) -> None:
+            ticks[0] += 1
+            if ticks[0] % 100 == 1:
+                stand.rig.inject(FRAME.pack(objects.SDO_RX_BASE + stand.drive.id, 8, data))
+
+        return step
+
+    return inject
+
+
+def sdo_answers() -> Injector:
+    """The drive answers requests that the rig has not sent; they themselves are not heard."""
+    data = struct.pack("<BHB4x", 0x60, objects.QUICK_STOP_OPTION, 0)
+    return _every_tick(lambda stand: [FRAME.pack(objects.SDO_TX_BASE + stand.drive.id, 8, data)])
+
+
+def sdo_silent() -> Injector:
+    """The drive's SDO server has stopped answering; everything else of it goes on."""
+    return silent(lambda stand: objects.SDO_TX_BASE + stand.drive.id)
+
+
 def error_frames() -> Injector:
     """The controller reports itself error-passive, ten times a second; every frame gets through all the same."""
 

@@ -105,6 +105,60 @@ DRIVE_FEEDBACK = (
 
 _BIT_MS = 40.0
 """What is too long for a change of state, 20 ms, and a tick or two."""
+OWN_STOP = (
+    ("heartbeat_watch", "its watch over the controller's heartbeat (0x1016:01)", objects.CONSUMER_HEARTBEAT, 1, 4),
+    ("command_deadline", "its deadline of commands (0x1400:05)", objects.RPDO1_COMMUNICATION, 5, 2),
+    ("abort_option", "what it does when the connection is lost (0x6007)", objects.ABORT_CONNECTION_OPTION, 0, 2),
+    ("quick_stop_option", "how it stops quickly (0x605A)", objects.QUICK_STOP_OPTION, 0, 2),
+    ("fault_option", "how it reacts to a fault (0x605E)", objects.FAULT_REACTION_OPTION, 0, 2),
+    ("mode_of_operation", "its mode of operation (0x6060)", objects.MODE_OF_OPERATION, 0, 1),
+    ("transmission", "when it takes commands over (0x1400:02)", objects.RPDO1_COMMUNICATION, 2, 1),
+)
+"""The drive's objects that safety hangs on: name, in words, index, sub-index, size in bytes."""
+ROTATION_MS = 600.0
+"""Within which every object is read once: 46 objects, one in 10 ms, and the rest for those of other rigs."""
+SUPERVISION = (
+    *(
+        Fault(
+            f"foreign_{name}",
+            "bus",
+            f"another master writes 0 to {what} of the drive",
+            on_bus.sdo_write(index, sub, size),
+            HOLD,
+            within_ms=10,
+            why="the request is heard; what it wrote is refused at the next arm",
+        )
+        for name, what, index, sub, size in OWN_STOP
+    ),
+    Fault("foreign_sdo_read", "bus", "another master reads the drive's temperature", on_bus.sdo_read(), HOLD,
+          within_ms=10),
+    Fault("foreign_sdo_answers", "bus", "the drive answers a master that is not heard", on_bus.sdo_answers(), HOLD,
+          within_ms=10),
+    *(
+        Fault(
+            f"lost_{name}",
+            "device",
+            f"{what} of the drive reads 0: its own service connection wrote it",
+            in_device.setting_lost(index, sub),
+            HOLD,
+            within_ms=ROTATION_MS,
+            seconds=1.5,
+        )
+        for name, what, index, sub, _ in OWN_STOP
+    ),
+    Fault("sdo_silent", "bus", "the drive's SDO server does not answer any more", on_bus.sdo_silent(), HOLD,
+          within_ms=1_500, seconds=2.5, why="what it would do without us is not known any more"),
+    Fault(
+        "encoder_restarts",
+        "device",
+        "its encoder counts from a new zero",
+        in_device.encoder_restarts(),
+        HOLD,
+        within_ms=10,
+        why="where the stroke's ends are is not known any more: an operator has to confirm it",
+    ),
+)  # fmt: skip
+
 OVERCURRENT, OVERHEATED = 0x2310, 0x4310
 DRIVE = (
     Fault(

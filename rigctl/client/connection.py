@@ -26,8 +26,9 @@ from rigctl.telemetry.session import SessionError, close, open_client
 
 OPEN_S = 2.0
 ASK_S = 2.0
-COMMAND_S = 6.0  # the gateway answers within 1.5 s ...
-TRIAL_S = 20.0  # ... or when it is over: an average takes 1 s, an arm up to 8 s, an identification up to 10 s
+COMMAND_S = 6.0  # the gateway answers within 4 s ...
+# ... or when it is over: a trial after 10 s at most, an arm after 23 s (settings read back 15 s, stop and brake 8 s)
+TRIAL_S = 30.0
 _RIG = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _TRIALS = ("arm", "tare", "calibrate", "identify", "gains")
 

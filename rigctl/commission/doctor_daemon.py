@@ -27,7 +27,7 @@ TITLES: dict[Check, str] = {
     Check.STATUS_STALE: "drive: current, temperature and inputs come",
     Check.DRIVE_FAULT: "drive: no fault",
     Check.DRIVE_REFUSES: "drive: ours to command",
-    Check.DRIVE_SUPERVISION: "drive: enforces its own stop",
+    Check.DRIVE_SUPERVISION: "devices: keep what start-up wrote",
     Check.NODE_NOT_OPERATIONAL: "devices: heartbeats come, operational",
     Check.SEQUENCE_RUNNING: "drive: off, brake closed",
     Check.NOT_AT_STANDSTILL: "stroke: stands still",
@@ -40,6 +40,7 @@ TITLES: dict[Check, str] = {
     Check.TENSION_HIGH: "tension: below its limit",
     Check.STROKE_RANGE: "stroke: within its limits",
     Check.STROKE_NEAR_END: "stroke: away from its ends",
+    Check.STROKE_UNCONFIRMED: "stroke: the one last known",
     Check.LIMIT: "limits of the rig file: kept",
     Check.CALIBRATION: "calibration: in force",
     Check.TARE: "tare: in force",
@@ -60,6 +61,7 @@ def running(state: Mapping[str, Any], active: Mapping[str, Any], settings: RigSe
     if not isinstance(told, dict):
         return [*findings, fails("preflight", "the daemon says nothing of it", "a verdict", "start the daemon anew")]
     failing, waived = told.get("failing", {}), told.get("waived", {})
+    findings.append(_read_back(state))
     fitted = (active.get("settings") or {}).get("io") is not None
     return findings + [_check(check, failing, waived) for check in TITLES if fitted or not check & _OF_IO]
 
@@ -93,6 +95,15 @@ def _loop(state: Mapping[str, Any]) -> Finding:
         return fails("loop", "no fresh record", "running", "see the daemon's log")
     late = state.get("lateness_us") or {}
     return good("loop", f"running, {state.get('mode')}, lateness p99.9 {late.get('p999', '?')} us")
+
+
+def _read_back(state: Mapping[str, Any]) -> Finding:
+    """What safety hangs on in the devices, as the loop last read it all."""
+    title, told, now_ns = "devices: settings read back", state.get("read_back"), state.get("t_ns")
+    if not isinstance(told, dict) or not isinstance(now_ns, int):
+        return good(title, "at the start; again at every arm")
+    ago_s = (now_ns - told["t_ns"]) / 1e9
+    return good(title, f"{told['settings']} in {told['took_s']:.2f} s, {ago_s:.0f} s ago")
 
 
 def _version(active: Mapping[str, Any]) -> Finding:

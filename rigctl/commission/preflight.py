@@ -12,7 +12,7 @@ import pathlib
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -36,6 +36,12 @@ class Verdict:
 
     failing: Mapping[Check, str] = field(default_factory=dict)
     waived: Mapping[Check, str] = field(default_factory=dict)
+    known: Mapping[Check, str] = field(default_factory=dict)  # what else is known of checks of the loop, if they fail
+
+    @property
+    def words(self) -> Mapping[Check, str]:
+        """For every check of which more is known than that it fails."""
+        return {**self.known, **self.failing}
 
     @property
     def host_checks(self) -> Check:
@@ -174,8 +180,15 @@ def _supervision(control: Mapping[str, Any]) -> str:
 class Preflight:
     """Looks by itself, and keeps the newest verdict."""
 
-    def __init__(self, runtime: Runtime, settings: RigSettings, standing: Callable[[], Standing]) -> None:
-        """``standing``: what the ledger says now."""
+    def __init__(
+        self,
+        runtime: Runtime,
+        settings: RigSettings,
+        standing: Callable[[], Standing],
+        told: Callable[[], Mapping[Check, str]] = dict,
+    ) -> None:
+        """``standing``: what the ledger says now. ``told``: what the loop has said of its own checks."""
+        self._told = told
         self._runtime, self._settings, self._standing = runtime, settings, standing
         self._newest: tuple[int, Verdict] | None = None
         self._first, self._stop = threading.Event(), threading.Event()
@@ -191,7 +204,7 @@ class Preflight:
         """The newest, as of ``now_ns`` (CLOCK_MONOTONIC); one that says nothing but `Check.HOST` where that is old."""
         if self._newest is None or now_ns - self._newest[0] > STALE_NS:
             return Verdict({Check.HOST: "tare, margins, real time and disk cannot be looked at: does a disk hang?"})
-        return self._newest[1]
+        return replace(self._newest[1], known=self._told())
 
     def _serve(self) -> None:
         while not self._stop.is_set():

@@ -9,7 +9,8 @@ import can
 
 from rigctl.config import RigSettings
 from rigctl.control.correction import Correction
-from rigctl.devices import codecs, dbc, emergency
+from rigctl.control.readback import Readback
+from rigctl.devices import codecs, dbc, emergency, sdo
 from rigctl.devices import objects as od
 from rigctl.devices.objects import PdoLayout
 from rigctl.devices.plain import PlainMessage
@@ -21,6 +22,7 @@ from rigctl.telemetry.ring import RingWriter
 MAX_FRAMES_PER_TICK = 256
 MAX_NOTICES = 32
 NEVER_NS = -(1 << 61)
+ANSWERED_NS = 1_000_000_000  # an SDO server answers sooner
 OVERRANGE = 1.2  # a cell reads somewhat beyond its rated range, not more
 _SATURATED, _INVALID = Quality.SATURATED.value, Quality.INVALID.value
 _NEVER = Quality.NEVER.value
@@ -53,12 +55,13 @@ class Inbox:
         settings: RigSettings,
         frames: RingWriter | None = None,
         process_data: ProcessData | None = None,
+        readback: Readback | None = None,
     ) -> None:
-        """``frames``: where every frame that comes is kept, None for nowhere.
+        """``frames``: where every frame that comes is kept, None for nowhere. ``readback``: whose SDO answers come.
 
         ``process_data``: as the devices have it; None: as the rig file asks for it.
         """
-        self._bus, self._frames = bus, frames
+        self._bus, self._frames, self._readback = bus, frames, readback
         self._process_data = process_data or wanted(settings)
         rail = settings.rail_encoder
         self._divisors: tuple[int, ...] = (1, settings.inclinometer_divisor, 1)
@@ -68,7 +71,7 @@ class Inbox:
         e_stop = settings.cylinder.e_stop_input
         self._e_stop_bit = 1 << e_stop if e_stop is not None else 0
         self._rated_current_a = settings.cylinder.rated_current_a or math.nan
-        self._rail_node = rail.node if rail is not None else 0
+        self._drive_node, self._rail_node = settings.cylinder.node, rail.node if rail is not None else 0
         self.correction = Correction()
         self.reading_n = math.nan  # as the cell sends it
         self.tension_n = math.nan  # corrected
@@ -92,16 +95,17 @@ class Inbox:
         # By the newest of the drive's input and its emergency message; by the I/O node's input.
         self.e_stop = self.io_e_stop = False
         self.bus_t_ns = self.rival_t_ns = self.io_t_ns = self._io_opened_ns = NEVER_NS
+        self._foreign_request_ns = NEVER_NS
         self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
         self.received = self.refused = self.error_frames = self.receive_failures = 0
-        self.failure_text = ""  # of the last receive that failed
-        self._drive_node = settings.cylinder.node
+        self.failure_text = self.rival_words = ""  # of the last receive that failed; what the rival heard last did
         self._in_error: dict[int, int] = {}  # of cell, inclinometer and I/O node, the newest last
         self.sensor_emergency = self.drive_emergency = 0  # node << 16 | code of one that stands, 0 for none
         # Since last taken: node, code | register << 16, the manufacturer's bytes in hexadecimal.
         self.emergencies: list[tuple[int, int, bytes]] = []
         self.node_states: list[tuple[int, int]] = []  # (node, NMT state) changes since last taken
         self.bus_errors: list[tuple[int, int]] = []  # (error class, its details) since last taken
+        self.foreign_sdo: list[tuple[int, int, str]] = []  # (node, index << 8 | sub, in words) since last taken
         self.restarted = False  # a device booted since start-up: what was set and verified there is gone
         self._tension_max_n = settings.tension_cell.range_n * OVERRANGE
         self._slope_max_rad = math.radians(settings.inclinometer.range_deg)
@@ -137,6 +141,8 @@ class Inbox:
         for node in nodes.values():
             handlers[od.EMCY_BASE + node] = self._emergency_handler(node)
             handlers[od.HEARTBEAT_BASE + node] = self._heartbeat_handler(node)
+            handlers[od.SDO_RX_BASE + node] = self._sdo_request_handler(node)
+            handlers[od.SDO_TX_BASE + node] = self._sdo_answer_handler(node)
         for can_id in rival_ids(settings):
             handlers[can_id] = self._on_rival
         return handlers
@@ -344,7 +350,36 @@ class Inbox:
 
     def _on_rival(self, _data: bytes | bytearray, now_ns: int) -> None:
         """What only a controller sends, and it was not us: the bus gives nobody his own frames."""
-        self.rival_t_ns = now_ns
+        self.rival_t_ns, self.rival_words = now_ns, "commands this bus"
+
+    def _sdo_request_handler(self, node: int) -> Handler:
+        """A request to a device is another master's: the bus gives nobody his own frames."""
+
+        def on_request(data: bytes | bytearray, now_ns: int) -> None:
+            where = sdo.multiplexer(data)
+            self._foreign_request_ns = now_ns
+            self._on_foreign_sdo(node, where, sdo.foreign_request(node, data), now_ns)
+            if self._readback is not None:
+                self._readback.suspect(node, where)
+
+        return on_request
+
+    def _sdo_answer_handler(self, node: int) -> Handler:
+        def on_answer(data: bytes | bytearray, now_ns: int) -> None:
+            if self._readback is not None and self._readback.take(node, data, now_ns):
+                return
+            if now_ns - self._foreign_request_ns < ANSWERED_NS:
+                self.rival_t_ns = now_ns  # what it asked for has been told
+            else:
+                self._on_foreign_sdo(node, sdo.multiplexer(data), sdo.foreign_answer(node, data), now_ns)
+
+        return on_answer
+
+    def _on_foreign_sdo(self, node: int, where: tuple[int, int] | None, words: str, now_ns: int) -> None:
+        self.rival_t_ns, self.rival_words = now_ns, words
+        if len(self.foreign_sdo) < MAX_NOTICES:
+            index, sub = where or (0, 0)
+            self.foreign_sdo.append((node, index << 8 | sub, words))
 
     def _emergency_handler(self, node: int) -> Handler:
         def on_emergency(data: bytes | bytearray, _now_ns: int) -> None:

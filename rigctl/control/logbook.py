@@ -6,11 +6,13 @@ import math
 from dataclasses import dataclass
 
 from rigctl.config import RigSettings
+from rigctl.control.homed import Finding
 from rigctl.control.inbox import Inbox
 from rigctl.control.machine import Machine
 from rigctl.control.modes import Refusal
 from rigctl.control.observer import Observer
 from rigctl.control.outbox import Outbox
+from rigctl.control.readback import Readback
 from rigctl.control.safety import Trip
 from rigctl.control.tension import TensionLaw
 from rigctl.telemetry.events import Kind
@@ -21,6 +23,7 @@ from rigctl.telemetry.runtime import Runtime
 NOTICE_NS = 1_000_000_000
 NOTICES_KEPT = 64
 _STALE = Quality.STALE.value
+_UNCONFIRMED = Flag.STROKE_UNCONFIRMED.value
 _ENABLED, _ARMING, _STOPPING = Flag.DRIVE_ENABLED.value, Flag.ARMING.value, Flag.STOPPING.value
 
 
@@ -57,7 +60,7 @@ class Logbook:
 
     def record(
         self, t_ns: int, lateness_ns: int, work_ns: int, machine: Machine, observer: Observer, law: TensionLaw,
-        outbox: Outbox, command_seq: int, hold_seq: int, causes: int,
+        outbox: Outbox, command_seq: int, hold_seq: int, causes: int, *, arming: bool, stroke_known: bool,
     ) -> None:  # fmt: skip
         """One record of this tick.
 
@@ -66,7 +69,8 @@ class Logbook:
         """
         inbox, sight, kalman, slope = observer.inbox, observer.sight, observer.filter, observer.inclination
         x = kalman.state
-        flags = law.limits | (_ENABLED if sight.drive_enabled else 0) | (_ARMING if machine.arming else 0)
+        flags = law.limits | (_ENABLED if sight.drive_enabled else 0) | (_ARMING if arming else 0)
+        flags |= 0 if stroke_known else _UNCONFIRMED
         flags |= _STOPPING if machine.stopping else 0
         self._rings.records.write(
             t_ns,
@@ -140,6 +144,11 @@ class Logbook:
         """An event; what its numbers mean, `Kind` says."""
         self._rings.events.write(t_ns, kind, a, b, value, limit, text)
 
+    def stroke(self, t_ns: int, found: Finding) -> None:
+        """Whether the drive's position is believed, and why."""
+        text = found.why.encode()[:80]
+        self.event(t_ns, Kind.STROKE, int(found.believed), 0, number(found.reads_mm), found.last_mm, text)
+
     def notice(self, t_ns: int, kind: Kind, a: int, b: int, text: bytes = b"") -> None:
         """An event, the same one at most once a second: a babbling bus must not drown the others."""
         if t_ns >= self._noticed.get((kind, a, b), 0):
@@ -165,12 +174,21 @@ class Logbook:
                 self.event(t_ns, Kind.MODE, change.before, change.after, float(change.event), float(safe_frames))
             machine.changes.clear()
 
-    def bus_notices(self, t_ns: int, inbox: Inbox, outbox: Outbox) -> None:
-        """What devices and bus said of themselves."""
+    def bus_notices(self, t_ns: int, inbox: Inbox, outbox: Outbox, readback: Readback) -> None:
+        """What devices and bus said of themselves, and what was found in the devices' settings."""
         if inbox.emergencies:
             for node, code, manufacturer in inbox.emergencies:
                 self.notice(t_ns, Kind.EMERGENCY, node, code, manufacturer)
             inbox.emergencies.clear()
+        if inbox.foreign_sdo:
+            for node, where, words in inbox.foreign_sdo:
+                self.notice(t_ns, Kind.FOREIGN_SDO, node, where, words.encode()[:80])
+            inbox.foreign_sdo.clear()
+        if (lost := readback.newest) is not None:
+            readback.newest = None
+            item, found = lost.item, math.nan if lost.found is None else float(lost.found)
+            where = item.index << 8 | item.sub
+            self.event(t_ns, Kind.SETTING_LOST, item.node, where, found, float(item.wanted), lost.words.encode()[:80])
         for kind, notices in (
             (Kind.NODE_STATE, inbox.node_states),
             (Kind.BUS_ERROR, inbox.bus_errors),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import can
 
@@ -10,6 +10,7 @@ from rigctl.config import RigSettings
 from rigctl.control import arming, limits
 from rigctl.control.clock import Clock
 from rigctl.control.correction import Correction
+from rigctl.control.homed import Homed, LastStroke
 from rigctl.control.inbox import Inbox
 from rigctl.control.logbook import Logbook, Rings, number
 from rigctl.control.machine import Machine
@@ -18,12 +19,14 @@ from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
 from rigctl.control.outbox import Outbox
 from rigctl.control.plausibility import Plausibility
+from rigctl.control.readback import Readback
 from rigctl.control.safety import Check, Fault, Trip, Watch
 from rigctl.control.signs import SignCheck
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.devices.drive import Power, next_controlword
 from rigctl.devices.objects import OFF_STATES, Controlword, drive_state
 from rigctl.devices.process_data import ProcessData
+from rigctl.devices.sdo import Watched
 from rigctl.telemetry.events import Kind
 from rigctl.telemetry.record import Flag
 
@@ -51,17 +54,23 @@ class Loop:
         law: LawFactory | None = None,
         correction: Correction | None = None,
         process_data: ProcessData | None = None,
+        watched: Sequence[Watched] = (),
+        last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen: nothing on record
     ) -> None:
         """``supervised``: start-up has verified that the drive stops by itself when we go silent.
 
         ``host_checks``: what fails of `rigctl.control.safety.HOST_CHECKS`, until the gateway says otherwise.
         ``law``: makes another law than ours, to be compared with it; it may look into the inbox.
-        ``correction``: of the tension cell, from the ledger.
+        ``correction``: of the tension cell, from the ledger. ``watched``: what start-up has verified in the devices.
         ``process_data``: as start-up found it; None: as the rig file asks for it.
+        ``last_stroke``: the stroke that was last known.
         """
         self.settings = settings
         self.machine = Machine(_stopping_ns(settings))
-        self.inbox = Inbox(bus, settings, rings.frames, process_data)
+        self._commanded_ns = started_ns = clock.now()
+        self.readback = Readback(watched, settings, started_ns)
+        self.homed = Homed(settings.cylinder, last_stroke)
+        self.inbox = Inbox(bus, settings, rings.frames, process_data, self.readback)
         self.outbox = Outbox(bus, settings, rings.frames, process_data)
         self.observer = Observer(settings, self.inbox)
         self.law = TensionLaw(settings, gains) if law is None else law(settings, gains, self.inbox)
@@ -71,14 +80,14 @@ class Loop:
         self._clock, self._commands, self._holds = clock, rings.commands, rings.holds
         self._watch, self._signs = Watch(settings, limits.rows(settings)), SignCheck(settings)
         self._plausibility = Plausibility(settings)
-        self._commanded_ns = started_ns = clock.now()
         self._travel_from_mm = 0.0
         self._tripped: Trip | None = None  # in this tick
         self._went_off = True  # the drive has been seen off since we asked last for it to be enabled
         self._logbook = logbook = Logbook(settings, rings)
         self._orders = Orders(
-            settings, self.machine, self.observer, self.law, self._watch, logbook, supervised=supervised
-        )
+            settings, self.machine, self.observer, self.law, self._watch, logbook, self.readback, self.homed,
+            supervised=supervised,
+        )  # fmt: skip
         self._work_ns = self._stop_until = self._off_until = 0
         logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.cursor)
         self.observer.sight.host_checks = host_checks
@@ -135,6 +144,14 @@ class Loop:
         self._went_off = not asked and (self._went_off or sight.drive_off)
         sight.drive_unasked = sight.drive_enabled and self._went_off
         sight.drive_lingers = sight.drive_enabled and not asked
+        homed, readback, inbox = self.homed, self.readback, self.inbox
+        if inbox.drive_fresh:
+            found = homed.look(inbox.stroke_mm, inbox.speed_mm_s, now_ns)
+            if found is not None:
+                self._logbook.stroke(now_ns, found)
+        sight.stroke_unconfirmed, sight.stroke_jump_mm = homed.doubted, homed.jump_mm
+        sight.settings_lost, sight.disobeys = len(readback.lost), readback.disobeys
+        sight.settings_words = readback.worst
         if not self._signs.passed and machine.mode is Mode.TENSIONING:
             self._check_signs(now_ns)
 
@@ -209,12 +226,17 @@ class Loop:
             self._off_until = t_ns + STOP_LIMIT_NS
         state = drive_state(self.inbox.statusword)
         outbox.command(next_controlword(state, power, outbox.controlword), speed_mm_s, self._clock.now())
+        asked = self.readback.request(t_ns, armed=machine.mode is not Mode.DISARMED)
+        if asked is not None:
+            outbox.ask(*asked)
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
         logbook, machine, observer = self._logbook, self.machine, self.observer
+        arming = machine.arming or self.readback.reading_all
         logbook.record(
             t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox,
             self._commands.cursor, self._holds.cursor, self._watch.standing,
+            arming=arming, stroke_known=self.homed.known,
         )  # fmt: skip
         logbook.mode_changes(t_ns, machine, self.outbox.safe_frames)
         for limit, begins in self._watch.crossed:
@@ -226,7 +248,7 @@ class Loop:
         self._watch.causes.clear()
         self._tripped = None
         self._orders.answer(t_ns)
-        logbook.bus_notices(t_ns, self.inbox, self.outbox)
+        logbook.bus_notices(t_ns, self.inbox, self.outbox, self.readback)
         if observer.just_skipped >= SKIP_NOTICE:
             logbook.notice(t_ns, Kind.CLOCK, observer.just_skipped, 0)
 

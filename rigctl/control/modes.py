@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+
+from rigctl.control.homed import TOLERANCE_MM
 
 
 class Mode(IntEnum):
@@ -49,6 +52,7 @@ class Verb(IntEnum):
     CALIBRATE = 9
     IDENTIFY = 10
     GAINS = 11  # other gains; they follow as settings, once they have been judged
+    CONFIRM_STROKE = 12  # the stroke was measured and is what the drive says; value: mm
 
 
 class Setting(IntEnum):
@@ -83,6 +87,7 @@ class Refusal(IntEnum):
     SLACK = 14  # there is nothing to be found on a slack rope
     STRAYED = 15  # tension or stroke left the bounds of the excitation
     FAULT_LATCHED = 16  # a limit has the tension ramped down; only HOLD stops that
+    STROKE_DIFFERS = 19  # the stroke measured is not what the drive says
     STOP_RUNNING = 21  # the drive is still stopping, or its brake is closing
     BRAKE_SLIPPED = 22  # the brake did not hold the load while the drive was off; value: mm
 
@@ -100,6 +105,7 @@ class Situation:
     slack: bool = False
     unloaded: bool = False  # the cell reads no more than a tare may take away
     value: float = 0.0  # of the command
+    stroke_mm: float = math.nan  # NaN: the drive does not say it now
     target_min_n: float = 0.0
     target_max_n: float = 0.0
 
@@ -145,6 +151,12 @@ def rope_unloaded(situation: Situation) -> Refusal:
 def rope_as_asked(situation: Situation) -> Refusal:
     """An identification under tension needs some."""
     return Refusal.SLACK if situation.value and situation.slack else Refusal.NONE
+
+
+def stroke_as_said(situation: Situation) -> Refusal:
+    """The operator's measurement of the stroke is what the drive's position says."""
+    agrees = abs(situation.value - situation.stroke_mm) <= TOLERANCE_MM
+    return Refusal.NONE if agrees else Refusal.STROKE_DIFFERS
 
 
 def drive_at_fault(situation: Situation) -> Refusal:
@@ -211,6 +223,7 @@ _TRIAL_GUARD: dict[Verb, Guard] = {Verb.TARE: rope_unloaded, Verb.IDENTIFY: rope
 WITHOUT_EVENT: dict[tuple[Mode, Verb], Guard | None] = {
     (Mode.DISARMED, Verb.ARM): preflight_passed,  # the drive first; ENABLED follows
     (Mode.DISARMED, Verb.RESET): drive_at_fault,
+    **{(mode, Verb.CONFIRM_STROKE): stroke_as_said for mode in (Mode.DISARMED, Mode.FAULT)},
     (Mode.FAULT, Verb.DISARM): None,  # power off, brake closed; the fault stays latched
     **{(mode, Verb.TARGET): target_in_bounds for mode in Mode},
     **{(mode, Verb.GAINS): None for mode in Mode},

@@ -102,7 +102,7 @@ class Observer:
         sight.drive_local = not inbox.statusword & STATUS_REMOTE
         sight.drive_limited = bool(inbox.statusword & STATUS_INTERNAL_LIMIT)
         sight.drive_ignores = sight.drive_enabled and not inbox.statusword & STATUS_FOLLOWS
-        sight.rival_age_ns = now_ns - inbox.rival_t_ns
+        sight.rival_age_ns, sight.rival_words = now_ns - inbox.rival_t_ns, inbox.rival_words
         sight.bus_age_ns = now_ns - inbox.bus_t_ns
         sight.error_frames = self._recent_error_frames(now_ns)
         sight.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0

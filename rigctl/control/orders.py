@@ -8,10 +8,12 @@ from dataclasses import replace
 from rigctl.config import RigSettings
 from rigctl.control import arming, modes, safety, trials
 from rigctl.control.correction import Correction, tare_limit_n
+from rigctl.control.homed import Homed
 from rigctl.control.logbook import Logbook, number
 from rigctl.control.machine import Machine
 from rigctl.control.modes import Mode, Refusal, Setting, Situation, Verb
 from rigctl.control.observer import Observer
+from rigctl.control.readback import Readback
 from rigctl.control.safety import HOST_CHECKS, Action, Check, Fault, Trip, Watch
 from rigctl.control.tension import Gains, TensionLaw
 from rigctl.telemetry.events import Kind
@@ -33,13 +35,21 @@ class Orders:
         law: TensionLaw,
         watch: Watch,
         logbook: Logbook,
+        readback: Readback,
+        homed: Homed,
         *,
         supervised: bool,
     ) -> None:
-        """``supervised``: start-up has verified that the drive stops by itself when we go silent."""
+        """``supervised``: start-up has verified that the drive stops by itself when we go silent.
+
+        ``readback``: reads it, and all else that start-up has verified, again before the rig arms.
+        """
         self.trial: trials.Trial | None = None
         self._settings, self._machine, self._observer = settings, machine, observer
         self._law, self._watch, self._logbook, self._supervised = law, watch, logbook, supervised
+        self._readback, self._homed = readback, homed
+        self._arm: tuple[int, float, int] | None = None  # id, value and time of an ARM that waits for the read-back
+        self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._look_ns = 0
         self._near_end = False  # the last ARM is to drive away from an end of the stroke
         self._found = (0.0, 0.0)  # value and spread of the last trial
@@ -77,6 +87,8 @@ class Orders:
     def attend(self, t_ns: int) -> None:
         """Show the trial this tick; its answer is due when it is over, or when something has put an end to it."""
         machine = self._machine
+        if self._arm is not None:
+            self._go_on_arming(self._arm, t_ns)
         if t_ns >= self._look_ns and machine.mode in (Mode.DISARMED, Mode.FAULT) and not machine.arming:
             self._look_ns = t_ns + LOOK_NS
             failing = self.failed_checks()
@@ -130,6 +142,8 @@ class Orders:
                 checks = self._watch.blocking(self._observer.sight)
             elif given.refusal is Refusal.LOADED:
                 value = number(self._observer.inbox.reading_n)
+            elif given.verb is Verb.CONFIRM_STROKE:
+                value = number(self._observer.sight.stroke_mm)
             elif given.verb in (Verb.TARGET, Verb.TENSION):
                 value = self._law.target_n
             elif given.verb in modes.TRIED_IN and given.refusal is Refusal.NONE:
@@ -144,13 +158,52 @@ class Orders:
 
     def failed_checks(self, *, near_end: bool = False) -> Check:
         """What stands against arming now; ``near_end``: see `rigctl.control.safety.preflight`."""
-        verified = self._supervised and not self._observer.inbox.restarted
+        verified = self._verified_at_start and not self._readback.lost
         sight = self._observer.sight
         beyond = self._watch.beyond(sight, Mode.HOLD)
         failing = safety.preflight(sight, self._settings, beyond, supervision_verified=verified, near_end=near_end)
         return failing | arming.awaited(sight, self._settings)
 
+    @property
+    def _verified_at_start(self) -> bool:
+        return self._supervised and not self._observer.inbox.restarted
+
     def _obey(self, id_: int, verb: Verb, value: float, t_ns: int) -> None:
+        machine = self._machine
+        if verb is Verb.ARM and self._arm is None and machine.mode is Mode.DISARMED and not machine.arming:
+            judged_later = Check.DRIVE_SUPERVISION | arming.AWAITED_CHECKS
+            others = self.failed_checks(near_end=value == 1.0) & ~judged_later
+            if self._readback.size and self._verified_at_start and not others and not machine.stopping:
+                self._arm = id_, value, t_ns
+                self._readback.begin_all(t_ns)
+                return
+        elif verb is Verb.ARM and self._arm is not None:
+            self._reply(t_ns, id_, Refusal.ALREADY)
+            return
+        elif self._arm is not None and verb in modes.TRIED_IN:
+            self._reply(t_ns, id_, Refusal.WRONG_MODE)
+            return
+        elif self._arm is not None and verb is Verb.DISARM:
+            self._reply(t_ns, self._arm[0], Refusal.ABORTED)
+            self._reply(t_ns, id_, Refusal.NONE)
+            self._arm = None
+            self._readback.give_up()
+            return
+        self._carry_out(id_, verb, value, t_ns)
+
+    def _go_on_arming(self, waiting: tuple[int, float, int], t_ns: int) -> None:
+        """Arm once everything is read back, or refuse; what else has changed meanwhile is judged anew."""
+        id_, value, since_ns = waiting
+        verdict = self._readback.verdict(t_ns)
+        if verdict is None and self._machine.mode is Mode.DISARMED and not self._machine.stopping:
+            return
+        self._arm = None
+        self._readback.give_up()
+        if verdict:
+            self._logbook.event(t_ns, Kind.READ_BACK, self._readback.size, value=(t_ns - since_ns) * 1e-9)
+        self._carry_out(id_, Verb.ARM, value, t_ns)
+
+    def _carry_out(self, id_: int, verb: Verb, value: float, t_ns: int) -> None:
         machine, observer, settings = self._machine, self._observer, self._settings
         if verb is Verb.ARM and not machine.arming:
             self._near_end = value == 1.0
@@ -162,6 +215,7 @@ class Orders:
             stop_running=stops and arming.stop_running(observer.sight, settings),
             fault_latched=machine.fault is not Fault.NONE,
             value=value,
+            stroke_mm=observer.sight.stroke_mm if observer.sight.drive_age_ns <= self._stale_ns else math.nan,
             cause_present=self._watch.present(observer.sight) is not Fault.NONE,
             drive_enabled=observer.sight.drive_enabled and machine.drive_wanted,
             drive_faulted=observer.sight.drive_faulted,
@@ -180,8 +234,11 @@ class Orders:
         if fault is not machine.fault:
             observer.sight.brake_slip_known |= fault in (Fault.STROKE_MOVES, Fault.BRAKE_SLIPS)
             self._logbook.event(t_ns, Kind.RESET, fault)
-        if verb is Verb.TARGET and machine.answers and machine.answers[-1].refusal is Refusal.NONE:
+        done = bool(machine.answers) and machine.answers[-1].refusal is Refusal.NONE
+        if verb is Verb.TARGET and done:
             self._law.target_n = value
+        elif verb is Verb.CONFIRM_STROKE and done:
+            self._logbook.stroke(t_ns, self._homed.confirm(observer.sight.stroke_mm))
 
     def _set(self, setting: Setting, value: float, t_ns: int) -> Refusal:
         """What is on record takes effect: within its bounds, and what changes the reading only at standstill."""

@@ -1,4 +1,4 @@
-"""What the loop sends: command, SYNC and heartbeat, in that order, never waiting for the bus."""
+"""What the loop sends: command, SYNC, heartbeat, SDO request, in that order, never waiting for the bus."""
 
 from __future__ import annotations
 
@@ -44,6 +44,10 @@ class Outbox:
         if not self._until_heartbeat:
             self._until_heartbeat = self._heartbeat_every
             self._send(self._heartbeat_id, self._operational)
+
+    def ask(self, node: int, request: bytes) -> None:
+        """An SDO request, after `command`: what is cyclic goes first."""
+        self._send(od.SDO_RX_BASE + node, request)
 
     def _send(self, can_id: int, data: bytes) -> int:
         try:

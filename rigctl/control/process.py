@@ -17,6 +17,7 @@ import msgspec
 from can.typechecking import CanFilters
 from pydantic import ValidationError
 
+from rigctl.commission import last_stroke
 from rigctl.commission.ledger import in_force
 from rigctl.config import RigSettings
 from rigctl.control import realtime
@@ -40,7 +41,8 @@ EXIT_CANNOT_START = 1
 
 def receive_filters(settings: RigSettings, process_data: ProcessData) -> CanFilters:
     """Ids the loop reads; on interfaces that filter in the kernel nothing else wakes or fills the socket."""
-    ids = [base + node for base in (od.EMCY_BASE, od.HEARTBEAT_BASE) for node in settings.canopen_nodes.values()]
+    bases = (od.EMCY_BASE, od.HEARTBEAT_BASE, od.SDO_TX_BASE, od.SDO_RX_BASE)
+    ids = [base + node for base in bases for node in settings.canopen_nodes.values()]
     ids += list(process_data.can_ids(settings).values())
     ids += rival_ids(settings)
     ids += [message.can_id for message in settings.plain_messages.values()]
@@ -136,7 +138,7 @@ def run(directory: str) -> int:
     if settings.can.interface in FILTERS_IN_FULL:
         bus.set_filters(receive_filters(settings, report.process_data))
     clock = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000)
-    correction = in_force(runtime).correction
+    correction, last = in_force(runtime).correction, last_stroke.in_force(runtime)
     loop = Loop(
         settings,
         gains,
@@ -147,6 +149,8 @@ def run(directory: str) -> int:
         host_checks=Check.HOST,  # the gateway judges them before an operator can arm
         correction=correction,
         process_data=report.process_data,
+        watched=report.watched,
+        last_stroke=last,
     )
     on_signals(_stop_on_signal(loop), signal.SIGTERM, signal.SIGHUP)
     frozen = realtime.freeze_garbage_collector()  # before real time: it takes 100 ms, which another loop must not wait
@@ -157,6 +161,7 @@ def run(directory: str) -> int:
             "pid": os.getpid(),
             "host_checks": int(Check.HOST),  # those the loop began with: for a replay
             "realtime": [asdict(setting) for setting in applied],
+            "last_stroke": asdict(last),  # the same
             "warnings": [f"{setting.name}: {setting.warning}" for setting in applied if not setting.ok],
             **report.as_json(),
         },

@@ -13,6 +13,7 @@ from enum import IntEnum, IntFlag
 
 from rigctl.config import RigSettings
 from rigctl.control.correction import tare_limit_n
+from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.modes import Mode
 from rigctl.control.run_out import stale_ns
 from rigctl.devices.objects import DEVICE_HEARTBEAT_MS, NmtState
@@ -66,6 +67,8 @@ class Fault(IntEnum):
     DRIVE_UNASKED = 35  # the drive is enabled, or moves under power, and not because we asked for it
     DRIVE_REFUSES = 36  # the drive says itself that it does not do as it is told: statusword bits 9, 11, 12
     NODE_NOT_OPERATIONAL = 37  # a device's heartbeat has stopped, or says that it has left OPERATIONAL
+    SUPERVISION_LOST = 38  # an object that safety hangs on is not what start-up wrote, or is not answered for
+    STROKE_JUMPED = 39  # the drive's position went from one sample to the next where no stroke can go
     BRAKE_SLIPS = 41  # the brake let the stroke move in the brake test
 
 
@@ -108,6 +111,7 @@ class Check(IntFlag):
     NOT_AT_STANDSTILL = 1 << 29  # the stroke has moved within the last STILL_NS, see rigctl.control.arming
     SEQUENCE_RUNNING = 1 << 30  # the drive is not off, or its brake has not had its time to close
     HOST = 1 << 20  # these four are not known: the gateway has not judged them within the last seconds
+    STROKE_UNCONFIRMED = 1 << 27  # the drive's position is not the stroke that was last known
 
 
 HOST_CHECKS = Check.TARE | Check.MARGINS | Check.REALTIME | Check.DISK | Check.HOST
@@ -163,6 +167,12 @@ class Sight:
     rope_lost: bool = False
     device_restarted: bool = False
     rival_age_ns: int = 1 << 62  # since another controller was heard
+    rival_words: str = ""  # what it did
+    stroke_unconfirmed: bool = False  # see rigctl.control.homed
+    stroke_jump_mm: float = 0.0  # until it is confirmed
+    settings_lost: int = 0  # objects found changed, or not answered for, see rigctl.control.readback
+    disobeys: bool = False  # one of them is what the drive needs to do as it is commanded
+    settings_words: str = ""  # the first of them
     sensor_emergency: int = 0  # node << 16 | code of one that stands
     drive_emergency: int = 0
     drive_reversed: bool = False  # see rigctl.control.signs
@@ -201,6 +211,12 @@ class Row:
     action: Action = Action.HOLD
     text: str = ""
     sign: float = 1.0
+    words: Callable[[Sight], str] | None = None  # what the trip says beside value and limit
+
+    def trip(self, value: float, sight: Sight | None = None) -> Trip:
+        """What it trips with; without a ``sight`` that is looked at, in its own text only."""
+        text = self.words(sight) if self.words is not None and sight is not None else self.text
+        return Trip(self.fault, self.sign * float(value), self.sign * float(self.limit), self.action, text)
 
 
 _ARMED = frozenset({Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING, Mode.FAULT})
@@ -274,7 +290,11 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
     return (
         Row(Fault.E_STOP, lambda x: x.e_stop, 0, 0, _EVERY, "", Action.QUICK_STOP),
         Row(Fault.BUS_SILENT, lambda x: x.bus_age_ns, s.bus_silent_ms * _MS, 0, _ARMED, "ns"),
-        Row(Fault.RIVAL, lambda x: x.rival_age_ns < RIVAL_NS, 0, 0, _ARMED, ""),
+        Row(Fault.RIVAL, lambda x: x.rival_age_ns < RIVAL_NS, 0, 0, _ARMED, "", words=lambda x: x.rival_words),
+        Row(Fault.SUPERVISION_LOST, lambda x: x.settings_lost, 0, 0, _ARMED, "", words=lambda x: x.settings_words),
+        Row(Fault.SUPERVISION_LOST, lambda x: x.disobeys, 0, 0, _ARMED, "commands", lost,
+            words=lambda x: x.settings_words),
+        Row(Fault.STROKE_JUMPED, lambda x: x.stroke_jump_mm, TOLERANCE_MM, 0, _ARMED, "mm", lost),
         Row(Fault.DRIVE_STALE, lambda x: x.drive_age_ns, stale, 0, _ARMED, "ns"),
         Row(Fault.CELL_STALE, lambda x: x.cell_age_ns, stale, 0, _ARMED, "ns"),
         Row(Fault.INCLINATION_STALE, lambda x: x.inclination_age_ns, slope, 0, _ARMED, "ns"),
@@ -439,14 +459,14 @@ class Watch:
                 continue
             if not self._logged[i] and t_ns >= self._quiet_until[i]:
                 self._quiet_until[i] = t_ns + LOG_AGAIN_NS
-                self._log(i, value, begins=True)
+                self._log(i, row.trip(value, sight), begins=True)
             if row.action is Action.LOG:
                 continue
             if not self._stands[i]:
                 self._stands[i] = True
                 self.standing |= 1 << row.fault
             if strongest is None or row.action > strongest.action:
-                strongest = _trip(row, value)
+                strongest = row.trip(value, sight)
         return strongest
 
     def beyond(self, sight: Sight, mode: Mode) -> set[Fault]:
@@ -484,17 +504,13 @@ class Watch:
                 self.standing |= stands << row.fault
         if self._logged[i]:
             if watched or self._rows[i].action is Action.LOG:
-                self._log(i, self._rows[i].limit, begins=False)
+                self._log(i, self._rows[i].trip(self._rows[i].limit), begins=False)
             self._logged[i] = False
 
-    def _log(self, i: int, value: float, *, begins: bool) -> None:
+    def _log(self, i: int, trip: Trip, *, begins: bool) -> None:
         self._logged[i] = begins
         row = self._rows[i]
-        (self.crossed if row.action is Action.LOG else self.causes).append((_trip(row, value), begins))
-
-
-def _trip(row: Row, value: float) -> Trip:
-    return Trip(row.fault, row.sign * float(value), row.sign * float(row.limit), row.action, row.text)
+        (self.crossed if row.action is Action.LOG else self.causes).append((trip, begins))
 
 
 BLOCK_RESET = frozenset(
@@ -502,7 +518,7 @@ BLOCK_RESET = frozenset(
      Fault.INCLINATION_INVALID, Fault.TENSION_HIGH, Fault.OVERRUN, Fault.DEVICE_RESTARTED, Fault.CELL_STUCK,
      Fault.E_STOP, Fault.E_STOP_UNSEEN, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SENSOR_EMERGENCY,
      Fault.RIVAL, Fault.STATUS_STALE, Fault.DRIVE_UNASKED, Fault.DRIVE_REFUSES,
-     Fault.NODE_NOT_OPERATIONAL}
+     Fault.NODE_NOT_OPERATIONAL, Fault.SUPERVISION_LOST, Fault.STROKE_JUMPED}
 )  # fmt: skip
 
 
@@ -541,6 +557,7 @@ def preflight(
         Check.EMERGENCY: not beyond.isdisjoint(_EMERGENCY),
         Check.LIMIT: not beyond.isdisjoint(_LIMITED),
         Check.RIVAL: Fault.RIVAL in beyond,
+        Check.STROKE_UNCONFIRMED: sight.stroke_unconfirmed,
         Check.E_STOP_UNSEEN: sight.e_stop_unseen,
         Check.E_STOP_IO_UNSEEN: Fault.E_STOP_UNSEEN in beyond,
         Check.STATUS_STALE: Fault.STATUS_STALE in beyond,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from rigctl.config import RigSettings
 from rigctl.devices import objects as od
+from rigctl.devices import sdo
 from rigctl.devices.plain import PlainMessage
 from rigctl.devices.process_data import COMMAND, DRIVE_SPEED, DRIVE_STATUS, ProcessData, wanted
 
@@ -45,6 +46,8 @@ def traffic(settings: RigSettings, process_data: ProcessData | None = None) -> l
         *([Traffic("drive inputs", size[DRIVE_STATUS], float(status))] if status else []),
         *([Traffic("rail angle", size["rail_encoder"], float(rail.rate_hz))] if rail else []),
         *([Traffic("I/O inputs", size["io"], 1000.0 / io.inhibit_ms)] if io else []),
+        Traffic("settings read back, request", sdo.SIZE, rate / sdo.every_ticks(settings)),
+        Traffic("settings read back, answer", sdo.SIZE, rate / sdo.every_ticks(settings)),
         Traffic("heartbeat, controller", 1, 1000.0 / settings.can.heartbeat_ms),
         Traffic("heartbeats, devices", 1, len(settings.canopen_nodes) * 1000.0 / od.DEVICE_HEARTBEAT_MS),
     ]

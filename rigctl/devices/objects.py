@@ -127,6 +127,12 @@ QUICK_STOP_RAMP_THEN_OFF = 2  # 0x605A: on the quick stop ramp 0x6085, then SWIT
 SLOW_DOWN_THEN_OFF = 1  # 0x605B, 0x605C: on the slow down ramp 0x6084, then power off with the brake closed
 FAULT_REACTION_QUICK_STOP = 2  # 0x605E: slow down on the quick stop ramp, then power off with the brake closed
 
+DRIVE_OBEYS_BY = frozenset(
+    {(MODE_OF_OPERATION, 0), (MODE_DISPLAY, 0), (SI_UNIT_POSITION, 0), (SI_UNIT_VELOCITY, 0), (0x60B1, 0),
+     *((RPDO1_COMMUNICATION, sub) for sub in (1, 2)), *((RPDO1_MAPPING, sub) for sub in (0, 1, 2))}
+)  # fmt: skip
+"""Objects without which the drive does not do what it is commanded (0x60B1: velocity offset)."""
+
 MM_PER_POSITION_UNIT = 1e-3
 MM_S_PER_VELOCITY_UNIT = 1e-3
 MM_S_PER_VELOCITY_16_UNIT = 1e-2

@@ -14,6 +14,7 @@ import canopen
 
 from rigctl.config import RigSettings
 from rigctl.devices import objects as od
+from rigctl.devices.sdo import Watched
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it logs, an error here says, with the device
 _MOST_SEGMENTS = 4  # no object read here is longer than one
@@ -70,6 +71,12 @@ class RemoteNode:
         self._channel = f"{settings.can.interface}:{settings.can.channel}"
         self.remote = network.add_node(canopen.RemoteNode(self.id, str(settings.file(device.eds))))
         self.remote.sdo.RESPONSE_TIMEOUT = device.sdo_timeout_ms * 1e-3
+        self._verified: dict[tuple[int, int], Watched] = {}
+
+    @property
+    def verified(self) -> list[Watched]:
+        """Every object that was read back as it must be, with its last value: what the loop goes on watching."""
+        return list(self._verified.values())
 
     def where(self, index: int, sub: int) -> str:
         """Device and object, for an error."""
@@ -132,7 +139,18 @@ class RemoteNode:
         found = self.read(index, sub)
         if found != value:
             raise StartupError(f"{self.where(index, sub)}: found {found:#x}, allowed {value:#x}")
+        self.watch(found, index, sub)
         return found
+
+    def watch(self, value: int, index: int, sub: int = 0, name: str = "") -> None:
+        """An object must keep ``value`` while the loop runs."""
+        entry = self._variable(index, sub).od
+        size = max(1, len(entry) // 8)  # a BOOLEAN has 1 bit
+        self._verified.pop((index, sub), None)
+        self._verified[index, sub] = Watched(
+            self.id, index, sub, size, value & (1 << 8 * size) - 1, name or entry.name,
+            round(self.remote.sdo.RESPONSE_TIMEOUT * 1000), (index, sub) in od.DRIVE_OBEYS_BY,
+        )  # fmt: skip
 
     def enforce(self, name: str, wanted: int, index: int, sub: int) -> StopSetting:
         """Write a setting and read it back; a drive that refuses it, or keeps another, is no error here."""
@@ -151,7 +169,10 @@ class RemoteNode:
         except canopen.SdoCommunicationError:
             raise self._silent() from None
         try:
-            return StopSetting(name, what, wanted, self._upload(variable), why)
+            found = StopSetting(name, what, wanted, self._upload(variable), why)
+            if found.ok:
+                self.watch(wanted, index, sub, name)
+            return found
         except canopen.SdoAbortedError as error:
             return StopSetting(name, what, wanted, None, f"cannot be read: {error}")
         except _GARBLED:

@@ -30,6 +30,7 @@ from rigctl.devices.process_data import (
     wanted,
 )
 from rigctl.devices.remote_node import Device, RemoteNode, StartupError, StopSetting
+from rigctl.devices.sdo import Watched
 
 __all__ = ["DEVICE_HEARTBEAT_MS", "Device", "StartupError", "bring_up", "refuse_rival", "release"]
 
@@ -59,11 +60,15 @@ class PlainDevice:
 
 @dataclass(frozen=True)
 class Report:
-    """What start-up found; ``supervision`` holds the drive's own stop settings as read back."""
+    """What start-up found; ``supervision`` holds the drive's own stop settings as read back.
+
+    ``watched``: every object that was verified, the drive's first, for `rigctl.control.readback`.
+    """
 
     devices: tuple[Device | PlainDevice, ...]
     supervision: tuple[StopSetting, ...]
     process_data: ProcessData
+    watched: tuple[Watched, ...] = ()
 
     @property
     def supervised(self) -> bool:
@@ -73,8 +78,12 @@ class Report:
     def as_json(self) -> dict[str, Any]:
         """For control.json."""
         stop = [{**asdict(setting), "ok": setting.ok} for setting in self.supervision]
-        devices = [asdict(device) for device in self.devices]
-        return {"devices": devices, "supervision": stop, "process_data": self.process_data.as_json()}
+        return {
+            "devices": [asdict(device) for device in self.devices],
+            "supervision": stop,
+            "process_data": self.process_data.as_json(),
+            "watched": [asdict(item) for item in self.watched],
+        }
 
 
 def refuse_rival(bus: can.BusABC, settings: RigSettings) -> None:
@@ -154,12 +163,14 @@ def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[s
     process_data = ProcessData(frames, units)
     _check_load(settings, process_data)
     drive.write(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_OF_OPERATION)
+    drive.watch(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_DISPLAY)
     supervision = _supervise(drive, settings, units)
     for node in nodes.values():
         node.write(DEVICE_HEARTBEAT_MS, od.PRODUCER_HEARTBEAT)
     for node in nodes.values():
         node.remote.nmt.state = "OPERATIONAL"
-    return Report((*devices, *_plain_devices(settings)), supervision, process_data)
+    watched = [item for node in (drive, *(n for n in nodes.values() if n is not drive)) for item in node.verified]
+    return Report((*devices, *_plain_devices(settings)), supervision, process_data, tuple(watched))
 
 
 def _check_load(settings: RigSettings, process_data: ProcessData) -> None:

@@ -35,6 +35,22 @@ def newtons_of(text: str) -> float:
 
 Newtons = Annotated[float, typer.Argument(metavar="NEWTONS", parser=newtons_of, help="Vertical tension to hold.")]
 
+
+def millimetres_of(text: str) -> float:
+    """A finite number, with its sign."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise typer.BadParameter(f"found {text!r}, allowed a number of millimetres")
+    return value
+
+
+Millimetres = Annotated[
+    float, typer.Argument(metavar="MM", parser=millimetres_of, help="Stroke, as measured at the cylinder.")
+]
+
 NearEnd = Annotated[
     bool, typer.Option("--near-end", help="Arm at an end of the stroke, to drive away from it (tension, release).")
 ]
@@ -102,6 +118,17 @@ def target(
 ) -> None:
     """Set the vertical tension to hold."""
     _give("target", json, connect, rig, operator, newtons)
+
+
+def confirm_stroke(
+    millimetres: Millimetres,
+    json: Json = False,
+    connect: Connect = None,
+    rig: Rig = None,
+    operator: Operator = None,
+) -> None:
+    """Confirm the stroke after the drive's position was lost or differs from the last one known."""
+    _give("confirm_stroke", json, connect, rig, operator, millimetres)
 
 
 def _give(

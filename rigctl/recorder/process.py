@@ -7,6 +7,7 @@ where the log ends. What cannot be written is told, counted, and tried again whi
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import pathlib
 import signal
@@ -19,7 +20,7 @@ from typing import Any
 import msgspec
 from pydantic import ValidationError
 
-from rigctl.commission import ledger
+from rigctl.commission import last_stroke, ledger
 from rigctl.config import RigSettings
 from rigctl.control.realtime import die_with_parent
 from rigctl.recorder.audit_log import AuditError, AuditLog, Item
@@ -35,6 +36,7 @@ from rigctl.termination import Termination
 POLL_S = 0.05
 RETRY_NS = 1_000_000_000
 TELL_NS = 1_000_000_000
+KEEP_STROKE_NS = 1_000_000_000
 WAITING_MAX = 20_000  # entries kept for a disk that takes none; the rings go on holding what comes after
 FAREWELL_S = 6.0  # after SIGTERM, so long for the supervisor to say its last word
 _OVER = frozenset(doing.name.lower() for doing in OVER)
@@ -104,6 +106,8 @@ class Recorder:
         self._trips = Trips(runtime, settings, read.get("dumped", 0))
         self._trips.sweep()
         self._recording = Continuous(runtime, settings, self._run, wall_ns) if settings.recording.enabled else None
+        self._records = runtime.record_reader()
+        self._kept_mm, self._keep_ns = math.nan, 0  # the stroke last written, and when it may be next
         self._failures = 0  # of the recording, that have been told
         self._add(self._own(now_ns, wall_ns, "recorder_started", f"process {os.getpid()}", {"pid": os.getpid()}))
 
@@ -117,6 +121,7 @@ class Recorder:
         self._write(now_ns, final=final)
         self._dump(now_ns, wall_ns, final=final)
         self._record(now_ns, wall_ns)
+        self._keep_stroke(now_ns, wall_ns, final=final)
         self._tell(now_ns)
 
     def close(self, now_ns: int, wall_ns: int) -> None:
@@ -149,6 +154,24 @@ class Recorder:
         self._failures = recording.failures
         if said:
             self._add(*said)
+
+    def _keep_stroke(self, now_ns: int, wall_ns: int, *, final: bool) -> None:
+        """The stroke last known, once a second while it changes, and at the end."""
+        stroke_mm = last_stroke.of_record(self._records.latest())
+        if stroke_mm is None or abs(stroke_mm - self._kept_mm) < last_stroke.KEPT_MM:
+            return
+        if not final and now_ns < self._keep_ns:
+            return
+        self._keep_ns = now_ns + KEEP_STROKE_NS
+        try:
+            last_stroke.write(self._settings, stroke_mm, wall_ns)
+        except OSError as error:
+            why = f"{self._settings.last_stroke} cannot be written: {error.strerror}"
+            self.trouble.begins("last stroke", why, now_ns)
+            return
+        self._kept_mm = stroke_mm
+        if (gap := self.trouble.ends("last stroke", now_ns)) is not None:
+            self._add(self._own(now_ns, wall_ns, "written_again", "the stroke could not be written before", gap))
 
     def _own(self, now_ns: int, wall_ns: int, what: str, text: str, details: dict[str, Any]) -> Item:
         return Item(now_ns, wall_ns, what, text, details=details)

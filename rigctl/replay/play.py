@@ -16,11 +16,13 @@ from rigctl.commission.ledger import IN_FORCE, Standing
 from rigctl.config import RigSettings
 from rigctl.config_wording import Wording
 from rigctl.control.correction import Correction
+from rigctl.control.homed import LastStroke
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
 from rigctl.control.safety import Check
 from rigctl.control.tension import Gains
 from rigctl.devices.process_data import ProcessData
+from rigctl.devices.sdo import Watched
 from rigctl.recorder.recording import Recording
 from rigctl.replay.feed import BATCH_TICKS, RecordedBus, RecordedClock, Slots, Tick, ticks
 from rigctl.strict_yaml import Document
@@ -44,6 +46,8 @@ class Span:
     gains: Gains
     correction: Correction
     supervised: bool
+    watched: tuple[Watched, ...]
+    last_stroke: LastStroke
     host_checks: int
     process_data: ProcessData | None  # None: a recording from before it was kept, whose devices had the default one
     cut_short: str  # why it ends before the process did, "" if it does not
@@ -90,6 +94,8 @@ def _span(recording: Recording, records: Slots) -> Span:
         gains = msgspec.convert(active.get("design", {}).get("gains"), Gains)
         found = control.get("process_data")
         process_data = ProcessData.of_json(found) if found is not None else None
+        last = msgspec.convert(control.get("last_stroke", {}), LastStroke)
+        watched = msgspec.convert(control.get("watched", []), tuple[Watched, ...])
         correction = (msgspec.json.decode(standing, type=Standing) if standing else Standing()).correction
     except ValidationError as error:
         first, *_ = Wording(RigSettings, frozenset(), Document({}, {}), pathlib.Path(ACTIVE)).lines(error)
@@ -100,7 +106,10 @@ def _span(recording: Recording, records: Slots) -> Span:
     supervised = all(bool(stop.get("ok")) for stop in control.get("supervision", []))
     taken = int(started[-1].details.get("a", 0)), int(started[-1].details.get("b", 0))
     host = int(control.get("host_checks", Check.HOST))
-    return Span(whole, started[-1].t_ns, taken, settings, gains, correction, supervised, host, process_data, cut_short)
+    return Span(
+        whole, started[-1].t_ns, taken, settings, gains, correction, supervised, watched, last, host, process_data,
+        cut_short,
+    )  # fmt: skip
 
 
 def _document(recording: Recording, name: str, t_ns: int) -> dict[str, Any]:
@@ -146,8 +155,8 @@ def play(
         clock, bus = RecordedClock(span.started_ns), RecordedBus()
         loop = Loop(
             settings, gains, bus, clock, Rings.of(runtime),
-            supervised=span.supervised, host_checks=span.host_checks, correction=span.correction,
-            process_data=span.process_data,
+            supervised=span.supervised, host_checks=span.host_checks, correction=span.correction, watched=span.watched,
+            last_stroke=span.last_stroke, process_data=span.process_data,
         )  # fmt: skip
         replayed, orders, holds = runtime.record_reader(), runtime.command_writer(), runtime.hold_writer()
         batch: list[Tick] = []

@@ -48,6 +48,7 @@ WAIT_NS = {
     Verb.CALIBRATE: ANSWER_NS + 2_000_000_000,
     Verb.IDENTIFY: ANSWER_NS + 10_000_000_000,
 }
+READ_BACK_NS = 15_000_000_000  # more, while the loop says that it is arming: it reads the devices' settings back first
 _PENDING_MAX = 64  # of all but HOLD
 _NAMES_ON_RECORD = 8  # of those who share a HOLD
 _HOLD_SPACING_NS = 20_000_000  # between two HOLDs for the loop; those that come in between share the next one
@@ -337,7 +338,7 @@ class Desk:
             given = self._pending.pop(int(reply["id"]), None)
             if given is not None:
                 self._answered(given, reply, int(reply["id"]))
-        for number in [number for number, given in self._pending.items() if now_ns > given.until_ns]:
+        for number in [number for number, given in self._pending.items() if self._is_late(given, now_ns)]:
             given = self._pending.pop(number)
             if given.recorded is not None:
                 self._clerk.unanswered(given.recorded.filed)
@@ -345,12 +346,18 @@ class Desk:
             self._answer(given.query, given.request, silent(name, operator), number)
             self._answer_sharing(given, lambda request: silent("hold", request.operator))
 
+    def _is_late(self, given: Pending, now_ns: int) -> bool:
+        more_ns = 0
+        if given.request.verb is Verb.ARM and now_ns > given.until_ns and self._sight().arming:
+            more_ns = READ_BACK_NS
+        return now_ns > given.until_ns + more_ns
+
     def _answered(self, given: Pending, reply: Any, number: int) -> None:
         """The loop's reply goes to the operator; that of a trial goes to the clerk first."""
         query, request = given.query, given.request
         try:
             verdict = self._preflight.verdict(time.monotonic_ns())
-            message = answer(request, reply, self._sight(), self._limits_n, verdict.failing, verdict.waived)
+            message = answer(request, reply, self._sight(), self._limits_n, verdict.words, verdict.waived)
         except (ValueError, KeyError) as error:
             text = f"the control loop's answer makes no sense: {error}"
             message = refused(request.verb.name.lower(), request.operator, "unknown", text)

@@ -9,6 +9,7 @@ from enum import IntEnum
 from types import MappingProxyType
 
 from rigctl.config_limits import SIGNALS
+from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Check, EStop, Fault
 from rigctl.devices import emergency
@@ -38,6 +39,10 @@ class Kind(IntEnum):
     RECEIVE_FAILED = 17  # text: why
     CAUSE = 45  # as TRIP: a further cause stands, while a fault is latched ...
     CAUSE_OVER = 46  # ... and it, or what tripped, is gone
+    FOREIGN_SDO = 50  # a: node, b: index << 8 | sub-index (0: not known), text: what another master does there
+    SETTING_LOST = 51  # a: node, b: index << 8 | sub-index, value: found (NaN: no value), limit: wanted, text: in words
+    READ_BACK = 52  # a: objects that were as wanted, value: how long it took in s
+    STROKE = 53  # a: 1 the drive's position is believed, 0 not, value: it in mm, limit: last known in mm, text: why
     BRAKE_TEST = 55  # a: 1 held, 0 not possible on a slack rope, value: stroke moved in mm, limit: tension in N
     LOCAL_HOLD = 65  # a: user, b: process it came from, text: operator; what came of it is in the reply
     SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
@@ -90,7 +95,11 @@ FAULT_TEXT: dict[Fault, str] = {
     "the tool, then reset",
     Fault.DRIVE_REFUSES: "drive says that {text}",
     Fault.NODE_NOT_OPERATIONAL: "{text} {state}",
-    Fault.RIVAL: "another controller commands this bus: find it and stop it",
+    Fault.RIVAL: "another controller {text}: find it and stop it",
+    Fault.SUPERVISION_LOST: "a device does not keep what start-up wrote, {text}: start the daemon anew, it writes all "
+    "of it again",
+    Fault.STROKE_JUMPED: "the drive's position jumped by {value:.2f} mm (limit {limit:.1f} mm): it is not believed; "
+    "measure the stroke at the cylinder, then rigctl confirm-stroke MM",
     Fault.CELL_NOISY: "tension cell jumps by {value:.1f} N from sample to sample (limit {limit:.1f} N)",
     Fault.CELL_NEGATIVE: "tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
     Fault.SENSOR_EMERGENCY: "a sensor's emergency message stands ({emergency})",
@@ -120,14 +129,16 @@ CHECK_TEXT: dict[Check, str] = {
     Check.STROKE_RANGE: "stroke beyond its limits: bring it back by hand or with the drive's own tool",
     Check.STROKE_NEAR_END: "stroke too near its end (preflight.stroke_margin_mm): rigctl arm --near-end, then tension "
     "or release, whichever leads away from it",
-    Check.DRIVE_SUPERVISION: "drive's own stop on loss of the controller is not verified since a device started anew: "
-    "start the daemon anew",
+    Check.DRIVE_SUPERVISION: "the devices do not keep what start-up wrote, or a device started anew (see the events): "
+    "start the daemon anew, it writes all of it again",
     Check.CELL_IMPLAUSIBLE: "tension cell is stuck, noisy or reads a push: check cable and amplifier",
     Check.EMERGENCY: "a device's emergency message stands (see the events)",
     Check.RIVAL: "another controller commands this bus: find it and stop it",
     Check.LIMIT: "a limit of the rig file is passed, or its signal does not come (rigctl watch shows the signals)",
     Check.E_STOP: "emergency stop is pressed (drive's input): release it, then rigctl reset",
     Check.E_STOP_IO: "emergency stop is pressed (I/O node's input): release it, then rigctl reset",
+    Check.STROKE_UNCONFIRMED: "the stroke is not the one last known (see the events): measure it at the cylinder, then "
+    "rigctl confirm-stroke MM",
     Check.E_STOP_UNSEEN: "emergency stop's input is not seen: check the drive's second TPDO (cylinder.e_stop_input)",
     Check.STATUS_STALE: "no current, temperature and inputs of the drive: check its second TPDO "
     "(cylinder.status_rate_hz)",
@@ -249,6 +260,11 @@ def refusal_text(
             return f"the rope is not unloaded: the cell reads {value:z.2f} N, more than calibration.tare_limit_n"
         case Refusal.OUT_OF_RANGE:
             return f"target must be {significant(limits[0])} to {significant(limits[1], 'N')}"
+        case Refusal.STROKE_DIFFERS:
+            return (
+                f"the drive's position says {value:z.2f} mm, allowed {TOLERANCE_MM:g} mm from the stroke measured: "
+                "measure it again, or home the drive with its own tool"
+            )
         case Refusal.CAUSE_PRESENT:
             there = [cause for cause in Fault if checks >> cause & 1] or [fault]
             there.sort(key=lambda cause: list(standing).index(cause) if cause in standing else len(standing))
@@ -256,21 +272,18 @@ def refusal_text(
             return f"cause still present: {', '.join(words)}" + (_SILENT_HINT if _SILENT & {*there} else "")
         case Refusal.WRONG_MODE:
             return f"{verb.name.lower()} is not possible in {mode.name}{_HINT.get((mode, verb), '')}"
-        case Refusal.EXPIRED:
-            return "command came too late and was not carried out"
-        case Refusal.STOPPING:
-            return "daemon is stopping"
         case Refusal.STOP_RUNNING:
             return f"the drive is still stopping or closing its brake ({value:.2f} mm/s): wait a second, then reset"
         case Refusal.BRAKE_SLIPPED:
             return f"brake test: the stroke moved by {value:.2f} mm on the closed brake: secure the load"
-        case Refusal.DRIVE_TIMEOUT:
-            return "drive did not become enabled"
         case _:
-            return _TRIAL_TEXT.get(refusal, "unknown command")
+            return _PLAIN_TEXT.get(refusal, "unknown command")
 
 
-_TRIAL_TEXT = {
+_PLAIN_TEXT = {
+    Refusal.DRIVE_TIMEOUT: "drive did not become enabled",
+    Refusal.STOPPING: "daemon is stopping",
+    Refusal.EXPIRED: "command came too late and was not carried out",
     Refusal.ABORTED: "cut short by a command, a trip or a change of mode; nothing was changed",
     Refusal.UNSTEADY: "it moves, or the reading does: wait until everything is at rest",
     Refusal.NO_SAMPLES: "the cell gives no good samples",
@@ -280,7 +293,7 @@ _TRIAL_TEXT = {
 }
 _SILENT = frozenset(
     {Fault.DEVICE_RESTARTED, Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE,
-     Fault.E_STOP_UNSEEN, Fault.STATUS_STALE, Fault.NODE_NOT_OPERATIONAL}
+     Fault.E_STOP_UNSEEN, Fault.STATUS_STALE, Fault.NODE_NOT_OPERATIONAL, Fault.SUPERVISION_LOST}
 )  # fmt: skip
 _UNSEEN = (
     Check.DRIVE_SUPERVISION
@@ -300,6 +313,10 @@ _HINT: dict[tuple[Mode, Verb], str] = {
         for mode in (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
         for verb in (Verb.DISARM, *TRIED_IN)
     },
+    **{
+        (mode, Verb.CONFIRM_STROKE): ": hold, then disarm first"
+        for mode in (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
+    },
     **{(mode, Verb.RESET): ": there is no fault" for mode in Mode if mode is not Mode.FAULT},
 }
 
@@ -317,6 +334,25 @@ def _emergency(a: int, b: int, _value: float, _limit: float, text: str) -> Worde
         manufacturer = b""
     severity = "info" if not emergency.stands(code, register) else "error" if code >> 8 else "warning"
     return Worded(severity, f"node {a}: {emergency.words(code, register, manufacturer)}")
+
+
+def setting_words(text: str) -> str:
+    """Which setting a device does not keep, and what to do."""
+    return f"a device does not keep what start-up wrote, {text}: start the daemon anew, it writes all of it again"
+
+
+def stroke_words(reads_mm: float, why: str) -> str:
+    """Why a stroke has to be confirmed, and what to do."""
+    return (
+        f"the stroke reads {reads_mm:z.2f} mm, but {why}: measure it at the cylinder; if it is {reads_mm:z.2f} mm, "
+        f"rigctl confirm-stroke {reads_mm:z.2f}, else home the drive with its own tool"
+    )
+
+
+def _stroke(a: int, _b: int, value: float, _limit: float, text: str) -> Worded:
+    if a:
+        return Worded("info", f"stroke {value:z.2f} mm: {text}")
+    return Worded("warning", stroke_words(value, text))
 
 
 _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
@@ -351,6 +387,10 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.LOCAL_HOLD: lambda a, b, _v, _l, t: Worded(
         "info", f"HOLD from {t} via the local socket (uid {a}, process {b})"
     ),
+    Kind.FOREIGN_SDO: lambda _a, _b, _v, _l, t: Worded("warning", f"another master {t}: find it and stop it"),
+    Kind.SETTING_LOST: lambda _a, _b, _v, _l, t: Worded("error", f"a device's setting is lost: {t}"),
+    Kind.STROKE: _stroke,
+    Kind.READ_BACK: lambda a, _b, v, _l, _t: Worded("info", f"{a} settings of the devices read back in {v:.2f} s"),
     Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{count(a, 'tick')} skipped at once"),
 }  # fmt: skip
 

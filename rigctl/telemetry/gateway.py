@@ -36,7 +36,17 @@ from rigctl.telemetry.ring import RingError
 from rigctl.telemetry.runtime import RECORDED, Runtime
 from rigctl.telemetry.schema import schema
 from rigctl.telemetry.session import SessionError, close, finish, open_client, open_router
-from rigctl.telemetry.state import Causes, Recent, Trip, design_of, kept_of, preflight_of, state_of, warnings_of
+from rigctl.telemetry.state import (
+    Causes,
+    Doubts,
+    Recent,
+    Trip,
+    design_of,
+    kept_of,
+    preflight_of,
+    state_of,
+    warnings_of,
+)
 from rigctl.telemetry.streams import EventStream, FastStream, event_publishers, past_block, past_messages
 from rigctl.termination import Termination
 
@@ -59,6 +69,7 @@ class StateView:
         self._causes = Causes((*safety.table(settings), *limits.rows(settings)))
         self.standing: Mapping[Fault, str] = {}
         """Causes of a fault that stand, in words, the strongest first."""
+        self.doubts = Doubts(runtime.event_reader(from_start=True))
         self._warnings: list[str] = []
         self._design: str | None = None
         self._kept: dict[str, Any] = {}
@@ -101,7 +112,8 @@ class StateView:
             "design": self._design,
             "calibration": standing,
             "lease": lease,
-            "preflight": preflight_of(record, verdict.failing, verdict.waived),
+            "preflight": preflight_of(record, verdict.words, verdict.waived),
+            "read_back": self.doubts.read_back,
             **self._kept,
             "warnings": self._warnings,
             "gateway_wall_ns": self._started_wall_ns,
@@ -195,7 +207,7 @@ class Gateway:
         limits_n = (settings.tension.target_min_n, settings.tension.target_max_n)
         self._newest = newest = runtime.record_reader()
         self._clerk = clerk = Clerk(runtime, settings)
-        self._preflight = Preflight(runtime, settings, lambda: clerk.standing)
+        self._preflight = Preflight(runtime, settings, lambda: clerk.standing, self._view.doubts.look)
         self._look_ns = 0
         self._tell_ns = now  # not before is the loop told again what the host's checks say
         self._keeper = Keeper(runtime, settings.telemetry.lease_s, now)

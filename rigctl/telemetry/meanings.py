@@ -57,6 +57,12 @@ KINDS: dict[Kind, str] = {
     Kind.CAUSE: "a further cause of a fault stands; as trip",
     Kind.CAUSE_OVER: "a cause of a fault is gone; as trip",
     Kind.RECEIVE_FAILED: "the bus could not be read; text: why",
+    Kind.FOREIGN_SDO: "another master speaks to a device; a: node, b: object (index << 8 | sub-index), text: what",
+    Kind.SETTING_LOST: "a device does not keep an object as start-up wrote it; a, b: as foreign_sdo, value: found, "
+    "null for no answer, limit: wanted",
+    Kind.READ_BACK: "the devices' settings were read back before arming; a: how many, value: how long it took in s",
+    Kind.STROKE: "whether the drive's position is believed; a: 1 it is, 0 not, value: it in mm, limit: the last one "
+    "known in mm, null for none, text: why",
     Kind.BRAKE_TEST: "brake test at arm; a: 1 held, 0 rope slack; value: stroke moved in mm, limit: tension in N",
     Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
 }
@@ -73,7 +79,7 @@ NOTES: dict[Note, str] = {
 PAYLOAD: Rows = (
     ("operator", "string", "", "who gives it; required"),
     ("lease", "string", "", "id from an earlier answer; without it the lease nobody holds is taken"),
-    ("value", "number", "N", "the target, or the known weight of calibrate"),
+    ("value", "number", "", "the target or the known weight of calibrate in N; the stroke of confirm_stroke in mm"),
     ("shunt", "boolean", "", "calibrate against the shunt"),
     ("adopt", "boolean", "", "calibrate sets the scale"),
     ("tight", "boolean", "", "identify only a tight rope"),
@@ -114,6 +120,7 @@ VERBS: dict[Verb, tuple[str, tuple[str, ...]]] = {
     Verb.TARE: ("the unloaded cell's mean over 1 s becomes its zero", ()),
     Verb.CALIBRATE: ("compare the cell with a known weight or the shunt", ("value", "shunt", "adopt")),
     Verb.IDENTIFY: ("excite the plant for some seconds and measure it", ("tight",)),
+    Verb.CONFIRM_STROKE: ("the stroke, measured at the cylinder, is what the drive's position says", ("value",)),
     Verb.GAINS: ("put other gains in force, once judged", ("gain_file", "name")),
 }
 ACTS: dict[Act, tuple[str, tuple[str, ...]]] = {

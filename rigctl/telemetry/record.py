@@ -67,6 +67,7 @@ class Flag(IntFlag):
     ARMING = 16
     DRIVE_ENABLED = 32
     STOPPING = 64
+    STROKE_UNCONFIRMED = 4096  # the drive's position is not believed to be where the stroke is, see control.homed
 
 
 _AGE = "age of that sample; null before the first one (in a record: above 2^60)"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -16,7 +17,9 @@ from rigctl.one_line import on_one_line
 from rigctl.quantity import significant
 from rigctl.telemetry.events import failed_checks, refusal_text
 from rigctl.telemetry.lease import ACTS, ID_BYTES, is_id
+from rigctl.telemetry.record import Flag
 from rigctl.telemetry.ring import RingReader
+from rigctl.telemetry.state import ALIVE_NS
 
 VERBS = {verb.name.lower(): verb for verb in Verb}
 _OPERATOR_LENGTH = 64
@@ -25,6 +28,7 @@ _ALLOWED = '{"operator": "NAME"}'
 _ALLOWED_MORE = {
     Verb.ARM: '{"operator": "NAME"} and "near_end": true',
     Verb.TARGET: '{"operator": "NAME", "value": NEWTONS}',
+    Verb.CONFIRM_STROKE: '{"operator": "NAME", "value": MILLIMETRES}',
     Verb.CALIBRATE: '{"operator": "NAME"} and "value": NEWTONS or "shunt": true, "adopt": true',
     Verb.IDENTIFY: '{"operator": "NAME"} and "tight": true',
     Verb.GAINS: '{"operator": "NAME", "gain_file": TEXT, "name": "FILE"}',
@@ -32,6 +36,7 @@ _ALLOWED_MORE = {
 _OPTIONS: dict[Verb, frozenset[str]] = {
     Verb.ARM: frozenset({"near_end"}),
     Verb.TARGET: frozenset({"value"}),
+    Verb.CONFIRM_STROKE: frozenset({"value"}),
     Verb.CALIBRATE: frozenset({"value", "shunt", "adopt"}),
     Verb.IDENTIFY: frozenset({"tight"}),
     Verb.GAINS: frozenset({"gain_file", "name"}),
@@ -156,10 +161,10 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
             raise RequestError(f"found {name}, allowed {allowed}")
     if verb is Verb.GAINS and not (found.gain_file and found.name and found.name.isprintable()):
         raise RequestError(f"found no gain file with a name, allowed {allowed}")
-    if found.value is None and verb is Verb.TARGET:
+    if found.value is None and verb in (Verb.TARGET, Verb.CONFIRM_STROKE):
         raise RequestError(f"found no value, allowed {allowed}")
     if found.value is not None and not math.isfinite(found.value):
-        raise RequestError(f"found value {found.value}, allowed a finite number of newtons")
+        raise RequestError(f"found value {found.value}, allowed a finite number")
     value = math.nan if found.value is None else found.value
     try:
         lease = lease_of(found.lease)
@@ -191,6 +196,7 @@ class Sight:
     tension_n: float = math.nan
     target_n: float = math.nan
     standing: Mapping[Fault, str] = field(default_factory=dict)  # causes in words, the strongest first
+    arming: bool = False  # an ARM is being carried out, and the loop runs
 
 
 def sight_of(records: RingReader, standing: Mapping[Fault, str] = MappingProxyType({})) -> Sight:
@@ -203,7 +209,9 @@ def sight_of(records: RingReader, standing: Mapping[Fault, str] = MappingProxyTy
     except ValueError:
         fault = Fault.NONE
     stroke_mm, tension_n, target_n = (float(record[name]) for name in ("stroke_mm", "tension_n", "target_n"))
-    return Sight(fault, stroke_mm, tension_n, target_n, standing)
+    alive = time.monotonic_ns() - int(record["t_ns"]) < ALIVE_NS
+    arming = alive and bool(int(record["flags"]) & Flag.ARMING)
+    return Sight(fault, stroke_mm, tension_n, target_n, standing, arming)
 
 
 def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
@@ -223,6 +231,8 @@ def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
             return f"fault cleared, {mode.name}"
         case Verb.TARGET:
             return f"{significant(value, 'N')}, {mode.name}"
+        case Verb.CONFIRM_STROKE:
+            return f"the stroke is {value:z.2f} mm, {mode.name}"
         case Verb.GAINS:
             return mode.name
         case Verb.IDENTIFY:

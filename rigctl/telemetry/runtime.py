@@ -4,8 +4,8 @@
 ``hold.sock`` (where HOLD is taken from this computer's operators), ``active.json`` (what runs), ``recorder.json`` (what
 the recorder has kept),
 ``control.json`` (what the control process read back), ``calibration.json`` (the cell's zero, scale and due date in
-force), ``lease.json`` (who may command), ``gateway.*`` (the gateway's own), ``lock`` (held by the supervisor, with its
-pid in it).
+force), ``stroke.json`` (the stroke last known when the control process started), ``lease.json`` (who may command),
+``gateway.*`` (the gateway's own), ``lock`` (held by the supervisor, with its pid in it).
 
 Anyone may make a folder of this name in ``/dev/shm``. A daemon uses one that is its user's own and closed to others
 (0700), follows no link in it, and makes its files anew (0600). What other processes read in it has the shape of

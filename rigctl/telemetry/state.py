@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,9 +13,10 @@ import numpy.typing as npt
 
 from rigctl.control.modes import Mode
 from rigctl.control.safety import BLOCK_RESET, Action, Check, Fault, Row
-from rigctl.telemetry.events import Kind, failed_checks, fault_text
+from rigctl.telemetry.events import Kind, failed_checks, fault_text, setting_words, stroke_words
 from rigctl.telemetry.meanings import Rows
 from rigctl.telemetry.record import NEVER_AGE_NS, Flag, Quality
+from rigctl.telemetry.ring import RingReader
 
 ALIVE_NS = 250_000_000  # a loop whose newest record is older than this does not run
 WINDOW_NS = 1_000_000_000
@@ -101,6 +103,7 @@ class Cause:
 
     t_ns: int
     value: float
+    text: str
 
 
 class Causes:
@@ -109,19 +112,20 @@ class Causes:
     def __init__(self, rows: Sequence[Row]) -> None:
         """``rows``: of the safety table, built-in ones first."""
         self._rows = [row for row in rows if row.action is not Action.LOG]
+        self._worded = {row.fault for row in rows if row.words is not None}  # their text is another each time
         self._since: dict[tuple[int, float, str], Cause] = {}
 
     def note(self, events: npt.NDArray[Any]) -> None:
         """Take new events."""
         for event in events[np.isin(events["kind"], _OF_CAUSES)]:
             kind, text = int(event["kind"]), bytes(event["text"]).decode(errors="replace")
-            key = int(event["a"]), float(event["limit"]), text
+            key = int(event["a"]), float(event["limit"]), "" if int(event["a"]) in self._worded else text
             if kind == Kind.STARTED:
                 self._since.clear()
             elif kind == Kind.CAUSE_OVER:
                 self._since.pop(key, None)
             else:
-                self._since.setdefault(key, Cause(int(event["t_ns"]), float(event["value"])))
+                self._since.setdefault(key, Cause(int(event["t_ns"]), float(event["value"]), text))
 
     def of(self, record: np.void, wall_ns: int) -> list[dict[str, Any]]:
         """Those that stand at a record, the strongest first, then in the table's order.
@@ -152,7 +156,7 @@ def _cause(row: Row, cause: Cause | None, wall_ns: int) -> dict[str, Any]:
     plain = row.fault.name.lower().replace("_", " ")
     return {
         "fault": row.fault.name,
-        "text": plain if cause is None else fault_text(row.fault, cause.value, limit, row.text),
+        "text": plain if cause is None else fault_text(row.fault, cause.value, limit, cause.text),
         "action": row.action.name,
         "value": None if cause is None else cause.value,
         "limit": limit,
@@ -160,6 +164,36 @@ def _cause(row: Row, cause: Cause | None, wall_ns: int) -> dict[str, Any]:
         "since_wall_ns": None if cause is None else cause.t_ns + wall_ns,
         "blocks_reset": row.fault in BLOCK_RESET,
     }
+
+
+class Doubts:
+    """What the loop's events say of the devices' settings and of the stroke: words that no record has."""
+
+    def __init__(self, events: RingReader) -> None:
+        self._events, self._lock = events, threading.Lock()
+        self._words: dict[Check, str] = {}
+        self._read_back: dict[str, Any] | None = None
+
+    def look(self) -> Mapping[Check, str]:
+        """By check, what is known of it beside that it fails; of use only while it does."""
+        with self._lock:
+            for event in self._events.read():
+                self._note(event)
+            return dict(self._words)
+
+    @property
+    def read_back(self) -> dict[str, Any] | None:
+        """When all settings were last read back as they should be, and how many; None before the first time."""
+        return self._read_back
+
+    def _note(self, event: np.void) -> None:
+        kind, text = int(event["kind"]), bytes(event["text"]).decode(errors="replace")
+        if kind == Kind.SETTING_LOST:
+            self._words[Check.DRIVE_SUPERVISION] = setting_words(text)
+        elif kind == Kind.STROKE and not event["a"]:
+            self._words[Check.STROKE_UNCONFIRMED] = stroke_words(float(event["value"]), text)
+        elif kind == Kind.READ_BACK:
+            self._read_back = {"t_ns": int(event["t_ns"]), "settings": int(event["a"]), "took_s": float(event["value"])}
 
 
 def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wall_ns: int) -> dict[str, Any]:
@@ -273,6 +307,12 @@ DERIVED: Rows = (
         "object?",
         "",
         "failing: checks that arming would fail now, in words; waived: those that may, and why",
+    ),
+    (
+        "read_back",
+        "object?",
+        "",
+        "t_ns, settings, took_s: when the devices' settings were last all as start-up wrote them; null before",
     ),
     ("audit", "object?", "", "audit log: entries, head (hash of the last), failures; null before the recorder runs"),
     ("trip_dump", "string?", "", "file about the newest trip since the daemon's start, null for none"),

@@ -25,6 +25,7 @@ from tests.fuzz.judge import Tally
 _OPTIONS: dict[Verb, dict[str, Any]] = {
     Verb.ARM: {"near_end": False},
     Verb.TARGET: {"value": 290.0},
+    Verb.CONFIRM_STROKE: {"value": 1.0},
     Verb.CALIBRATE: {"value": 300.0, "adopt": False},
     Verb.IDENTIFY: {"tight": True},
     Verb.GAINS: {"gain_file": "gains: {}\n", "name": "gains.yaml"},

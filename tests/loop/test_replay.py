@@ -40,7 +40,7 @@ def recorded(
         rig.loop.observer.sight.host_checks = int(Check.HOST)
         design = {"gains": msgspec.to_builtins(gains)}
         rig.runtime.write_json(ACTIVE, {"settings": settings.model_dump(mode="json"), "design": design})
-        rig.runtime.write_json("control.json", {"supervision": [{"ok": True}]})
+        rig.runtime.write_json("control.json", rig.report.as_json())
         rig.runtime.write_json(IN_FORCE, Standing(zero_n=0.25, scale=1.001))
         keeper = Continuous(rig.runtime, settings, 7, time.time_ns())
         ticked = rig.loop.tick

@@ -342,9 +342,9 @@ def test_wrong_usage_is_one_line_and_exit_code_2(words: tuple[str, ...], code: i
 def test_check_shows_the_rig_and_refuses_a_bus_that_is_too_slow(tmp_path: pathlib.Path) -> None:
     good = daemons.rigctl("check", "config/rig.yaml")
     assert good.returncode == 0
-    assert "42.7%" in good.stdout
+    assert "45.4%" in good.stdout
     figures = json.loads(daemons.rigctl("check", "config/rig.yaml", "--json").stdout)
-    assert figures["bus_load_pct"] == pytest.approx(42.74)
+    assert figures["bus_load_pct"] == pytest.approx(45.44)
     slow = daemons.rig_file(tmp_path, {"can": {"bitrate_bit_s": 500_000}})
     answer = daemons.rigctl("check", str(slow))
     assert answer.returncode == 1

@@ -14,7 +14,7 @@ from rigctl.control.modes import TRANSITIONS, TRIED_IN, Event, Mode, Refusal, Si
 from rigctl.control.safety import Action, Fault, Trip
 from rigctl.devices.drive import Power
 
-READY = Situation(unloaded=True, value=300.0, target_min_n=50.0, target_max_n=350.0)
+READY = Situation(unloaded=True, value=300.0, stroke_mm=300.0, target_min_n=50.0, target_max_n=350.0)
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -37,12 +37,12 @@ def test_the_closed_loop_is_reached_only_through_tensioning() -> None:
 
 
 ACCEPTED = {
-    Mode.DISARMED: {Verb.ARM, Verb.GAINS, Verb.TARGET, Verb.TARE, Verb.CALIBRATE},
+    Mode.DISARMED: {Verb.ARM, Verb.GAINS, Verb.TARGET, Verb.TARE, Verb.CALIBRATE, Verb.CONFIRM_STROKE},
     Mode.HOLD: {Verb.TENSION, Verb.RELEASE, Verb.HOLD, Verb.DISARM, Verb.GAINS, Verb.TARGET, *TRIED_IN},
     Mode.TENSIONING: {Verb.RELEASE, Verb.HOLD, Verb.GAINS, Verb.TARGET},
     Mode.COMPENSATING: {Verb.RELEASE, Verb.HOLD, Verb.GAINS, Verb.TARGET},
     Mode.RELEASING: {Verb.TENSION, Verb.HOLD, Verb.GAINS, Verb.TARGET},
-    Mode.FAULT: {Verb.RESET, Verb.DISARM, Verb.GAINS, Verb.TARGET},
+    Mode.FAULT: {Verb.RESET, Verb.DISARM, Verb.GAINS, Verb.TARGET, Verb.CONFIRM_STROKE},
 }
 
 

@@ -117,9 +117,10 @@ def test_the_filters_let_through_what_is_decoded_and_nothing_else() -> None:
         return {f["can_id"] for f in filters}
 
     rivals = {0x000, 0x080, 0x204, 0x701}  # what only another controller sends
-    assert ids(PLAIN) == {0x110, 0x111, 0x084, 0x184, 0x284, 0x704} | rivals
+    assert ids(PLAIN) == {0x110, 0x111, 0x084, 0x184, 0x284, 0x584, 0x604, 0x704} | rivals
     canopen = ids(config.load(CONFIG / "paper_rig.yaml"))
-    assert canopen == {base + node for base in (0x080, 0x180, 0x700) for node in (2, 3, 4)} | {0x284} | rivals
+    bases = (0x080, 0x180, 0x580, 0x600, 0x700)
+    assert canopen == {base + node for base in bases for node in (2, 3, 4)} | {0x284} | rivals
 
 
 def test_settings_whose_dbc_files_were_not_read_are_refused() -> None:

@@ -47,6 +47,9 @@ GOOD = Sight(
 ROWS: dict[tuple[str, str], tuple[str, float, str, int, str]] = {
     ("E_STOP", ""): ("e_stop", 0, "QUICK_STOP", 0, EVERY),
     ("BUS_SILENT", "ns"): ("bus_age_ns", 15e6, "HOLD", 0, ARMED),
+    ("SUPERVISION_LOST", ""): ("settings_lost", 0, "HOLD", 0, ARMED),
+    ("SUPERVISION_LOST", "commands"): ("disobeys", 0, "POWER_OFF", 0, ARMED),
+    ("STROKE_JUMPED", "mm"): ("stroke_jump_mm", 0.5, "POWER_OFF", 0, ARMED),
     ("DRIVE_STALE", "ns"): ("drive_age_ns", 15e6, "HOLD", 0, ARMED),
     ("CELL_STALE", "ns"): ("cell_age_ns", 15e6, "HOLD", 0, ARMED),
     ("INCLINATION_STALE", "ns"): ("inclination_age_ns", 100e6, "HOLD", 0, ARMED),
@@ -220,6 +223,7 @@ def test_a_logged_limit_is_told_with_what_it_found_and_hides_nothing_behind_it()
         ({"drive_faulted": True}, "NONE"), ({"drive_enabled": False}, "NONE"), ({"speed_error_mm_s": 9.0}, "NONE"),
         ({"stroke_error_mm": 9.0}, "NONE"), ({"contradiction_mm": 9.0}, "NONE"), ({"rejects": 99}, "NONE"),
         ({"unexplained_mm": 99.0}, "NONE"), ({"stroke_limited": True}, "NONE"), ({"rope_lost": True}, "NONE"),
+        ({"settings_lost": 1}, "SUPERVISION_LOST"), ({"stroke_jump_mm": 0.51}, "STROKE_JUMPED"),
         ({"drive_reversed": True}, "NONE"), ({"cell_reversed": True}, "NONE"), ({"slope_rejects": 99}, "NONE"),
         ({"tension_n": 1.0}, "NONE"), ({"cell_age_ns": 15 * MS}, "NONE"),
     ],
@@ -241,6 +245,7 @@ def test_what_keeps_a_fault_from_being_reset(bad: dict[str, object], fault: str)
         ({"e_stop": 1}, False, "E_STOP"), ({"e_stop": 2}, False, "E_STOP_IO"),
         ({"e_stop": 3}, False, "E_STOP E_STOP_IO"),
         ({"e_stop_unseen": True}, False, "E_STOP_UNSEEN"), ({"host_checks": 1 << 19}, False, "DISK"),
+        ({"stroke_unconfirmed": True}, False, "STROKE_UNCONFIRMED"),
         ({"host_checks": 1 << 16, "e_stop": True}, False, "TARE E_STOP"),
     ],
 )  # fmt: skip
@@ -287,6 +292,7 @@ CARRIED_OUT = {
     **{f"{mode.name} TARGET": "target_in_bounds" for mode in Mode}, **{f"{mode.name} GAINS": "" for mode in Mode},
     "DISARMED TARE": "rope_unloaded", "HOLD TARE": "rope_unloaded", "DISARMED CALIBRATE": "", "HOLD CALIBRATE": "",
     "HOLD IDENTIFY": "rope_as_asked",
+    "DISARMED CONFIRM_STROKE": "stroke_as_said", "FAULT CONFIRM_STROKE": "stroke_as_said",
 }  # fmt: skip
 ALREADY = {
     ("TENSIONING", "TENSION"), ("COMPENSATING", "TENSION"), ("RELEASING", "RELEASE"), ("DISARMED", "DISARM"),
@@ -314,7 +320,8 @@ def words_of(transition: Transition) -> str:
 @pytest.mark.parametrize("mode", Mode)
 @pytest.mark.parametrize("verb", Verb)
 def test_what_is_so_already_is_refused_as_that_and_what_cannot_be_as_the_wrong_mode(mode: Mode, verb: Verb) -> None:
-    ready = Situation(unloaded=True, value=300.0, target_min_n=50.0, target_max_n=350.0, drive_faulted=True)
+    ready = Situation(unloaded=True, value=300.0, target_min_n=50.0, target_max_n=350.0, drive_faulted=True,
+                      stroke_mm=300.0)  # fmt: skip
     refusal = decide(mode, verb, ready).refusal
     assert (refusal is Refusal.ALREADY) == ((mode.name, verb.name) in ALREADY)
     assert refusal in (Refusal.NONE, Refusal.ALREADY, Refusal.WRONG_MODE)
@@ -380,13 +387,15 @@ CHECKS = (
 
 # Numbers given out in ranges, one for each piece of work: they do not follow on from the lists above.
 IN_RANGES: dict[type[IntEnum], dict[str, int]] = {
-    Refusal: {"STOP_RUNNING": 21, "BRAKE_SLIPPED": 22},
+    Refusal: {"STROKE_DIFFERS": 19, "STOP_RUNNING": 21, "BRAKE_SLIPPED": 22},
     Fault: {
         "STATUS_STALE": 33,
         "LIMIT_UNSEEN": 34,
         "DRIVE_UNASKED": 35,
         "DRIVE_REFUSES": 36,
         "NODE_NOT_OPERATIONAL": 37,
+        "SUPERVISION_LOST": 38,
+        "STROKE_JUMPED": 39,
         "BRAKE_SLIPS": 41,
     },
 }
@@ -394,6 +403,7 @@ CHECKS_IN_RANGES = {
     "STATUS_STALE": 24,
     "DRIVE_REFUSES": 25,
     "NODE_NOT_OPERATIONAL": 26,
+    "STROKE_UNCONFIRMED": 27,
     "NOT_AT_STANDSTILL": 29,
     "SEQUENCE_RUNNING": 30,
 }
@@ -403,7 +413,8 @@ def test_numbers_on_record_stay_what_they_are() -> None:
     for kind, names in ON_RECORD.items():
         numbers = {name: i for i, name in enumerate(names.split())} | IN_RANGES.get(kind, {})
         assert {member.name: member.value for member in kind} == numbers
-    verbs = ["ARM", "TENSION", "RELEASE", "HOLD", "DISARM", "RESET", "TARGET", "TARE", "CALIBRATE", "IDENTIFY", "GAINS"]
+    verbs = ["ARM", "TENSION", "RELEASE", "HOLD", "DISARM", "RESET", "TARGET", "TARE", "CALIBRATE", "IDENTIFY", "GAINS",
+             "CONFIRM_STROKE"]  # fmt: skip
     assert [(verb.name, verb.value) for verb in Verb] == [(name, i) for i, name in enumerate(verbs, 1)]
     settings = ["ZERO", "SCALE", "OVERDUE", "K_TENSION", "K_SPEED", "K_INTEGRAL", "HOST_CHECKS"]
     assert [(setting.name, setting.value) for setting in Setting] == [(n, i) for i, n in enumerate(settings, 128)]

@@ -32,8 +32,8 @@ def is_command(verb: Verb, payload: bytes) -> bool:
     assert isinstance(found, Request)
     assert 1 <= len(found.operator) <= 64
     assert found.operator.isprintable()
-    assert math.isfinite(found.value) or verb is not Verb.TARGET
-    assert math.isnan(found.value) or verb in (Verb.TARGET, Verb.CALIBRATE)
+    assert math.isfinite(found.value) or verb not in (Verb.TARGET, Verb.CONFIRM_STROKE)
+    assert math.isnan(found.value) or verb in (Verb.TARGET, Verb.CALIBRATE, Verb.CONFIRM_STROKE)
     return True
 
 
@@ -52,7 +52,8 @@ def test_any_values_under_the_right_keys(verb: Verb, operator: Any, value: Any) 
     payload = msgspec.json.encode({"operator": operator, "value": value})
     well = isinstance(operator, str) and 1 <= len(operator.strip()) <= 64 and operator.strip().isprintable()
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    fits = {Verb.TARGET: number, Verb.CALIBRATE: number or value is None}.get(verb, value is None)
+    needed = {Verb.TARGET: number, Verb.CONFIRM_STROKE: number, Verb.CALIBRATE: number or value is None}
+    fits = needed.get(verb, value is None)
     assert is_command(verb, payload) == (well and fits)
 
 
@@ -60,6 +61,7 @@ def test_any_values_under_the_right_keys(verb: Verb, operator: Any, value: Any) 
 def test_a_lease_is_an_id_or_a_refusal_but_for_hold(verb: Verb, lease: Any) -> None:
     needed: dict[Verb, dict[str, Any]] = {
         Verb.TARGET: {"value": 300.0},
+        Verb.CONFIRM_STROKE: {"value": 0.0},
         Verb.GAINS: {"gain_file": "a", "name": "b"},
     }
     payload = msgspec.json.encode({"operator": "kim", "lease": lease} | needed.get(verb, {}))

@@ -66,7 +66,7 @@ def test_every_verb_is_there_with_just_what_it_takes() -> None:
     verbs, rows = SCHEMA["commands"]["verbs"], described(SCHEMA["commands"]["payload"])
     assert set(verbs) == {verb.name.lower() for verb in Verb}
     examples = {"value": 300.0, "gain_file": "text", "name": "gains.yaml"}
-    required = {"target": {"value"}, "gains": {"gain_file", "name"}}
+    required = {"target": {"value"}, "confirm_stroke": {"value"}, "gains": {"gain_file", "name"}}
     for name, said in verbs.items():
         assert said["description"]
         needs = {"operator": "kim"} | {option: examples[option] for option in required.get(name, set())}

@@ -1,0 +1,80 @@
+"""Whether the drive's position is where the stroke is: held against the last one known, and watched for jumps.
+
+The ends of the stroke are limits on the drive's position. An encoder that has lost its zero moves them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rigctl.config import CylinderSettings
+
+TOLERANCE_MM = 0.5
+GAP_NS = 100_000_000  # after a longer one the speed says nothing of where the stroke has gone
+
+
+@dataclass(frozen=True)
+class LastStroke:
+    """The stroke that was last known, when a loop starts; ``mm`` is None where none is, ``why`` says why, if it should.
+
+    Nothing on record, and no reason: the first start ever.
+    """
+
+    mm: float | None = None
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What has been found of the drive's position; ``last_mm`` is NaN where nothing is known to compare it with."""
+
+    believed: bool
+    reads_mm: float
+    last_mm: float
+    why: str
+
+
+class Homed:
+    """``known``: the position is believed. ``doubted``: it must be confirmed. ``jump_mm``: why, while the loop ran."""
+
+    def __init__(self, cylinder: CylinderSettings, last: LastStroke) -> None:
+        self._absolute, self._waiver, self._last = cylinder.absolute_encoder, cylinder.stroke_waiver, last
+        self.known = self.doubted = False
+        self.jump_mm = 0.0
+        self._seen_mm = self._seen_mm_s = math.nan
+        self._seen_ns = 0
+
+    def look(self, stroke_mm: float, speed_mm_s: float, now_ns: int) -> Finding | None:
+        """Take a new sample of the drive; what has been found, where that is news."""
+        before_mm, passed_ns = self._seen_mm, now_ns - self._seen_ns
+        usual_mm = 0.5 * (speed_mm_s + self._seen_mm_s) * passed_ns * 1e-9 if passed_ns <= GAP_NS else 0.0
+        self._seen_mm, self._seen_mm_s, self._seen_ns = stroke_mm, speed_mm_s, now_ns
+        if math.isnan(before_mm):
+            return self._first(stroke_mm)
+        jump_mm = abs(stroke_mm - before_mm - usual_mm)
+        if jump_mm <= TOLERANCE_MM:
+            return None
+        self.known, self.doubted, told = False, True, self.jump_mm > 0.0
+        self.jump_mm = max(self.jump_mm, jump_mm)
+        return None if told else Finding(False, stroke_mm, before_mm, f"{before_mm:.2f} mm the sample before")
+
+    def confirm(self, stroke_mm: float) -> Finding:
+        """An operator has measured the stroke: the position is right."""
+        self.known, self.doubted, self.jump_mm = True, False, 0.0
+        return Finding(True, stroke_mm, math.nan, "confirmed by an operator")
+
+    def _first(self, stroke_mm: float) -> Finding:
+        """Hold the first sample against what is known of the last one."""
+        last, last_mm = self._last, math.nan if self._last.mm is None else self._last.mm
+        if not self._absolute:
+            against = "its encoder is not absolute"
+        elif last.mm is None:
+            against = last.why
+        else:
+            against = f"{last_mm:.2f} mm when last known" if abs(stroke_mm - last_mm) > TOLERANCE_MM else ""
+        self.known = not against or self._waiver is not None
+        self.doubted = not self.known
+        why = against or ("as when last known" if last.mm is not None else "none on record to compare it with")
+        waived = f", waived: {self._waiver}" if against and self.known else ""
+        return Finding(self.known, stroke_mm, last_mm, why + waived)

@@ -1,0 +1,168 @@
+"""What safety hangs on in the devices, read back by SDO: all of it before arming, object by object while armed.
+
+One request at most is under way, and one is sent every `sdo.every_ticks`: the bus load is bounded. Bytes in, bytes out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rigctl.config import RigSettings
+from rigctl.devices import sdo
+from rigctl.devices.sdo import Watched
+
+TRIES = 3  # requests without an answer before a device is said to have none
+LIMIT_NS = 15_000_000_000  # for all of it, before arming: 75 objects of a device that takes 200 ms for each
+FOREIGN_AFTER_NS = 1_000_000_000  # before that an answer may be one that start-up did not wait for
+
+
+@dataclass(frozen=True)
+class Lost:
+    """An object that is not as start-up left it: ``found`` is None where the device gave no value, ``why`` says why."""
+
+    item: Watched
+    found: int | None
+    why: str = ""
+
+    @property
+    def words(self) -> str:
+        """Object, found and wanted."""
+        wanted = self._shown(self.item.wanted)
+        if self.found is None:
+            return f"{self.item.words}: {self.why} (wanted {wanted})"
+        return f"{self.item.words}: found {self._shown(self.found)}, wanted {wanted}"
+
+    def _shown(self, value: int) -> str:
+        """COB-IDs and mappings are read in hexadecimal."""
+        return f"{value:#x}" if self.item.index < 0x2000 and value >= 0x180 else str(value)
+
+
+class Readback:
+    """An SDO client that waits for nothing. ``lost``: objects that were not as wanted when they were last read."""
+
+    def __init__(self, table: Sequence[Watched], settings: RigSettings, started_ns: int) -> None:
+        """``table``: from start-up, the most important first. ``started_ns``: when the loop began."""
+        self._foreign_ns = started_ns + FOREIGN_AFTER_NS
+        self._table = tuple(table)
+        self._every, self._left = sdo.every_ticks(settings), 0
+        self._place = 0  # of the next object
+        self._asked: Watched | None = None
+        self._asked_ns = self._tries = 0
+        self._recent: dict[int, tuple[tuple[int, int], tuple[int, int]]] = {}  # last two objects asked for, by node
+        self._all_since_ns = 0  # 0: nothing waits for all of it
+        self._unread = 0
+        self.lost: dict[Watched, Lost] = {}
+        self.newest: Lost | None = None  # since last taken
+        self.read = 0  # objects read so far
+
+    @property
+    def size(self) -> int:
+        """Objects watched."""
+        return len(self._table)
+
+    @property
+    def reading_all(self) -> bool:
+        """An ARM waits for every object to be read."""
+        return self._unread > 0
+
+    @property
+    def disobeys(self) -> bool:
+        """The drive was found not to do as it is commanded."""
+        return any(item.obeys and lost.found is not None for item, lost in self.lost.items())
+
+    @property
+    def worst(self) -> str:
+        """The first object that is lost, in words."""
+        return next((lost.words for lost in self.lost.values()), "")
+
+    def begin_all(self, t_ns: int) -> None:
+        """Read every object, from now on."""
+        self.lost.clear()
+        self._place, self._unread, self._all_since_ns = 0, len(self._table), t_ns
+        self._asked, self._left = None, 0
+
+    def give_up(self) -> None:
+        """Nobody waits for all of it any more."""
+        self._unread = self._all_since_ns = 0
+
+    def verdict(self, t_ns: int) -> bool | None:
+        """Whether every object is as wanted; None while they are being read. A device that is silent ends it."""
+        silent = any(lost.found is None for lost in self.lost.values())
+        if self._unread and not silent and t_ns - self._all_since_ns < LIMIT_NS:
+            return None
+        if self._unread and not silent:
+            self._lose(self._table[self._place], None, f"not read within {LIMIT_NS // 1_000_000_000} s")
+        self.give_up()
+        return not self.lost
+
+    def request(self, t_ns: int, *, armed: bool) -> tuple[int, bytes] | None:
+        """What to send now: node and data; None for nothing. Disarmed, only what `begin_all` has asked for is read.
+
+        A technician's tool uses the same SDO channel of a device, so a rig that is DISARMED leaves it alone.
+        """
+        self._left = max(0, self._left - 1)
+        if not (self._table and (armed or self._unread)):
+            self._asked = None
+            return None
+        asked = self._asked
+        if asked is not None:
+            if t_ns - self._asked_ns < asked.timeout_ms * 1_000_000:
+                return None
+            if self._tries >= TRIES:
+                self._lose(asked, None, f"no answer to {TRIES} requests")
+                self._done()
+        if self._left:
+            return None
+        self._left = self._every
+        return self._ask(t_ns)
+
+    def take(self, node: int, data: bytes | bytearray, t_ns: int) -> bool:
+        """An SDO answer of a device; whether it is one to us. A copy of an answer, or a late one, is."""
+        where = sdo.answered(data)
+        if where is None or where not in self._recent.get(node, ()):
+            return t_ns < self._foreign_ns
+        asked = self._asked
+        if asked is None or (asked.node, asked.index, asked.sub) != (node, *where):
+            return True
+        answer = sdo.upload_answer(data, asked.size)
+        if answer.abort:
+            self._lose(asked, None, f"refused, abort code 0x{answer.abort:08X}")
+        elif not answer.expedited:
+            self._lose(asked, None, "answered in several frames")
+        elif answer.value != asked.wanted:
+            self._lose(asked, answer.value)
+        else:
+            self.lost.pop(asked, None)
+        self.read += 1
+        self._done()
+        return True
+
+    def suspect(self, node: int, where: tuple[int, int] | None) -> None:
+        """Somebody else has asked a device for this object: it is read next."""
+        for i, item in enumerate(self._table):
+            if not self._unread and (item.node, item.index, item.sub) == (node, *(where or ())):
+                self._place = i
+
+    def _ask(self, t_ns: int) -> tuple[int, bytes]:
+        if self._asked is None:
+            self._asked, self._tries = self._table[self._place], 0
+        asked = self._asked
+        self._tries += 1
+        self._asked_ns = t_ns
+        now, before = (asked.index, asked.sub), self._recent.get(asked.node)
+        if before is None or before[0] != now:
+            self._recent[asked.node] = now, (before[0] if before else now)
+        return asked.node, sdo.upload_request(asked.index, asked.sub)
+
+    def _done(self) -> None:
+        self._asked = None
+        self._place = (self._place + 1) % len(self._table)
+        self._unread = max(0, self._unread - 1)
+
+    def _lose(self, item: Watched, found: int | None, why: str = "") -> None:
+        known, lost = self.lost.get(item), Lost(item, found, why)
+        told = any(other.found is None and other.item.node == item.node for other in self.lost.values())
+        self.lost[item] = lost
+        if lost != known and not (found is None and told):  # a device that is silent is told of once
+            self.newest = lost

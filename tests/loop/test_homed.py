@@ -1,0 +1,153 @@
+"""A drive whose position has lost its zero is not armed: held against the stroke last known, and watched for jumps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from hil.faults.in_device import STROKE
+from hil.lockstep import Lockstep, lockstep
+from rigctl.config import RigSettings
+from rigctl.control.homed import TOLERANCE_MM, LastStroke
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.safety import Action, Check, Fault
+from rigctl.control.tension import Gains
+from rigctl.telemetry.events import Kind, worded
+from rigctl.telemetry.record import Flag
+
+Enter = Callable[[Mode], None]
+JUMP_UM = 52_000
+
+
+def changed(settings: RigSettings, **change: object) -> RigSettings:
+    return settings.model_copy(update={"cylinder": settings.cylinder.model_copy(update=change)})
+
+
+@pytest.fixture
+def start(settings: RigSettings, gains: Gains) -> Iterator[Callable[..., Lockstep]]:
+    """A rig at stroke 0, the last one known given."""
+    opened = []
+
+    def begin(last: LastStroke, **change: object) -> Lockstep:
+        held_against_the_last = changed(settings, **{"stroke_waiver": None, **change})
+        context = lockstep(held_against_the_last, gains, last_stroke=last)
+        opened.append(context)
+        rig = context.__enter__()
+        rig.run(0.2)
+        return rig
+
+    yield begin
+    for context in opened:
+        context.__exit__(None, None, None)
+
+
+def strokes(rig: Lockstep) -> list[str]:
+    found = []
+    for event in rig.events.read():
+        if event["kind"] == Kind.STROKE:
+            numbers = (event[name].item() for name in ("a", "b", "value", "limit", "text"))
+            a, b, value, limit, text = numbers
+            found.append(worded(Kind.STROKE, a, b, value, limit, text.decode()).text)
+    return found
+
+
+@pytest.mark.parametrize(
+    "last", [LastStroke(52.0), LastStroke(-0.51), LastStroke(None, "rig.stroke.json is damaged")], ids=str
+)
+def test_a_stroke_that_is_not_the_last_known_is_refused_until_it_is_confirmed(
+    start: Callable[..., Lockstep], last: LastStroke
+) -> None:
+    rig = start(last)
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+    assert rig.reply["checks"] == Check.STROKE_UNCONFIRMED
+    (told,) = strokes(rig)
+    assert told.startswith(f"the stroke reads 0.00 mm, but {last.why or f'{last.mm:.2f} mm when last known'}: measure")
+    assert rig.command(Verb.CONFIRM_STROKE, 52.0) is Refusal.STROKE_DIFFERS
+    assert rig.command(Verb.CONFIRM_STROKE, TOLERANCE_MM + 0.1) is Refusal.STROKE_DIFFERS
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+    assert all(record["flags"] & Flag.STROKE_UNCONFIRMED for record in rig.run(0.01))
+    assert rig.command(Verb.CONFIRM_STROKE, 0.2) is Refusal.NONE
+    assert strokes(rig) == ["stroke 0.00 mm: confirmed by an operator"]
+    assert not any(record["flags"] & Flag.STROKE_UNCONFIRMED for record in rig.run(0.01))
+    assert rig.command(Verb.ARM) is Refusal.NONE
+
+
+@pytest.mark.parametrize("last", [LastStroke(), LastStroke(0.4), LastStroke(-0.4)], ids=str)
+def test_the_first_start_ever_and_a_stroke_that_agrees_are_allowed_and_told(
+    start: Callable[..., Lockstep], last: LastStroke
+) -> None:
+    rig = start(last)
+    assert rig.command(Verb.ARM) is Refusal.NONE
+    (told,) = strokes(rig)
+    assert told.startswith("stroke 0.00 mm: ")
+
+
+def test_an_encoder_that_is_not_absolute_is_confirmed_at_every_start(start: Callable[..., Lockstep]) -> None:
+    rig = start(LastStroke(0.0), absolute_encoder=False)
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+    assert rig.reply["checks"] == Check.STROKE_UNCONFIRMED
+    assert rig.command(Verb.CONFIRM_STROKE, 0.0) is Refusal.NONE
+    assert rig.command(Verb.ARM) is Refusal.NONE
+
+
+def test_a_waiver_arms_all_the_same_and_says_so(start: Callable[..., Lockstep]) -> None:
+    rig = start(LastStroke(52.0), stroke_waiver="simulated rig")
+    assert rig.command(Verb.ARM) is Refusal.NONE
+    assert strokes(rig) == ["stroke 0.00 mm: 52.00 mm when last known, waived: simulated rig"]
+
+
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING])
+def test_a_jump_while_armed_takes_the_drive_off_power_and_waits_for_the_operator(
+    rig: Lockstep, enter: Enter, mode: Mode
+) -> None:
+    enter(mode)
+    before_mm = rig.rig.truth.stroke_mm
+    rig.rig.drive.distort(*STROKE, lambda raw: raw - JUMP_UM)
+    rig.run(0.5)
+    machine = rig.loop.machine
+    assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.STROKE_JUMPED, Action.POWER_OFF)
+    assert rig.rig.truth.stroke_mm == pytest.approx(before_mm, abs=0.3)
+    assert not rig.rig.drive.control.enabled
+    assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+    assert rig.reply["value"] == Fault.STROKE_JUMPED
+    assert rig.command(Verb.CONFIRM_STROKE, before_mm) is Refusal.STROKE_DIFFERS
+    assert rig.command(Verb.CONFIRM_STROKE, rig.loop.inbox.stroke_mm) is Refusal.NONE
+    assert rig.command(Verb.RESET) is Refusal.NONE
+
+
+def test_a_jump_while_disarmed_refuses_the_arm_even_with_a_waiver(
+    start: Callable[..., Lockstep],
+) -> None:
+    rig = start(LastStroke(), stroke_waiver="simulated rig")
+    strokes(rig)
+    rig.rig.drive.distort(*STROKE, lambda raw: raw + JUMP_UM)
+    rig.run(0.1)
+    assert [told.split(":")[0] for told in strokes(rig)] == ["the stroke reads 52.00 mm, but 0.00 mm the sample before"]
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+    assert rig.reply["checks"] == Check.STROKE_UNCONFIRMED
+    assert rig.command(Verb.CONFIRM_STROKE, 52.0) is Refusal.NONE
+    assert rig.command(Verb.ARM) is Refusal.NONE
+
+
+def test_a_stroke_that_was_moved_while_the_drive_was_silent_is_in_doubt(start: Callable[..., Lockstep]) -> None:
+    rig = start(LastStroke())
+    samples = 0x180 + rig.rig.drive.id
+    rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == samples else (frame,)
+    rig.run(1.0)
+    rig.rig.drive.distort(*STROKE, lambda raw: raw + 600)
+    rig.hub.tap = None
+    rig.run(0.1)
+    assert rig.loop.homed.doubted
+
+
+def test_no_stroke_is_confirmed_that_the_drive_does_not_say_now(rig: Lockstep) -> None:
+    samples = 0x180 + rig.rig.drive.id
+    rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == samples else (frame,)
+    rig.run(0.1)
+    assert rig.command(Verb.CONFIRM_STROKE, 0.0) is Refusal.STROKE_DIFFERS
+
+
+def test_confirming_needs_a_rig_at_rest(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.HOLD)
+    assert rig.command(Verb.CONFIRM_STROKE, 0.0) is Refusal.WRONG_MODE

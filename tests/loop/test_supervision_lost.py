@@ -1,0 +1,216 @@
+"""What safety hangs on in the devices stays as start-up wrote it: heard, read back at every arm, and sampled."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+import pytest
+
+from hil.lockstep import Lockstep
+from hil.wire import FRAME
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.safety import Action, Check, Fault
+from rigctl.devices import busload, sdo
+from rigctl.devices import objects as od
+from rigctl.telemetry.events import worded
+
+Enter = Callable[[Mode], None]
+WRITES = (  # those of the issue: index, sub-index, size
+    (od.CONSUMER_HEARTBEAT, 1, 4),
+    (od.RPDO1_COMMUNICATION, 5, 2),
+    (od.ABORT_CONNECTION_OPTION, 0, 2),
+    (od.QUICK_STOP_OPTION, 0, 2),
+    (od.FAULT_REACTION_OPTION, 0, 2),
+)
+
+
+def write(rig: Lockstep, index: int, sub: int, size: int, value: int = 0) -> None:
+    """Another master's expedited download to the drive."""
+    data = struct.pack("<BHBI", 0x23 | (4 - size) << 2, index, sub, value)
+    rig.inject(FRAME.pack(od.SDO_RX_BASE + rig.rig.drive.id, 8, data))
+
+
+def set_unheard(rig: Lockstep, index: int, sub: int = 0, value: int = 0) -> None:
+    """The same by the drive's own service connection: no frame on the bus."""
+    entry = rig.rig.drive.device.sdo[index]
+    (entry[sub] if sub else entry).raw = value
+
+
+def rotation_s(rig: Lockstep) -> float:
+    return rig.loop.readback.size * sdo.every_ticks(rig.settings) / rig.settings.loop.rate_hz
+
+
+def said(rig: Lockstep) -> list[str]:
+    found = []
+    for event in rig.events.read():
+        kind, a, b, value, limit, text = (event[n].item() for n in ("kind", "a", "b", "value", "limit", "text"))
+        found.append(worded(kind, a, b, value, limit, text.decode()).text)
+    return found
+
+
+@pytest.mark.parametrize(("index", "sub", "size"), WRITES)
+def test_another_masters_write_is_a_rival_and_named_with_its_value(
+    rig: Lockstep, enter: Enter, index: int, sub: int, size: int
+) -> None:
+    enter(Mode.COMPENSATING)
+    said(rig)
+    write(rig, index, sub, size)
+    rig.run(0.003)
+    machine = rig.loop.machine
+    assert (machine.mode, machine.fault) == (Mode.FAULT, Fault.RIVAL)
+    words = f"writes node 4 0x{index:04X}:{sub:02X} = 0"
+    told = said(rig)
+    assert f"another master {words}: find it and stop it" in told
+    assert any(text.startswith(f"trip RIVAL: another controller {words}") for text in told)
+
+
+@pytest.mark.parametrize(("index", "sub", "size"), WRITES)
+def test_what_it_wrote_keeps_the_fault_and_refuses_the_next_arm(
+    rig: Lockstep, enter: Enter, index: int, sub: int, size: int
+) -> None:
+    enter(Mode.COMPENSATING)
+    write(rig, index, sub, size)
+    rig.run(1.0)
+    assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+    assert rig.reply["value"] == Fault.SUPERVISION_LOST
+    (lost,) = rig.loop.readback.lost.values()
+    assert (lost.item.index, lost.item.sub, lost.found) == (index, sub, 0)
+
+
+def test_a_write_while_disarmed_is_told_and_refuses_the_arm_by_what_is_read_back(rig: Lockstep) -> None:
+    write(rig, od.QUICK_STOP_OPTION, 0, 2)
+    rig.run(0.01)
+    assert "another master writes node 4 0x605A:00 = 0: find it and stop it" in said(rig)
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+    assert rig.reply["checks"] == Check.RIVAL
+    rig.run(1.0)
+    for _ in range(2):
+        assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+        assert rig.reply["checks"] == Check.DRIVE_SUPERVISION
+        assert "a device's setting is lost: node 4 0x605A:00 quick stop option: found 0, wanted 2" in said(rig)
+    write(rig, od.QUICK_STOP_OPTION, 0, 2, 2)
+    rig.run(1.0)
+    assert rig.command(Verb.ARM) is Refusal.NONE
+
+
+def test_a_change_that_nobody_heard_is_found_within_a_rotation(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.HOLD)
+    for index, sub, _ in WRITES:
+        assert rig.loop.machine.mode is Mode.HOLD
+        held = rig.rig.drive.device.sdo[index][sub].raw if sub else rig.rig.drive.device.sdo[index].raw
+        set_unheard(rig, index, sub)
+        rig.run(rotation_s(rig) + 0.02)
+        machine = rig.loop.machine
+        assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.SUPERVISION_LOST, Action.HOLD)
+        assert rig.rig.drive.control.enabled, "the drive still obeys: it holds under power"
+        assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+        set_unheard(rig, index, sub, held)
+        rig.run(rotation_s(rig) + 0.02)
+        assert rig.command(Verb.RESET) is Refusal.NONE
+
+
+@pytest.mark.parametrize(("index", "sub", "value"), [(od.MODE_OF_OPERATION, 0, 0), (od.RPDO1_COMMUNICATION, 2, 0)])
+def test_a_drive_that_does_not_take_commands_as_it_should_loses_its_power(
+    rig: Lockstep, enter: Enter, index: int, sub: int, value: int
+) -> None:
+    enter(Mode.HOLD)
+    set_unheard(rig, index, sub, value)
+    rig.run(rotation_s(rig) + 0.5)
+    machine = rig.loop.machine
+    assert (machine.fault, machine.action) == (Fault.SUPERVISION_LOST, Action.POWER_OFF)
+    assert not rig.rig.drive.control.enabled
+
+
+def test_every_object_that_start_up_verified_is_watched_in_every_device(rig: Lockstep) -> None:
+    watched = {(item.node, item.index, item.sub) for item in rig.report.watched}
+    assert {(4, index, sub) for index, sub, _ in WRITES} <= watched
+    assert {(4, od.MODE_OF_OPERATION, 0), (4, od.MODE_DISPLAY, 0), (4, od.RPDO1_COMMUNICATION, 1)} <= watched
+    assert {(node, od.TPDO1_MAPPING, sub) for node in (2, 3, 4) for sub in (0, 1, 2)} <= watched
+    assert {node for node, _, _ in watched} == set(rig.settings.canopen_nodes.values())
+
+
+def test_a_server_that_stops_answering_is_lost_armed_and_refuses_an_arm(rig: Lockstep, enter: Enter) -> None:
+    silent = od.SDO_TX_BASE + rig.rig.drive.id
+    rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == silent else (frame,)
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+    assert "a device's setting is lost: node 4 0x60A8:00 SI unit position: no answer to 3 requests" in said(rig)[-1]
+    rig.hub.tap = None
+    enter(Mode.HOLD)
+    rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == silent else (frame,)
+    rig.run(2.0)
+    assert (rig.loop.machine.fault, rig.loop.machine.action) == (Fault.SUPERVISION_LOST, Action.HOLD)
+
+
+def test_lost_and_doubled_answers_are_asked_for_again_and_are_nobody_elses(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.HOLD)
+    answers = [0]
+
+    def tap(_: object, frame: bytes) -> tuple[bytes, ...]:
+        if int.from_bytes(frame[:2], "little") & 0x780 != od.SDO_TX_BASE:
+            return (frame,)
+        answers[0] += 1
+        return () if answers[0] % 5 == 0 else (frame, frame)
+
+    rig.hub.tap = tap
+    rig.run(3.0)
+    assert rig.loop.machine.mode is Mode.HOLD
+    assert not rig.loop.readback.lost
+
+
+def test_a_disarmed_rig_leaves_the_devices_sdo_channel_to_a_tool(rig: Lockstep) -> None:
+    read = rig.loop.readback.read
+    rig.run(1.0)
+    assert rig.loop.readback.read == read
+
+
+def test_disarm_ends_an_arm_that_waits_for_the_read_back(rig: Lockstep) -> None:
+    with pytest.raises(TimeoutError):
+        rig.command(Verb.ARM, limit_s=0.1)
+    assert rig.command(Verb.ARM) is Refusal.ALREADY
+    assert rig.command(Verb.TARE) is Refusal.WRONG_MODE
+    assert rig.command(Verb.DISARM) is Refusal.NONE
+    rig.run(1.0)
+    assert rig.loop.machine.mode is Mode.DISARMED
+    assert not rig.rig.drive.control.enabled
+
+
+def test_a_trip_while_it_waits_ends_the_arm(rig: Lockstep) -> None:
+    with pytest.raises(TimeoutError):
+        rig.command(Verb.ARM, limit_s=0.1)
+    rig.rig.drive.press_e_stop(True)
+    rig.run(1.0)
+    assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.FAULT, Fault.E_STOP)
+    rig.rig.drive.press_e_stop(False)
+    rig.run(0.3)
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    rig.run(1.0)
+    assert rig.loop.machine.mode is Mode.DISARMED, "the arm of before is over"
+
+
+def test_no_more_than_one_request_in_ten_ticks_and_the_bus_load_says_so(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.HOLD)
+    read = rig.loop.readback.read
+    rig.run(1.0)
+    assert rig.loop.readback.read - read == pytest.approx(100, abs=1)
+    (rate,) = {item.rate_hz for item in busload.traffic(rig.settings) if item.name.startswith("settings read back")}
+    assert rate == 100.0
+
+
+def test_a_slow_loop_asks_less_often(settings: RigSettings) -> None:
+    slow = settings.model_copy(update={"loop": settings.loop.model_copy(update={"rate_hz": 100})})
+    assert sdo.every_ticks(slow) == 4
+
+
+def test_the_load_is_held_when_the_loop_dies_after_such_a_write(rig: Lockstep, enter: Enter) -> None:
+    """The issue's case: without a watch the drive would have gone on for 70 mm."""
+    enter(Mode.TENSIONING)
+    for index, sub, size in WRITES:
+        write(rig, index, sub, size)
+    rig.run(0.1)
+    before_mm = rig.rig.truth.stroke_mm
+    for _ in range(3000):  # the loop is dead: nobody sends anything any more
+        rig.clock.skip = 1
+        rig.clock.next_tick()
+    assert rig.rig.truth.stroke_mm == pytest.approx(before_mm, abs=1.0)
