@@ -54,7 +54,7 @@ class CylinderDrive(Node):
         self._heartbeat = Deadline()
         self._heartbeat_cob = 0
         self._commands_due = Deadline()
-        self._target = 0
+        self._target = self._offset = 0
         self._mode = 0
         self._error_code = 0
         self._received: bytes | None = None
@@ -80,6 +80,7 @@ class CylinderDrive(Node):
             {
                 (objects.CONTROLWORD, 0): self._obey,
                 (objects.TARGET_VELOCITY, 0): self._set_target,
+                (objects.VELOCITY_OFFSET, 0): self._set_offset,
                 (objects.MODE_OF_OPERATION, 0): self._set_mode,
                 (objects.QUICK_STOP_OPTION, 0): _check_quick_stop_option,
                 (objects.CONSUMER_HEARTBEAT, 1): self._watch_heartbeat,
@@ -96,7 +97,8 @@ class CylinderDrive(Node):
             self._rpdo.apply(received)
         if self.control.state is DriveState.OPERATION_ENABLED:
             moves = self._mode == objects.CYCLIC_SYNCHRONOUS_VELOCITY
-            self.control.stage.follow(self._target * objects.MM_S_PER_VELOCITY_UNIT if moves else 0.0)
+            demand = self._target + self._offset if moves else 0
+            self.control.stage.follow(demand * objects.MM_S_PER_VELOCITY_UNIT)
             self._drive()
         super().on_sync()
 
@@ -139,6 +141,9 @@ class CylinderDrive(Node):
     def _set_target(self, velocity_um_s: int) -> None:
         self._target = velocity_um_s
 
+    def _set_offset(self, velocity_um_s: int) -> None:
+        self._offset = velocity_um_s
+
     def _set_mode(self, mode: int) -> None:
         if mode not in MODES:
             raise refuse(Abort.VALUE_RANGE)
@@ -168,6 +173,7 @@ class CylinderDrive(Node):
         """Objects at their defaults; the state machine starts anew, once a motor that was on has been stopped."""
         self._mode = number(self.device, objects.MODE_OF_OPERATION)
         self._target = 0
+        self._offset = number(self.device, objects.VELOCITY_OFFSET)
         self._error_code = 0
         self.control.restart(self.now_ns)
         if self.e_stop_pressed:

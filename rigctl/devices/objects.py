@@ -107,6 +107,7 @@ DIGITAL_INPUTS = 0x60FD  # UNSIGNED32: bit 0 lower limit switch, 1 upper, 2 home
 QUICK_STOP_DECELERATION = 0x6085  # um/s2
 SI_UNIT_POSITION = 0x60A8
 SI_UNIT_VELOCITY = 0x60A9
+VELOCITY_OFFSET = 0x60B1  # INTEGER32, um/s, added to the target velocity; optional in the profile
 INTERPOLATION_PERIOD = 0x60C2  # :01 value, :02 power of ten of a second
 TARGET_VELOCITY = 0x60FF  # INTEGER32, um/s
 ERROR_CODE = 0x603F
