@@ -8,11 +8,12 @@ rig has to live with is ridden through within a bound on the true tension.
 from __future__ import annotations
 
 from hil.faults.rows_bus import BUS
+from hil.faults.rows_creep import CREEP
 from hil.faults.rows_drive import DRIVE, DRIVE_FEEDBACK
 from hil.faults.rows_io import IO
 from hil.faults.rows_plant import CONTROLLER, PLANT
 from hil.faults.rows_sensors import SENSOR_CELL, SENSOR_SLOPE
 
-CATALOGUE = (*SENSOR_CELL, *SENSOR_SLOPE, *IO, *DRIVE_FEEDBACK, *BUS, *DRIVE, *PLANT, *CONTROLLER)
+CATALOGUE = (*SENSOR_CELL, *SENSOR_SLOPE, *IO, *DRIVE_FEEDBACK, *BUS, *DRIVE, *CREEP, *PLANT, *CONTROLLER)
 """What simulated time can show; `hil.faults.processes` has the faults of real processes."""
 BY_ID = {fault.id: fault for fault in CATALOGUE}

@@ -7,17 +7,19 @@ from hil.faults.expected import (
     DRIVE_MS,
     EITHER,
     HOLD,
-    PASSING,
     POWER_OFF,
     RIDE,
     WHEN_MOVING,
     Around,
+    Expected,
     Fault,
     Reaction,
 )
 from hil.faults.in_device import SPEED, STATUS, STROKE, both, reads, says, stuck
 from rigctl.control.modes import Mode
 
+_SEEN_AT_REST: Expected = {**HOLD, Mode.DISARMED: Reaction.LATCHED}
+"""A stroke that is said to move on a closed brake."""
 DRIVE_FEEDBACK = (
     Fault("drive_silent", "bus", "the drive's samples stop", on_bus.silent(on_bus.drive), HOLD, within_ms=20),
     Fault(
@@ -36,7 +38,7 @@ DRIVE_FEEDBACK = (
         "device",
         "its position is 10 mm further from one sample to the next",
         reads(STROKE, plus=10.0),
-        PASSING,
+        _SEEN_AT_REST,
         within_ms=120,
         latency_ms=DRIVE_MS,
     ),
@@ -45,7 +47,7 @@ DRIVE_FEEDBACK = (
         "device",
         "its position creeps by 5 mm/s, its speed says nothing of it",
         reads(STROKE, drift_s=5.0),
-        PASSING,
+        _SEEN_AT_REST,
         seconds=2.0,
         latency_ms=DRIVE_MS,
     ),

@@ -53,6 +53,9 @@ KINDS: dict[Kind, str] = {
     Kind.LIMIT: "a limit of the rig file that only logs is passed; a: fault, b: action, value, limit",
     Kind.LIMIT_OVER: "such a limit is kept again; as limit",
     Kind.RECEIVE_FAILED: "the bus could not be read; text: why",
+    Kind.STROKE_LEFT: "a stroke that is to stay left its latch; a: mode, value: distance in mm, limit: what is told",
+    Kind.DRIVE_CREEPS: "the drive creeps when told 0, and is corrected; value: creep in mm/s, limit: what is told",
+    Kind.ESCALATION: "the reaction to a fault did not help; a: fault, b: symptom, value and limit in its unit",
     Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
 }
 NOTES: dict[Note, str] = {

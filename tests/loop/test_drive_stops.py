@@ -173,7 +173,8 @@ def test_the_drives_own_stop_is_set_and_read_back(rig: Lockstep) -> None:
 
 
 @pytest.mark.parametrize(
-    ("index", "name", "kept"), [(objects.ABORT_CONNECTION_OPTION, "0x6007", 0), (objects.VELOCITY_OFFSET, "0x60B1", 400)]
+    ("index", "name", "kept"),
+    [(objects.ABORT_CONNECTION_OPTION, "0x6007", 0), (objects.VELOCITY_OFFSET, "0x60B1", 400)],
 )
 def test_a_drive_that_keeps_a_stop_setting_of_its_own_cannot_be_armed(
     settings: RigSettings, gains: Gains, monkeypatch: pytest.MonkeyPatch, index: int, name: str, kept: int
