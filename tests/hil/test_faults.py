@@ -22,6 +22,7 @@ from rigctl.design.margins import design_and_check
 ROOT = pathlib.Path(__file__).parents[2]
 RIG = ROOT / "config/paper_rig.yaml"
 PAGE = (ROOT / "docs/faults.md").read_text()
+EVERY_FAULT: list[Fault | processes.ProcessFault] = [*CATALOGUE, *processes.CATALOGUE]
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,7 @@ def test_what_is_expected_is_possible_in_that_mode(fault: Fault) -> None:
 
 def test_no_fault_is_expected_to_end_in_a_release() -> None:
     """Hold is safe, release is not: nothing but riding it through, holding or losing power is ever expected."""
-    for fault in (*CATALOGUE, *processes.CATALOGUE):
+    for fault in EVERY_FAULT:
         never = {Reaction.LEFT, Reaction.ARMED, Reaction.MOVES}
         if fault.id in (
             "brake_stuck_open",
@@ -74,7 +75,7 @@ def test_only_what_breaks_the_rope_may_drop_the_load() -> None:
 
 
 def test_the_page_has_every_fault_as_the_table_has_it() -> None:
-    rows = [output.page_row(fault) for fault in (*CATALOGUE, *processes.CATALOGUE)]
+    rows = [output.page_row(fault) for fault in EVERY_FAULT]
     written = [line for line in PAGE.splitlines() if line.startswith("| `")]
     assert written == rows
 
