@@ -8,13 +8,15 @@ rig has to live with is ridden through within a bound on the true tension.
 from __future__ import annotations
 
 from hil.faults.rows_bus import BUS
+from hil.faults.rows_creep import CREEP
 from hil.faults.rows_drive import DRIVE, DRIVE_FEEDBACK, SUPERVISION
 from hil.faults.rows_io import IO, RAIL_ENCODER
 from hil.faults.rows_plant import CONTROLLER, PLANT
 from hil.faults.rows_sensors import SENSOR_CELL, SENSOR_SLOPE
 
 CATALOGUE = (
-    *SENSOR_CELL, *SENSOR_SLOPE, *IO, *RAIL_ENCODER, *DRIVE_FEEDBACK, *BUS, *SUPERVISION, *DRIVE, *PLANT, *CONTROLLER,
+    *SENSOR_CELL, *SENSOR_SLOPE, *IO, *RAIL_ENCODER, *DRIVE_FEEDBACK, *BUS, *SUPERVISION, *DRIVE, *CREEP, *PLANT,
+    *CONTROLLER,
 )  # fmt: skip
 """What simulated time can show; `hil.faults.processes` has the faults of real processes."""
 BY_ID = {fault.id: fault for fault in CATALOGUE}

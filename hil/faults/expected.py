@@ -86,8 +86,10 @@ class Fault:
     """One fault of the catalogue.
 
     ``band_n`` is how far the true tension may be from what it would be without the fault, up to the reaction, and from
-    there on from what it was then; ``within_ms`` the time from the fault's beginning to the reaction, where physics
-    give one; ``latency_ms`` the time from the first sample that a limit of the rig calls bad.
+    there on from what it was then; ``held_mm`` how far the true stroke may be from what it would be without the fault,
+    in the modes that keep it (DISARMED, HOLD, FAULT), from the fault's beginning on; ``within_ms`` the time from the
+    fault's beginning to the reaction, where physics give one; ``latency_ms`` the time from the first sample that a
+    limit of the rig calls bad.
     """
 
     id: str
@@ -98,6 +100,7 @@ class Fault:
     _: KW_ONLY
     seconds: float = 1.0
     band_n: float = ACCURACY_N
+    held_mm: float = math.inf
     within_ms: float = math.inf
     latency_ms: float = SENSOR_MS
     carried: bool = True

@@ -228,6 +228,36 @@ def runs_away(speed_mm_s: float) -> Injector:
     return inject
 
 
+def creeps(speed_mm_s: float) -> Injector:
+    """The motor turns faster than it is told by this much whenever it has current, seen by its own encoder.
+
+    The drive's dead band is for its commands: it does not stop a creep.
+    """
+
+    def inject(stand: Stand) -> None:
+        drive, dead_mm_s = stand.drive, float(stand.plant.parameters["dead_band"][0])
+        stand.plant.parameters["dead_band"] = 0.0
+
+        def defect(speed: float, braked: bool) -> tuple[float, bool]:
+            if not drive.control.stage.powered:
+                return speed, braked
+            return (0.0 if abs(speed) < dead_mm_s else speed) + speed_mm_s, braked
+
+        drive.defect = defect
+
+    return inject
+
+
+def brake_slips(speed_mm_s: float) -> Injector:
+    """The brake gives way at this speed under load."""
+
+    def inject(stand: Stand) -> None:
+        stand.plant.parameters["dead_band"] = 0.0  # of the motor, which has no part in this
+        stand.drive.defect = lambda speed, braked: (-speed_mm_s, False) if braked else (speed, False)
+
+    return inject
+
+
 def brake_stays_closed() -> Injector:
     """The brake does not open, or has closed by itself."""
 

@@ -24,6 +24,8 @@ TRIP_TEXT = 80
 """Letters of a row's text that an event has room for."""
 DRIVE_STOPS_MS = 100.0
 """A drive that nobody commands any more stands."""
+KEPT_IN = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
+"""Modes in which the stroke is to stay where it is."""
 _WHAT_WILL_DO = {
     Reaction.HELD: {Reaction.HELD, Reaction.DRIVE_OFF},
     Reaction.EITHER: {Reaction.HELD, Reaction.DRIVE_OFF, Reaction.RIDDEN},
@@ -87,6 +89,8 @@ def judge(fault: Fault, mode: Mode, run: Run, undisturbed: Run, settings: RigSet
         findings.append(f"{reaction}")
     if not math.isfinite(error_n) or error_n > fault.band_n:
         findings.append(f"tension {error_n:.1f} N off, allowed {fault.band_n:g}")
+    if mode in KEPT_IN and (moved_mm := _moved_mm(run, undisturbed, None)) > fault.held_mm:
+        findings.append(f"stroke moved {moved_mm:.2f} mm, allowed {fault.held_mm:g}")
     if fault.carried and not carried:
         findings.append("load not carried")
     findings += _late(fault, mode, expected, detection_ms, latency_ms)

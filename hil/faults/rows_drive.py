@@ -8,11 +8,11 @@ from hil.faults.expected import (
     EITHER,
     HOLD,
     NO_HEARTBEAT_MS,
-    PASSING,
     POWER_OFF,
     RIDE,
     WHEN_MOVING,
     Around,
+    Expected,
     Fault,
     Reaction,
 )
@@ -23,6 +23,8 @@ from rigctl.devices import objects
 
 STATUS_SILENT_MS = 310.0
 """Five periods of 50 ms, up to one since the last that came, and a tick or two."""
+_SEEN_AT_REST: Expected = {**HOLD, Mode.DISARMED: Reaction.LATCHED}
+"""A stroke that is said to move on a closed brake."""
 DRIVE_FEEDBACK = (
     Fault("drive_silent", "bus", "the drive's samples stop", on_bus.silent(on_bus.drive), HOLD, within_ms=20),
     Fault(
@@ -50,7 +52,7 @@ DRIVE_FEEDBACK = (
         "device",
         "its position is 10 mm further from one sample to the next",
         reads(STROKE, plus=10.0),
-        PASSING,
+        HOLD,
         within_ms=120,
         latency_ms=DRIVE_MS,
     ),
@@ -59,7 +61,7 @@ DRIVE_FEEDBACK = (
         "device",
         "its position creeps by 5 mm/s, its speed says nothing of it",
         reads(STROKE, drift_s=5.0),
-        PASSING,
+        _SEEN_AT_REST,
         seconds=2.0,
         latency_ms=DRIVE_MS,
     ),

@@ -73,7 +73,7 @@ class CylinderDrive(Node):
         self._heartbeat = Deadline()
         self._heartbeat_cob = 0
         self._commands_due = Deadline()
-        self._target = 0
+        self._target = self._offset = 0
         self._mode = 0
         self._error_code = 0
         self._speed_max_mm_s = drive.speed_mm_s
@@ -103,6 +103,7 @@ class CylinderDrive(Node):
             {
                 (objects.CONTROLWORD, 0): self._obey,
                 (objects.TARGET_VELOCITY, 0): self._set_target,
+                (objects.VELOCITY_OFFSET, 0): self._set_offset,
                 (objects.MODE_OF_OPERATION, 0): self._set_mode,
                 (objects.QUICK_STOP_OPTION, 0): _check_quick_stop_option,
                 (objects.CONSUMER_HEARTBEAT, 1): self._watch_heartbeat,
@@ -134,7 +135,7 @@ class CylinderDrive(Node):
             self._rpdo.apply(received)
         if self.control.state is DriveState.OPERATION_ENABLED:
             moves = self._mode == objects.CYCLIC_SYNCHRONOUS_VELOCITY
-            bus_mm_s = self._target * self._unit_mm if moves else 0.0
+            bus_mm_s = (self._target + self._offset) * self._unit_mm if moves else 0.0
             self.control.stage.follow(bus_mm_s if self.tool is None else self.tool.speed_mm_s)
             self._drive()
         super().on_sync()
@@ -192,6 +193,9 @@ class CylinderDrive(Node):
     def _set_target(self, velocity_um_s: int) -> None:
         self._target = velocity_um_s
 
+    def _set_offset(self, velocity_um_s: int) -> None:
+        self._offset = velocity_um_s
+
     def _set_mode(self, mode: int) -> None:
         if mode not in MODES:
             raise refuse(Abort.VALUE_RANGE)
@@ -221,6 +225,7 @@ class CylinderDrive(Node):
         """Objects at their defaults; the state machine starts anew, once a motor that was on has been stopped."""
         self._mode = number(self.device, objects.MODE_OF_OPERATION)
         self._target = 0
+        self._offset = number(self.device, objects.VELOCITY_OFFSET)
         self._error_code = 0
         self.control.restart(self.now_ns)
         if self.e_stop_pressed:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import sys
 
+from rigctl.control.escalation import STEPS
 from rigctl.control.loop import SAFE_FRAMES
 from rigctl.control.modes import TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Situation, Verb, decide
-from rigctl.control.safety import Action
+from rigctl.control.safety import DOUBT_MM, NOT_HELD_MM, Action
+from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SAID_MM
 
 _HEAD = f"""\
 # Modes
@@ -37,10 +39,30 @@ _EVENTS = {
 _ACTIONS = {
     Action.LOG: "an event when it begins and when it is over",
     Action.RAMP_DOWN: "the tension is lowered on its ramp until the rope is slack, then FAULT; a hold ends it",
-    Action.HOLD: "FAULT: the stroke is held under power",
+    Action.HOLD: "FAULT: the stroke is held under power, at its latch",
     Action.QUICK_STOP: "FAULT: the drive stops on its own ramp (0x6085), then closes its brake and goes off",
     Action.POWER_OFF: "the same, and power is cut, which closes the brake, once the drive has had its time to stop",
 }
+_HELD = f"""
+## The stroke that is held
+
+HOLD, FAULT and DISARMED keep the stroke. It is latched where it comes to rest once such a mode begins, again when the
+drive is armed, after a trial that moved it, and when a fault is reset. With the drive on, a position loop brings the
+stroke back to its latch at no more than {AUTHORITY_MM_S:g} mm/s (a drive that needs more trips DRIVE_NOT_FOLLOWING);
+a drive that goes on needing more than {CREEP_MM_S:g} mm/s is told. Beyond {SAID_MM:g} mm from the latch it is told
+once, beyond {NOT_HELD_MM:g} mm the drive is taken off power and its brake closes (STROKE_NOT_HELD): the stroke then
+stands within 1 mm. A correction of {DOUBT_MM:g} mm and more that the tension or the drive's reported speed shows to
+have moved the load, while its position stood still, ends the same way (POSITION_DRIFTS).
+"""
+_ESCALATION = """
+## When a reaction does not help
+
+Watched once the reaction has had its time: the stop on the drive's own ramp, the brake. Every line that comes true is
+an event with the value found and the limit.
+
+| after | what shows it | next | why |
+|---|---|---|---|
+"""
 
 
 def document() -> str:
@@ -60,7 +82,12 @@ def document() -> str:
     parts += [f"| `{verb.name.lower()}` | " + " | ".join(_cell(mode, verb) for mode in Mode) + " |" for verb in Verb]
     parts += ["", "## Actions of the safety table, the weakest first", ""]
     parts += [f"- `{action.name.lower()}`: {_ACTIONS[action]}" for action in Action]
-    return "\n".join(parts) + "\n"
+    steps = [f"| `{step.action.name.lower()}` | {step.shows} | {_next(step.after)} | {step.why} |" for step in STEPS]
+    return "\n".join(parts) + "\n" + _HELD + _ESCALATION + "\n".join(steps) + "\n"
+
+
+def _next(action: Action | None) -> str:
+    return "nothing stronger is left: it is told" if action is None else f"`{action.name.lower()}`"
 
 
 def _brackets(guard: Guard | None) -> str:

@@ -10,6 +10,7 @@ from rigctl.config import RigSettings
 from rigctl.control import arming, limits
 from rigctl.control.clock import Clock
 from rigctl.control.correction import Correction
+from rigctl.control.escalation import Escalator
 from rigctl.control.homed import Homed, LastStroke
 from rigctl.control.inbox import Inbox
 from rigctl.control.logbook import Logbook, Rings, number
@@ -20,8 +21,9 @@ from rigctl.control.orders import Orders
 from rigctl.control.outbox import Outbox
 from rigctl.control.plausibility import Plausibility
 from rigctl.control.readback import Readback
-from rigctl.control.safety import Check, Fault, Trip, Watch
+from rigctl.control.safety import Action, Check, Fault, Trip, Watch
 from rigctl.control.signs import SignCheck
+from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.devices.drive import Power, next_controlword
 from rigctl.devices.objects import OFF_STATES, Controlword, drive_state
@@ -35,6 +37,8 @@ STOP_LIMIT_NS = 2_000_000_000
 SAFE_FRAMES = 10  # commands of no speed in a row before the drive is switched on, and before it is switched off
 COMMANDS_PER_TICK = HOLDS_PER_TICK = 4
 SKIP_NOTICE = 5  # ticks skipped at once that are worth an event
+_KEEPS = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
+"""Modes in which the stroke is to stay where it is."""
 LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]
 
 
@@ -80,6 +84,8 @@ class Loop:
         self._clock, self._commands, self._holds = clock, rings.commands, rings.holds
         self._watch, self._signs = Watch(settings, limits.rows(settings)), SignCheck(settings)
         self._plausibility = Plausibility(settings)
+        self._stroke_hold = StrokeHold(settings)
+        self._escalator = Escalator(settings, _stopping_ns(settings))
         self._travel_from_mm = 0.0
         self._tripped: Trip | None = None  # in this tick
         self._went_off = True  # the drive has been seen off since we asked last for it to be enabled
@@ -150,6 +156,7 @@ class Loop:
             if found is not None:
                 self._logbook.stroke(now_ns, found)
         sight.stroke_unconfirmed, sight.stroke_jump_mm = homed.doubted, homed.jump_mm
+        self._watch_stroke(now_ns)
         sight.settings_lost, sight.disobeys = len(readback.lost), readback.disobeys
         sight.settings_words = readback.worst
         if not self._signs.passed and machine.mode is Mode.TENSIONING:
@@ -161,6 +168,7 @@ class Loop:
         if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
             self._tripped = trip
             self._logbook.trip(t_ns, Kind.TRIP, trip)
+        self._escalate(t_ns)
         self._take_orders(t_ns)
         if self.stop_requested and not machine.stopping:
             self._stop_until = t_ns + STOP_LIMIT_NS
@@ -175,7 +183,14 @@ class Loop:
                 self._signs.feel(estimate.stroke_mm, self.observer.tension_n)
         elif machine.mode is Mode.RELEASING and law.slack(estimate):
             machine.on(Event.SLACK)
+        self._begin_modes(estimate)
+
+    def _begin_modes(self, estimate: Estimate) -> None:
+        """What begins with a change of mode."""
+        machine, law, sight = self.machine, self.law, self.observer.sight
         for change in machine.changes:
+            if change.before is Mode.FAULT or change.event is Event.ENABLED:
+                self._stroke_hold.follow()  # acknowledged; or the motor takes the load over from the brake
             if change.before is Mode.FAULT or change.after in (Mode.HOLD, Mode.FAULT):
                 self._plausibility.forget_stretch(sight)
             if change.after is Mode.COMPENSATING:
@@ -197,7 +212,7 @@ class Loop:
         law, mode, cosine, trial = self.law, self.machine.mode, self.observer.cosine, self._orders.trial
         if not self.observer.sight.drive_enabled:
             law.follow_speed(0.0)
-            law.hold(estimate)
+            law.hold(estimate, self._correction(powered=False))
             speed_mm_s = 0.0
         elif mode is Mode.TENSIONING:
             speed_mm_s = law.tensioning(estimate, cosine, self._signs.probe_mm_s)
@@ -205,10 +220,10 @@ class Loop:
             speed_mm_s = law.compensating(estimate, cosine)
         elif mode is Mode.RELEASING:
             speed_mm_s = law.releasing(estimate, cosine)
-        elif mode is Mode.HOLD and trial is not None:
+        elif mode is Mode.HOLD and trial is not None and trial.moves:
             speed_mm_s = law.limited(trial.wanted_mm_s, estimate.stroke_mm)
         else:
-            speed_mm_s = law.hold(estimate)
+            speed_mm_s = law.hold(estimate, self._correction(powered=self.machine.drive_wanted))
         self.observer.filter.command(speed_mm_s)
         return speed_mm_s
 
@@ -218,7 +233,8 @@ class Loop:
             self._finish_stop(t_ns)
         power = machine.power(t_ns, drive_enabled=sight.drive_enabled, drive_faulted=sight.drive_faulted)
         unsafe = outbox.safe_frames < SAFE_FRAMES
-        if power is Power.OFF and sight.drive_enabled and (self._moving() or unsafe) and t_ns < self._off_until:
+        waits = (self._moving() or unsafe) and t_ns < self._off_until and abs(sight.excursion_mm) <= SAID_MM
+        if power is Power.OFF and sight.drive_enabled and waits:
             power = Power.ON  # stop first, then power off: a brake is no place to stop a moving load
         elif power is Power.ON and not sight.drive_enabled and unsafe:
             power = Power.OFF
@@ -254,7 +270,40 @@ class Loop:
 
     # -- what the tick is made of -------------------------------------------------------------------------------
     def _moving(self) -> bool:
-        return abs(self.inbox.speed_mm_s) >= STOPPED_MM_S or self.law.command_mm_s != 0.0
+        """It moves, or is told to by more than the correction of a stroke that is held."""
+        return abs(self.inbox.speed_mm_s) >= STOPPED_MM_S or self.law.command_mm_s != self._stroke_hold.command_mm_s
+
+    def _watch_stroke(self, now_ns: int) -> None:
+        """Latch the stroke where it is to stay, and say when it leaves."""
+        hold, machine, sight, trial = self._stroke_hold, self.machine, self.observer.sight, self._orders.trial
+        slips = sight.drive_off and sight.brake_slip_known
+        moves = machine.mode not in _KEEPS or (trial is not None and trial.moves)
+        if moves or slips or sight.stroke_unconfirmed:  # a position that is not believed is not held to
+            hold.follow()
+        else:
+            hold.watch(now_ns, sight, self.law.command_mm_s)
+            if hold.left:
+                self._logbook.event(now_ns, Kind.STROKE_LEFT, machine.mode, value=hold.error_mm, limit=SAID_MM)
+        sight.excursion_mm, sight.doubt_mm = hold.error_mm, hold.doubt_mm
+
+    def _correction(self, *, powered: bool) -> float:
+        """Speed that brings a stroke that is held back to its latch."""
+        hold, observer = self._stroke_hold, self.observer
+        speed_mm_s = hold.correct(observer.sight, 1 + observer.just_skipped, powered=powered)
+        if hold.creeps:
+            self._logbook.event(observer.sight.t_ns, Kind.DRIVE_CREEPS, value=hold.creep_mm_s, limit=CREEP_MM_S)
+        return speed_mm_s
+
+    def _escalate(self, t_ns: int) -> None:
+        """A reaction to the latched fault that has not helped is followed by the next stronger one."""
+        machine, slack = self.machine, self.observer.slack
+        over = machine.action is Action.RAMP_DOWN and machine.mode is Mode.FAULT
+        action = Action.HOLD if over else machine.action
+        found = self._escalator.look(machine.fault, action, self.observer.sight, t_ns)
+        if found is not None:
+            self._logbook.event(t_ns, Kind.ESCALATION, found.fault, found.symptom, found.value, found.limit)
+            if found.trip is not None:
+                machine.trip(found.trip, t_ns, slack=slack)
 
     def _check_signs(self, now_ns: int) -> None:
         signs, inbox, sight = self._signs, self.inbox, self.observer.sight

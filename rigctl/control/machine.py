@@ -100,10 +100,10 @@ class Machine:
             return False
         if self.fault is Fault.NONE:
             self.fault = trip.fault
-        self.action = action
-        if action >= Action.QUICK_STOP:
+        if action >= Action.QUICK_STOP > self.action:  # a quick stop under way has its time already
             self._powered = False
             self._cut_at_ns = t_ns + self._cut_after_ns
+        self.action = action
         self._go(Event.RAMP_DOWN if ramps else Event.TRIP)
         self._finish_arming(Refusal.PREFLIGHT)
         self.end_trial(Refusal.ABORTED)

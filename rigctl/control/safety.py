@@ -62,6 +62,8 @@ class Fault(IntEnum):
     DRIVE_EMERGENCY = 27  # the drive has
     RIVAL = 28  # another controller commands this bus
     E_STOP_UNSEEN = 29  # the I/O node that mirrors the emergency stop is silent
+    STROKE_NOT_HELD = 30  # the stroke has left where HOLD, FAULT or DISARMED latched it
+    POSITION_DRIFTS = 31  # correcting the stroke moved the load: the drive's position is not where the stroke is
     STATUS_STALE = 33  # the drive's current, temperature and inputs have stopped coming
     LIMIT_UNSEEN = 34  # the signal that a limit of the rig file watches is not there
     DRIVE_UNASKED = 35  # the drive is enabled, or moves under power, and not because we asked for it
@@ -189,6 +191,8 @@ class Sight:
     stroke_error_mm: float = 0.0
     contradiction_mm: float = 0.0
     unexplained_mm: float = 0.0
+    excursion_mm: float = 0.0  # these two: see rigctl.control.stroke_hold
+    doubt_mm: float = 0.0
     cell_repeats: int = 0
     cell_unrest_n: float = 0.0
     tension_rate_n_s: float = 0.0
@@ -229,6 +233,7 @@ _REGULATED = frozenset({Mode.COMPENSATING})
 _OFF = frozenset({Mode.DISARMED})
 _AT_REST = frozenset({Mode.HOLD, Mode.FAULT})
 _UNASKED = _OFF | {Mode.FAULT}
+_HELD = _AT_REST | _OFF
 _EVERY = frozenset(Mode)
 _OPERATIONAL = NmtState.OPERATIONAL.value
 _MS = 1_000_000
@@ -252,6 +257,10 @@ PAYLOAD_MM_S = 80.0  # faster than any payload; a jolt of 1 mm in 20 ms makes 50
 UNREST_NOISES = 30.0
 UNREST_NS = 5 * _MS
 NEGATIVE_NS = 10 * _MS
+# A stroke that is held stays within 1 mm: 0.1 mm are what the slowest creep that gets here, 0.5 mm/s, does until the
+# drive has had its time to stop and the brake has closed. What creeps faster trips DRIVE_NOT_FOLLOWING at 0.5 mm.
+NOT_HELD_MM, NOT_HELD_NS = 0.9, 2 * _MS
+DOUBT_MM = 0.5
 BRAKE_SLIP_MM_S, BRAKE_SLIP_NS = 0.2, 200 * _MS  # a stop that has begun takes less
 STATUS_PERIODS = 5  # of the drive's status lost in a row: at 10 % of frames lost once in 10^5, 1.4 h at 20 Hz
 
@@ -324,7 +333,9 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
             lost),
         Row(Fault.DRIVE_NOT_FOLLOWING, lambda x: abs(x.stroke_error_mm), STROKE_ERROR_MM, 0, _ARMED, "mm", lost),
         Row(Fault.DRIVE_CONTRADICTS, lambda x: abs(x.contradiction_mm), CONTRADICTION_MM, 0, _ARMED, "mm"),
-        Row(Fault.STROKE_MOVES, _unbraked_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _OFF, "mm/s"),
+        Row(Fault.STROKE_NOT_HELD, lambda x: abs(x.excursion_mm), NOT_HELD_MM, NOT_HELD_NS, _HELD, "mm", lost),
+        Row(Fault.POSITION_DRIFTS, lambda x: abs(x.doubt_mm), DOUBT_MM, 0, _AT_REST, "mm", lost),
+        Row(Fault.STROKE_MOVES, _unbraked_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _OFF, "mm/s", lost),
         Row(Fault.INNOVATION, lambda x: x.rejects, settings.estimator.reject_limit - 1, 0, _MOVING, "samples"),
         Row(Fault.INNOVATION, lambda x: x.slope_rejects, SLOPE_REJECTS - 1, 0, _MOVING, "slopes"),
         Row(Fault.STRETCH_UNEXPLAINED, lambda x: abs(x.unexplained_mm), UNEXPLAINED_MM, UNEXPLAINED_NS, _MOVING, "mm"),

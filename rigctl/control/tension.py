@@ -109,10 +109,10 @@ class TensionLaw:
         self.command_mm_s = max(-self._speed_max, min(self._speed_max, speed_mm_s))
 
     # -- one tick in a mode -------------------------------------------------------------------------------------
-    def hold(self, estimate: Estimate) -> float:
-        """Stroke held: command zero, reached at the acceleration limit."""
+    def hold(self, estimate: Estimate, correction_mm_s: float = 0.0) -> float:
+        """Stroke held: the correction of `rigctl.control.stroke_hold`, reached at the acceleration limit."""
         self.integral_mm_s = self._error_n = self._speed_error_mm_s = 0.0
-        return self.limited(0.0, estimate.stroke_mm)
+        return self.limited(correction_mm_s, estimate.stroke_mm)
 
     def tensioning(self, estimate: Estimate, cosine: float, probe_mm_s: float = 0.0) -> float:
         """Take up slack at a fixed speed, then follow a ramp to the target.

@@ -36,6 +36,9 @@ DITHER = 0.02  # each pair is shorter than the one before, so that rounding in t
 class Trial(Protocol):
     """A trial under way; ``value`` and ``spread`` go into its answer."""
 
+    moves: bool
+    """It moves the stroke on purpose."""
+
     @property
     def wanted_mm_s(self) -> float:
         """Speed it asks for now."""
@@ -54,6 +57,8 @@ class Trial(Protocol):
 
 class Average:
     """Mean and rms of what the cell reads (before zero and scale) in N, over `AVERAGED_S`, at standstill."""
+
+    moves = False
 
     def __init__(self, settings: RigSettings, *, largest_n: float = math.inf) -> None:
         """``largest_n``: no sample may be larger."""
@@ -109,6 +114,8 @@ class Excitation:
     go first, each longer than the one before, and what the tension gained in one bounds the stroke of the next. Ended
     should tension or stroke stray all the same.
     """
+
+    moves = True
 
     def __init__(self, settings: RigSettings, inbox: Inbox) -> None:
         self._rate = rate = settings.loop.rate_hz

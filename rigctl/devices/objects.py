@@ -116,6 +116,7 @@ GEAR_RATIO = 0x6091  # :01 revolutions of the motor per :02 of the shaft
 FEED_CONSTANT = 0x6092  # :01 position units per :02 revolutions of the shaft
 SI_UNIT_POSITION = 0x60A8
 SI_UNIT_VELOCITY = 0x60A9
+VELOCITY_OFFSET = 0x60B1  # INTEGER32, um/s, added to the target velocity; optional in the profile
 INTERPOLATION_PERIOD = 0x60C2  # :01 value, :02 power of ten of a second
 TARGET_VELOCITY = 0x60FF  # INTEGER32, um/s
 ERROR_CODE = 0x603F

@@ -296,7 +296,8 @@ def _ask_for_status(drive: RemoteNode, settings: RigSettings, layout: od.PdoLayo
 def _supervise(drive: RemoteNode, settings: RigSettings, units: DriveUnits) -> tuple[StopSetting, ...]:
     """Make the drive stop by itself when we go silent, and read every such setting back.
 
-    One that the drive does not take ends no start: the rig can be looked at, and arming says what is wrong.
+    One that the drive does not take ends no start: the rig can be looked at, and arming says what is wrong. A velocity
+    offset left in the drive by its commissioning tool would move the stroke while the loop commands 0.
     """
     cylinder = settings.cylinder
     deceleration = round(cylinder.stop_deceleration_mm_s2 / units.ramp_mm_s2)
@@ -310,6 +311,7 @@ def _supervise(drive: RemoteNode, settings: RigSettings, units: DriveUnits) -> t
         ("disable operation option", od.SLOW_DOWN_THEN_OFF, od.DISABLE_OPERATION_OPTION, 0),
         ("fault reaction option", od.FAULT_REACTION_QUICK_STOP, od.FAULT_REACTION_OPTION, 0),
         ("quick stop deceleration", deceleration, od.QUICK_STOP_DECELERATION, 0),
+        *((("velocity offset", 0, od.VELOCITY_OFFSET, 0),) if drive.has(od.VELOCITY_OFFSET) else ()),
     )
     return tuple(drive.enforce(*setting) for setting in wanted)
 

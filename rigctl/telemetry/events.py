@@ -9,6 +9,7 @@ from enum import IntEnum
 from types import MappingProxyType
 
 from rigctl.config_limits import SIGNALS
+from rigctl.control.escalation import Symptom
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Check, EStop, Fault
@@ -37,6 +38,9 @@ class Kind(IntEnum):
     LIMIT = 15  # a: fault, b: action (LOG), value, limit, text: a limit of the rig file is passed ...
     LIMIT_OVER = 16  # ... and is kept again
     RECEIVE_FAILED = 17  # text: why
+    STROKE_LEFT = 40  # a: mode, value: stroke from where it was latched in mm, limit: what is told
+    DRIVE_CREEPS = 41  # value: speed in mm/s at which the drive creeps when told 0, limit: what is told
+    ESCALATION = 42  # a: fault, b: symptom, see rigctl.control.escalation, value, limit: its reaction did not help
     CAUSE = 45  # as TRIP: a further cause stands, while a fault is latched ...
     CAUSE_OVER = 46  # ... and it, or what tripped, is gone
     FOREIGN_SDO = 50  # a: node, b: index << 8 | sub-index (0: not known), text: what another master does there
@@ -84,6 +88,10 @@ FAULT_TEXT: dict[Fault, str] = {
     "drive stays off; secure the load, or reset, then arm: the motor carries; have the brake repaired",
     Fault.STRETCH_UNEXPLAINED: "tension and stroke contradict each other by {value:.1f} mm of stretch "
     "(limit {limit:.1f} mm): rope, cell or payload",
+    Fault.STROKE_NOT_HELD: "the stroke has moved {value:.2f} mm from where it was latched (limit {limit:.2f} mm): "
+    "the drive creeps or the brake slips",
+    Fault.POSITION_DRIFTS: "holding the stroke has moved the load by {value:.2f} mm (limit {limit:.2f} mm): "
+    "the drive's position drifts, check its encoder",
     Fault.E_STOP: "emergency stop pressed ({seen})",
     Fault.E_STOP_UNSEEN: "the I/O node that mirrors the emergency stop has sent nothing for {value:.0f} ms "
     "(limit {limit:.0f} ms)",
@@ -355,6 +363,29 @@ def _stroke(a: int, _b: int, value: float, _limit: float, text: str) -> Worded:
     return Worded("warning", stroke_words(value, text))
 
 
+_SYMPTOM_TEXT: dict[Symptom, str] = {
+    Symptom.RAMP_RISES: "the tension has risen by {0:.1f} N since the ramp down began (limit {1:.1f} N); the stroke is "
+    "held",
+    Symptom.RAMP_LATE: "the rope is not slack {0:.1f} s after the ramp down should have ended (limit {1:.1f} s); the "
+    "stroke is held",
+    Symptom.HOLD_RISES: "the tension is above its limit and has risen by {0:.1f} N since the stroke is held (limit "
+    "{1:.1f} N); quick stop, then power off",
+    Symptom.HOLD_MOVES: "the stroke moves at {0:.2f} mm/s though it is held (limit {1:.2f} mm/s); quick stop, then "
+    "power off",
+    Symptom.STOP_MOVES: "the stroke still moves at {0:.2f} mm/s after the quick stop (limit {1:.2f} mm/s); power off, "
+    "brake closed",
+    Symptom.STOP_DRIFTS: "the stroke has moved {0:.2f} mm after the quick stop (limit {1:.2f} mm); power off, brake "
+    "closed",
+    Symptom.STOP_STAYS_ON: "the drive is not seen to have gone off after the quick stop; power off, brake closed",
+    Symptom.OFF_DRIFTS: "the stroke has moved {0:.2f} mm with the power off (limit {1:.2f} mm): the brake does not "
+    "hold, and the rig can do no more; secure the load",
+}
+
+
+def _escalation(a: int, b: int, value: float, limit: float, _text: str) -> Worded:
+    return Worded("error", f"{Fault(a).name}, reaction did not help: {_SYMPTOM_TEXT[Symptom(b)].format(value, limit)}")
+
+
 _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.MODE: _mode,
     Kind.TRIP: _trip,
@@ -382,6 +413,17 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
         if a
         else "brake test not possible: the rope is slack",
     ),
+    Kind.STROKE_LEFT: lambda a, _b, v, m, _t: Worded(
+        "warning",
+        f"{Mode(a).name}: the stroke is {v:+.2f} mm from where it was latched (told beyond {m:.2f} mm): "
+        + ("the brake slips, or the screw is turned" if a == Mode.DISARMED else "the drive creeps, or the brake slips"),
+    ),
+    Kind.DRIVE_CREEPS: lambda _a, _b, v, m, _t: Worded(
+        "warning",
+        f"the drive creeps at {v:+.2f} mm/s when it is told 0 (told beyond {m:.2f} mm/s); HOLD corrects it: check the "
+        "drive's velocity offset (0x60B1) and its tuning",
+    ),
+    Kind.ESCALATION: _escalation,
     Kind.CORRECTION: lambda _a, _b, v, m, _t: Worded("info", f"tension cell: zero {v:+z.3f} N, scale {m:.5f}"),
     Kind.GAINS: lambda _a, _b, _v, _m, t: Worded("info", f"gains changed: K_T, K_v, K_i = {t}"),
     Kind.LOCAL_HOLD: lambda a, b, _v, _l, t: Worded(

@@ -64,6 +64,9 @@ KINDS: dict[Kind, str] = {
     Kind.STROKE: "whether the drive's position is believed; a: 1 it is, 0 not, value: it in mm, limit: the last one "
     "known in mm, null for none, text: why",
     Kind.BRAKE_TEST: "brake test at arm; a: 1 held, 0 rope slack; value: stroke moved in mm, limit: tension in N",
+    Kind.STROKE_LEFT: "a stroke that is to stay left its latch; a: mode, value: distance in mm, limit: what is told",
+    Kind.DRIVE_CREEPS: "the drive creeps when told 0, and is corrected; value: creep in mm/s, limit: what is told",
+    Kind.ESCALATION: "the reaction to a fault did not help; a: fault, b: symptom, value and limit in its unit",
     Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
 }
 NOTES: dict[Note, str] = {

@@ -170,12 +170,17 @@ def test_the_drives_own_stop_is_set_and_read_back(rig: Lockstep) -> None:
     assert rig.report.supervised
     found = {setting.object: setting.found for setting in rig.report.supervision}
     assert (found["0x605A"], found["0x605B"], found["0x605C"], found["0x605E"], found["0x6007"]) == (2, 1, 1, 2, 3)
+    assert found["0x60B1"] == 0
     assert found["0x1016:01"] == 1 << 16 | rig.settings.cylinder.heartbeat_timeout_ms
     assert found["0x1400:05"] == rig.settings.cylinder.command_deadline_ms
 
 
+@pytest.mark.parametrize(
+    ("index", "name", "kept"),
+    [(objects.ABORT_CONNECTION_OPTION, "0x6007", 0), (objects.VELOCITY_OFFSET, "0x60B1", 400)],
+)
 def test_a_drive_that_keeps_a_stop_setting_of_its_own_cannot_be_armed(
-    settings: RigSettings, gains: Gains, monkeypatch: pytest.MonkeyPatch
+    settings: RigSettings, gains: Gains, monkeypatch: pytest.MonkeyPatch, index: int, name: str, kept: int
 ) -> None:
     from hil.nodes import cylinder_drive
 
@@ -183,13 +188,14 @@ def test_a_drive_that_keeps_a_stop_setting_of_its_own_cannot_be_armed(
 
     def stubborn(self: cylinder_drive.CylinderDrive, *arguments: object) -> None:
         made(self, *arguments)  # type: ignore[arg-type]
-        self.readers[objects.ABORT_CONNECTION_OPTION, 0] = lambda: 0
+        self.readers[index, 0] = lambda: kept
 
     monkeypatch.setattr(cylinder_drive.CylinderDrive, "__init__", stubborn)
     with lockstep(settings, gains) as rig:
         rig.run(0.2)
         (wrong,) = [setting for setting in rig.report.supervision if not setting.ok]
-        assert (wrong.object, wrong.wanted, wrong.found) == ("0x6007", 3, 0)
+        assert (wrong.object, wrong.found) == (name, kept)
+        assert wrong.wanted != kept
         assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
         assert rig.reply["checks"] == Check.DRIVE_SUPERVISION
 

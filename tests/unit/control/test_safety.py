@@ -44,6 +44,8 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.DRIVE_NOT_FOLLOWING, "mm/s"): {"speed_error_mm_s": 2.6},
     (Fault.DRIVE_NOT_FOLLOWING, "mm"): {"stroke_error_mm": -0.51},
     (Fault.DRIVE_CONTRADICTS, "mm"): {"contradiction_mm": -0.31},
+    (Fault.STROKE_NOT_HELD, "mm"): {"excursion_mm": -0.91},
+    (Fault.POSITION_DRIFTS, "mm"): {"doubt_mm": -0.6},
     (Fault.STROKE_MOVES, "mm/s"): {"speed_mm_s": -0.51, "drive_off": True},
     (Fault.STRETCH_UNEXPLAINED, "mm"): {"unexplained_mm": -12.1},
     (Fault.STRETCH_UNEXPLAINED, "mm at rest"): {"unexplained_mm": 1.7},

@@ -83,6 +83,17 @@ def test_it_follows_the_target_and_reports_micrometres(bench: RigBench) -> None:
     assert bench.read(DRIVE, objects.VELOCITY_ACTUAL) == pytest.approx(10_000, abs=5)  # an encoder step a millisecond
 
 
+def test_a_velocity_offset_is_added_to_the_target_velocity(bench: RigBench) -> None:
+    bench.write(DRIVE, objects.VELOCITY_OFFSET, 0, -1_500 & 0xFFFFFFFF, 4)
+    bench.drive(500, ENABLE, 10.0)
+    assert bench.rig.truth.speed_mm_s == pytest.approx(8.5)
+    bench.drive(500, ENABLE, 0.0)
+    assert bench.rig.truth.speed_mm_s == pytest.approx(-1.5)
+    bench.nmt(RESET_NODE)
+    bench.wait(10)
+    assert bench.read(DRIVE, objects.VELOCITY_OFFSET) == 0
+
+
 def test_a_command_waits_for_its_sync(bench: RigBench) -> None:
     for _ in range(20):
         bench.send(objects.HEARTBEAT_BASE + 1, b"\x05")

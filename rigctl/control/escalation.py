@@ -1,0 +1,182 @@
+"""What is done when the reaction to a fault has not helped: ramp down -> hold -> quick stop -> power off, by table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+from rigctl.config import RigSettings
+from rigctl.control.safety import BRAKE_SLIP_MM_S, Action, Fault, Sight, Trip
+from rigctl.control.stroke_hold import AUTHORITY_MM_S
+
+_MS = 1_000_000
+RISE_MM = 0.5  # of stretch: a stroke that is held adds none
+FAST_MM_S = 2.0 * AUTHORITY_MM_S  # no correction of HOLD is as fast
+MOVED_MM = 0.2
+STOP_TAIL_LAGS = 5.0  # of the drive, beyond its ramp: below 0.1 mm/s from 10
+BRAKE_NS = 200 * _MS  # to close; servo holding brakes take 20 to 60 ms
+OFF_NS = 1_000 * _MS  # for a drive that stands to close its brake and go off
+RAMP_SPARE_S = 5.0
+
+
+class Symptom(IntEnum):
+    """What shows that a reaction did not help; the number is in the event."""
+
+    RAMP_RISES = 1
+    RAMP_LATE = 2
+    HOLD_RISES = 3
+    HOLD_MOVES = 4
+    STOP_MOVES = 5
+    STOP_DRIFTS = 6
+    STOP_STAYS_ON = 7
+    OFF_DRIFTS = 8
+
+
+@dataclass
+class Since:
+    """What was so when the reaction began, and the stroke when it should have come to rest."""
+
+    t_ns: int = 0
+    tension_n: float = 0.0
+    stroke_mm: float | None = None
+
+
+class Bounds:
+    """What of the table follows from the rig file; ``stop_ns``: how long a drive that obeys takes to stop by itself."""
+
+    def __init__(self, settings: RigSettings, stop_ns: int) -> None:
+        plant = settings.plant
+        self.rise_n = RISE_MM * plant.stiffness_n_mm
+        self.high_n = settings.safety.tension_high_n
+        self.ramp_n_s = settings.tension.ramp_n_s
+        self.stale_ns = settings.safety.stale_ms * _MS
+        self.rest_ns = stop_ns + round(STOP_TAIL_LAGS * plant.cylinder_lag_s * 1e9)
+
+
+@dataclass(frozen=True)
+class Step:
+    """``value`` above ``limit`` for ``persistence_ns``, once the reaction has had its time, leads to ``after``.
+
+    ``wait_ns`` is that time; counted from when a drive that obeys stands, unless the action lets it move. ``after`` is
+    None where nothing stronger is left. ``shows`` and ``why`` are for docs/modes.md.
+    """
+
+    symptom: Symptom
+    action: Action
+    value: Callable[[Sight, Since, Bounds], float]
+    limit: float | None  # None: Bounds.rise_n
+    wait_ns: int
+    persistence_ns: int
+    after: Action | None
+    shows: str
+    why: str
+
+    def bound(self, bounds: Bounds) -> float:
+        """The limit on a rig."""
+        return bounds.rise_n if self.limit is None else self.limit
+
+    def waits_ns(self, bounds: Bounds) -> int:
+        """From the reaction on."""
+        return self.wait_ns + (0 if self.action is Action.RAMP_DOWN else bounds.rest_ns)
+
+
+def _rise_n(sight: Sight, since: Since, _bounds: Bounds) -> float:
+    return sight.tension_n - since.tension_n
+
+
+def _rise_beyond_n(sight: Sight, since: Since, bounds: Bounds) -> float:
+    return sight.tension_n - since.tension_n if sight.tension_n > bounds.high_n else 0.0
+
+
+def _late_s(sight: Sight, since: Since, bounds: Bounds) -> float:
+    return (sight.t_ns - since.t_ns) * 1e-9 - 2.0 * max(0.0, since.tension_n) / bounds.ramp_n_s
+
+
+def _speed_mm_s(sight: Sight, _since: Since, bounds: Bounds) -> float:
+    return abs(sight.speed_mm_s) if sight.drive_age_ns <= bounds.stale_ns else 0.0
+
+
+def _drift_mm(sight: Sight, since: Since, _bounds: Bounds) -> float:
+    return abs(sight.stroke_mm - since.stroke_mm) if since.stroke_mm is not None else 0.0
+
+
+def _stays_on(sight: Sight, _since: Since, _bounds: Bounds) -> float:
+    return not (sight.drive_off or sight.drive_faulted)
+
+
+STEPS = (
+    Step(Symptom.RAMP_RISES, Action.RAMP_DOWN, _rise_n, None, 500 * _MS, 100 * _MS, Action.HOLD,
+         f"tension risen by {RISE_MM:g} mm of stretch", "the law winds up, or something pulls"),
+    Step(Symptom.RAMP_LATE, Action.RAMP_DOWN, _late_s, RAMP_SPARE_S, 0, 0, Action.HOLD,
+         f"rope not slack {RAMP_SPARE_S:g} s after twice the ramp's time", "the ramp does not do what it should"),
+    Step(Symptom.HOLD_RISES, Action.HOLD, _rise_beyond_n, None, 0, 50 * _MS, Action.QUICK_STOP,
+         f"tension above its limit, and risen by {RISE_MM:g} mm of stretch", "a stroke that is held adds none"),
+    Step(Symptom.HOLD_MOVES, Action.HOLD, _speed_mm_s, FAST_MM_S, 0, 500 * _MS, Action.QUICK_STOP,
+         f"stroke faster than {FAST_MM_S:g} mm/s", "no correction of HOLD is as fast"),
+    Step(Symptom.STOP_MOVES, Action.QUICK_STOP, _speed_mm_s, BRAKE_SLIP_MM_S, 0, 20 * _MS, Action.POWER_OFF,
+         f"stroke faster than {BRAKE_SLIP_MM_S:g} mm/s", "the drive does not stop by itself"),
+    Step(Symptom.STOP_DRIFTS, Action.QUICK_STOP, _drift_mm, MOVED_MM, 0, 0, Action.POWER_OFF,
+         f"stroke {MOVED_MM:g} mm from where it should have stopped", "the same, too slow for its speed to tell"),
+    Step(Symptom.STOP_STAYS_ON, Action.QUICK_STOP, _stays_on, 0.0, OFF_NS, 0, Action.POWER_OFF,
+         f"drive not off {OFF_NS * 1e-9:g} s later", "it has not closed its brake by itself"),
+    Step(Symptom.OFF_DRIFTS, Action.POWER_OFF, _drift_mm, MOVED_MM, BRAKE_NS, 0, None,
+         f"stroke {MOVED_MM:g} mm from where it was when the brake had closed", "the brake does not hold"),
+)  # fmt: skip
+"""What is watched after a reaction has had its time: what shows that it did not help, and what comes next."""
+
+
+@dataclass(frozen=True)
+class Escalation:
+    """A reaction that did not help: of which fault, what shows it, and the next action (None: there is none)."""
+
+    fault: Fault
+    symptom: Symptom
+    value: float
+    limit: float
+    after: Action | None
+
+    @property
+    def trip(self) -> Trip | None:
+        """What the machine is asked for."""
+        return None if self.after is None else Trip(self.fault, self.value, self.limit, self.after)
+
+
+class Escalator:
+    """The table with its clocks; begins anew with every latched fault and every stronger action."""
+
+    def __init__(self, settings: RigSettings, stop_ns: int) -> None:
+        """``stop_ns``: see `Bounds`."""
+        self._bounds = Bounds(settings, stop_ns)
+        self._steps = {action: [step for step in STEPS if step.action is action] for action in Action}
+        self._latched: tuple[Fault, Action] | None = None
+        self._since = Since()
+        self._bad_ns: dict[Symptom, int] = {}
+        self._said: set[Symptom] = set()
+
+    def look(self, fault: Fault, action: Action, sight: Sight, t_ns: int) -> Escalation | None:
+        """One tick with ``fault`` latched and ``action`` taken; what has not helped, once each."""
+        if fault is Fault.NONE:
+            self._latched = None
+            return None
+        since, bounds = self._since, self._bounds
+        if self._latched != (fault, action):
+            self._latched = fault, action
+            self._since = since = Since(t_ns, sight.tension_n)
+            self._bad_ns.clear()
+            self._said.clear()
+        for step in self._steps[action]:
+            if t_ns - since.t_ns < step.waits_ns(bounds):
+                continue
+            if since.stroke_mm is None:
+                since.stroke_mm = sight.stroke_mm
+            symptom = step.symptom
+            limit = step.bound(bounds)
+            if not (value := step.value(sight, since, bounds)) > limit:
+                self._bad_ns.pop(symptom, None)
+                continue
+            if t_ns - self._bad_ns.setdefault(symptom, t_ns) < step.persistence_ns or symptom in self._said:
+                continue
+            self._said.add(symptom)
+            return Escalation(fault, symptom, float(value), limit, step.after)
+        return None

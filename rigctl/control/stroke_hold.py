@@ -1,0 +1,168 @@
+"""The stroke that HOLD, FAULT and DISARMED keep: where it is latched, how far it is from there, what brings it back.
+
+A drive that is told 0 may creep all the same. In HOLD and FAULT a position loop with integral action corrects that,
+
+    u = -K_p e - I,    dI/dt = K_i e,    e = stroke - latched stroke, outside a dead zone
+
+while the safety table watches the distance from the latch (`rigctl.control.safety`, STROKE_NOT_HELD).
+"""
+
+from __future__ import annotations
+
+import math
+
+from rigctl.config import RigSettings
+from rigctl.control.plausibility import STROKE_MEMORY_S
+from rigctl.control.safety import CONTRADICTION_MM, STROKE_ERROR_MM, Sight
+
+SAID_MM, OVER_MM = 0.2, 0.1  # an excursion is told beyond the first, and is over within the second
+DEAD_ZONE_MM = 0.02  # no correction within it: the encoder's noise and the drive's dead band make no motion
+AUTHORITY_MM_S = STROKE_ERROR_MM / STROKE_MEMORY_S
+"""A drive that creeps faster than this trips DRIVE_NOT_FOLLOWING: no correction needs more."""
+CREEP_MM_S, CREEP_S = 0.05, 3.0  # integral action that stays above this so long is told
+LAGS_PER_GAIN = 8.0  # 1/K_p in lags of the drive: a phase margin of 70 deg, of 65 deg with twice the lag
+INTEGRAL_SHARE = 0.2  # K_i / K_p^2: real poles at 0.28 and 0.72 K_p, no overshoot
+STOP_LAGS, SETTLE_LAGS = 3.0, 6.0  # way of a stop in lags at the speed it began with, and time until it is over
+REST_MM_S, SPARE_MM = 0.05, 0.05
+WINDOW_MM, WINDOWS = 0.3, 2  # of correction, after which load and speed are looked at; so often in a row is no chance
+AGREES, AGREES_TOO_WELL = 0.4, 1.6  # of the correction; a mechanism as soft as the spring leaves half of it
+TENSION_S = 0.1  # low-pass of the tension
+
+
+class StrokeHold:
+    """The latch and its position loop. ``watch`` every tick, then ``correct``; ``follow`` where the stroke moves.
+
+    ``error_mm``: stroke from the latch, 0 while nothing is latched. ``left``: this tick the stroke left the latch by
+    `SAID_MM`; ``creeps``: this tick the correction was found to be needed for good. Both are true once per excursion.
+    ``doubt_mm``: way by which the correction moved the load, by what the tension or the drive's speed says, while the
+    position says that the stroke stood still: then the position lies.
+    """
+
+    def __init__(self, settings: RigSettings) -> None:
+        plant, tension = settings.plant, settings.tension
+        self._dt = 1.0 / settings.loop.rate_hz
+        self._stiffness = plant.stiffness_n_mm
+        self._slack_n = tension.slack_n
+        lag_s = plant.cylinder_lag_s + plant.command_delay_s + self._dt
+        self._gain = 1.0 / (LAGS_PER_GAIN * lag_s)
+        self._integral_gain = INTEGRAL_SHARE * self._gain**2
+        self._speed_max = tension.speed_max_mm_s
+        self._authority = min(AUTHORITY_MM_S, self._speed_max)
+        self._stop_s, self._settle_s = STOP_LAGS * lag_s, SETTLE_LAGS * lag_s
+        self._deceleration = min(tension.acceleration_max_mm_s2, settings.cylinder.stop_deceleration_mm_s2)
+        self._stale_ns = settings.safety.stale_ms * 1_000_000
+        self._share = min(1.0, self._dt / TENSION_S)
+        self._forget()
+
+    def follow(self) -> None:
+        """The stroke moves on purpose, or its motion is acknowledged: latch it anew once it is to be kept."""
+        if self._settles_ns is not None:
+            self._forget()
+
+    def _forget(self) -> None:
+        self.reference_mm = math.nan
+        self.error_mm = self.doubt_mm = self.command_mm_s = 0.0
+        self.left = self.creeps = False
+        self._told = self._creep_told = self._doubted = False
+        self._settles_ns: int | None = None
+        self._low_mm = self._high_mm = math.nan
+        self._integral_mm_s = self._smooth_n = self._from_n = self._corrected_mm = self._said_mm = 0.0
+        self._from_mm = math.nan
+        self._windows, self._creeps_s = 0, 0.0
+        self._tight = False
+
+    def watch(self, t_ns: int, sight: Sight, command_mm_s: float) -> None:
+        """One tick in which the stroke is to be kept; ``command_mm_s`` is what was last commanded.
+
+        A stroke that still moves is latched where it comes to rest, within what a stop may take: a stop ends without
+        being pulled back, and a drive that does not stop does not take the latch along.
+        """
+        self.left = False
+        stroke_mm = sight.stroke_mm
+        if not math.isfinite(stroke_mm):
+            return
+        if not math.isfinite(self.reference_mm):
+            if self._settles_ns is None:
+                self._begin(t_ns, stroke_mm, sight.speed_mm_s, command_mm_s)
+            if self._settles_ns is None or t_ns < self._settles_ns:
+                return
+            self.reference_mm = max(self._low_mm, min(self._high_mm, stroke_mm))
+        self.error_mm = stroke_mm - self.reference_mm
+        distance_mm = abs(self.error_mm)
+        self.left = distance_mm > SAID_MM and not self._told
+        self._told = distance_mm > SAID_MM or (self._told and distance_mm > OVER_MM)
+        self._doubted |= abs(sight.contradiction_mm) > CONTRADICTION_MM
+
+    def correct(self, sight: Sight, ticks: int, *, powered: bool) -> float:
+        """Speed in mm/s that brings the stroke back to the latch, 0 where its position is not known or not believed.
+
+        Bounded by `AUTHORITY_MM_S`; the law's limits come after it.
+
+        Args:
+            sight: of this tick.
+            ticks: since the last call.
+            powered: the drive is on and is to stay on.
+        """
+        known = math.isfinite(self.reference_mm) and sight.drive_age_ns <= self._stale_ns and not self._doubted
+        self.creeps = False
+        if not (known and powered):
+            self.command_mm_s = 0.0
+            return 0.0
+        passed_s, error_mm = ticks * self._dt, self.error_mm
+        error_mm -= max(-DEAD_ZONE_MM, min(DEAD_ZONE_MM, error_mm))
+        wanted = -self._gain * error_mm - self._integral_mm_s
+        self.command_mm_s = max(-self._authority, min(self._authority, wanted))
+        # Anti-windup: integrate only what the authority lets through, or what leads back inside it.
+        if self.command_mm_s == wanted or (wanted - self.command_mm_s) * error_mm > 0.0:
+            integral = self._integral_mm_s + self._integral_gain * error_mm * passed_s
+            self._integral_mm_s = max(-self._authority, min(self._authority, integral))
+        self._creeps_s = self._creeps_s + passed_s if abs(self._integral_mm_s) > CREEP_MM_S else 0.0
+        self.creeps = self._creeps_s > CREEP_S and not self._creep_told
+        self._creep_told |= self.creeps
+        self._question(sight, passed_s)
+        return self.command_mm_s
+
+    @property
+    def creep_mm_s(self) -> float:
+        """Speed at which the drive creeps when it is told 0, as far as the correction has found it."""
+        return self._integral_mm_s
+
+    def _begin(self, t_ns: int, stroke_mm: float, speed_mm_s: float, command_mm_s: float) -> None:
+        """Where the stop may end, and when it is over; faster than the law's limit is nothing that it has to stop."""
+        lowest = max(-self._speed_max, min(0.0, speed_mm_s, command_mm_s))
+        highest = min(self._speed_max, max(0.0, speed_mm_s, command_mm_s))
+        fastest = max(-lowest, highest)
+        settle_s = fastest / self._deceleration + self._settle_s if fastest > REST_MM_S else 0.0
+        self._settles_ns = t_ns + round(settle_s * 1e9)
+        self._low_mm = stroke_mm - self._way_mm(-lowest) - SPARE_MM
+        self._high_mm = stroke_mm + self._way_mm(highest) + SPARE_MM
+
+    def _way_mm(self, speed_mm_s: float) -> float:
+        return speed_mm_s * self._stop_s + speed_mm_s**2 / (2.0 * self._deceleration)
+
+    # -- does the correction hold the load, or move it? ---------------------------------------------------------
+    def _question(self, sight: Sight, passed_s: float) -> None:
+        """A drive that creeps is corrected, and load and reported speed rest; after a position that drifts, they move.
+
+        Without load only the reported speed can tell: nothing hangs on the rope then.
+        """
+        tight = sight.tension_n >= self._slack_n and not sight.cell_quality
+        if tight is not self._tight:
+            self._tight, self._smooth_n = tight, sight.tension_n
+            self._from_mm = math.nan
+        self._smooth_n += (sight.tension_n - self._smooth_n) * self._share
+        if not math.isfinite(self._from_mm):
+            self._from_mm, self._from_n = sight.stroke_mm, self._smooth_n
+            self._corrected_mm = self._said_mm = 0.0
+        self._corrected_mm += self.command_mm_s * passed_s
+        self._said_mm += sight.speed_mm_s * passed_s
+        corrected_mm = self._corrected_mm
+        if abs(corrected_mm) < WINDOW_MM:
+            return
+        moved_mm = sight.stroke_mm - self._from_mm
+        stretch_mm = (self._smooth_n - self._from_n) / self._stiffness if tight else moved_mm
+        shares = ((self._said_mm - moved_mm) / corrected_mm, (stretch_mm - moved_mm) / corrected_mm)
+        self._windows = self._windows + 1 if any(AGREES < share < AGREES_TOO_WELL for share in shares) else 0
+        if self._windows == WINDOWS:
+            self.doubt_mm, self._doubted = WINDOWS * corrected_mm, True
+        self._from_mm = math.nan

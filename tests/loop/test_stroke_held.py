@@ -1,0 +1,247 @@
+"""HOLD, FAULT and DISARMED keep the stroke: a drive that creeps is corrected or taken off power, within 1 mm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from hil.faults import in_device, stand
+from hil.faults.in_device import SPEED, STROKE, both, creeps, reads
+from hil.faults.stand import Injector, Stand
+from hil.lockstep import Lockstep, lockstep
+from rigctl.config import RigSettings
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.safety import Action, Fault, Trip
+from rigctl.control.stroke_hold import AUTHORITY_MM_S, SAID_MM
+from rigctl.control.tension import Gains
+from rigctl.telemetry.events import Kind, worded
+
+Floats = npt.NDArray[np.float64]
+HELD_MM = 1.0
+STEADY_MM = 0.15  # a creep that is corrected: 0.45 mm/s until the integral action has it, and the dead zone
+SLOW = {0.02: 12.0, 0.1: 6.0, 0.45: 4.0}  # mm/s, and s to be watched: 0.24 mm and more where nobody holds
+FAST = {0.55: 3.5, 2.0: 1.0, 8.0: 0.6}
+
+
+@pytest.fixture
+def held(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
+    """HOLD, 300 N on the rope."""
+    with lockstep(settings, gains) as rig:
+        bring(rig, Mode.HOLD)
+        yield rig
+
+
+def bring(rig: Lockstep, mode: Mode) -> None:
+    stand.start(rig, mode, None)
+    stand.enter(rig, mode)
+    rig.events.read()
+
+
+def put_in(rig: Lockstep, fault: Injector) -> Callable[[float], None] | None:
+    return fault(Stand(rig, "held"))
+
+
+def moved_mm(rig: Lockstep, fault: Injector, seconds: float) -> Floats:
+    """True stroke from where it was, once a millisecond, from the fault's beginning on."""
+    before, way = rig.rig.truth.stroke_mm, list[float]()
+    step = put_in(rig, fault)
+    rig.on_advance = lambda: way.append(rig.rig.truth.stroke_mm - before)
+    for tick in range(round(seconds * rig.settings.loop.rate_hz)):
+        if step is not None:
+            step(tick * 1e-3)
+        rig.loop.tick()
+    rig.on_advance = None
+    return np.array(way)
+
+
+def told(rig: Lockstep, kind: Kind) -> list[str]:
+    return [
+        worded(int(e["kind"]), int(e["a"]), int(e["b"]), float(e["value"]), float(e["limit"]), "").text
+        for e in rig.events.read()
+        if e["kind"] == kind
+    ]
+
+
+# -- creep ------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.FAULT])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("speed", SLOW)
+def test_a_drive_that_creeps_slowly_is_corrected(
+    settings: RigSettings, gains: Gains, speed: float, way: float, mode: Mode
+) -> None:
+    with lockstep(settings, gains) as rig:
+        bring(rig, mode)
+        fault = rig.loop.machine.fault
+        moved = moved_mm(rig, creeps(way * speed), SLOW[speed])
+        assert np.abs(moved).max() < STEADY_MM
+        assert (rig.loop.machine.mode, rig.loop.machine.fault) == (mode, fault)
+        assert rig.rig.drive.control.enabled
+
+
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.FAULT])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("speed", FAST)
+def test_a_drive_that_creeps_fast_is_taken_off_power_within_a_millimetre(
+    settings: RigSettings, gains: Gains, speed: float, way: float, mode: Mode
+) -> None:
+    with lockstep(settings, gains) as rig:
+        bring(rig, mode)
+        moved = moved_mm(rig, creeps(way * speed), FAST[speed])
+        assert np.abs(moved).max() < HELD_MM
+        assert rig.loop.machine.action is Action.POWER_OFF
+        assert rig.rig.drive.control.stage.braked
+        assert np.ptp(moved[-200:]) == 0.0
+
+
+def test_a_creep_that_is_corrected_is_told_with_its_speed_once(held: Lockstep) -> None:
+    moved_mm(held, creeps(0.3), 6.0)
+    (text,) = told(held, Kind.DRIVE_CREEPS)
+    assert text.startswith("the drive creeps at +0.2") or text.startswith("the drive creeps at +0.3")
+    assert "0x60B1" in text
+
+
+def test_a_stroke_that_leaves_its_latch_is_told_once_and_again_once_it_was_back(held: Lockstep) -> None:
+    """The correction is switched off by a position that contradicts its speed; what creeps then is only watched."""
+    held.loop._stroke_hold._doubted = True
+    moved_mm(held, creeps(-0.2), 2.0)
+    (text,) = told(held, Kind.STROKE_LEFT)
+    assert "HOLD: the stroke is -0.20 mm from where it was latched" in text
+    held.loop._stroke_hold._doubted = False
+    held.run(3.0)
+    held.loop._stroke_hold._doubted = True
+    held.run(2.0)
+    assert len(told(held, Kind.STROKE_LEFT)) == 1
+
+
+def test_a_stroke_that_nothing_corrects_is_taken_off_power_as_a_fault_of_its_own(held: Lockstep) -> None:
+    held.loop._stroke_hold._doubted = True
+    moved = moved_mm(held, creeps(0.3), 5.0)
+    machine = held.loop.machine
+    assert (machine.fault, machine.action) == (Fault.STROKE_NOT_HELD, Action.POWER_OFF)
+    assert SAID_MM < np.abs(moved).max() < HELD_MM
+    assert held.rig.drive.control.stage.braked
+
+
+def test_the_issues_creep_no_longer_ends_at_733_newtons(settings: RigSettings, gains: Gains) -> None:
+    """+0.45 mm/s, from HOLD and from a TENSION_HIGH whose reaction is hold."""
+    with lockstep(settings, gains) as rig:
+        bring(rig, Mode.HOLD)
+        rig.loop.machine.trip(Trip(Fault.TENSION_HIGH, 401.0, 400.0), rig.clock.now())
+        moved_mm(rig, creeps(0.45), 10.0)
+        assert rig.rig.truth.tension_n < 301.0
+
+
+# -- the latch --------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("speed_up", [True, False])
+def test_hold_at_speed_is_bumpless_and_is_not_pulled_back(rig: Lockstep, enter: Callable[[Mode], None],
+                                                          speed_up: bool) -> None:  # fmt: skip
+    enter(Mode.TENSIONING if speed_up else Mode.RELEASING)
+    assert abs(rig.loop.inbox.speed_mm_s) > 5.0
+    direction = np.sign(rig.loop.inbox.speed_mm_s)
+    assert rig.command(Verb.HOLD) is Refusal.NONE
+    records = rig.run(2.0)
+    commands, strokes = records["command_mm_s"] * direction, records["stroke_mm"] * direction
+    steps = np.abs(np.diff(commands))
+    assert steps.max() <= rig.settings.tension.acceleration_max_mm_s2 * 1e-3 * (1 + 1e-9)
+    assert commands.min() == 0.0, "no command against the way it went"
+    assert np.diff(strokes).min() > -0.01
+    assert commands[500:].max() == 0.0
+
+
+def test_a_trial_moves_the_stroke_and_it_is_latched_where_it_ends(held: Lockstep) -> None:
+    latched = held.loop._stroke_hold.reference_mm
+    assert held.command(Verb.IDENTIFY, 1.0, limit_s=20.0) is Refusal.NONE
+    assert Fault.NONE is held.loop.machine.fault
+    held.run(1.0)
+    assert held.loop._stroke_hold.reference_mm == pytest.approx(latched, abs=0.05)
+    assert held.run(0.5)["command_mm_s"].any() is np.False_
+
+
+def test_a_healthy_drive_in_hold_gets_commands_of_no_speed(held: Lockstep) -> None:
+    assert not held.run(3.0)["command_mm_s"].any()
+    assert held.command(Verb.DISARM) is Refusal.NONE
+    held.run(0.3)
+    assert held.rig.drive.control.stage.braked
+
+
+@pytest.mark.parametrize("creep", [0.3, -0.3])
+def test_a_drive_that_creeps_is_off_within_a_millimetre_once_it_is_disarmed(held: Lockstep, creep: float) -> None:
+    """It never stands, so it does not close its brake by itself: its power is cut."""
+    before = held.rig.truth.stroke_mm
+    moved_mm(held, creeps(creep), 3.0)
+    assert held.command(Verb.DISARM) is Refusal.NONE
+    held.run(1.5)
+    assert held.rig.drive.control.stage.braked
+    assert abs(held.rig.truth.stroke_mm - before) < HELD_MM
+    assert (held.loop.machine.fault, held.loop.machine.action) == (Fault.STROKE_MOVES, Action.POWER_OFF)
+
+
+def test_a_stroke_that_slips_slowly_while_disarmed_is_a_fault(settings: RigSettings, gains: Gains) -> None:
+    """0.15 mm/s: too slow for STROKE_MOVES, which watches the speed."""
+    with lockstep(settings, gains) as rig:
+        bring(rig, Mode.DISARMED)
+        rig.rig.plant.parameters["dead_band"] = 0.0
+        rig.rig.drive.defect = lambda _speed, _braked: (-0.15, False)
+        rig.run(5.0)
+        assert rig.loop.machine.mode is Mode.DISARMED
+        assert len(told(rig, Kind.STROKE_LEFT)) == 1
+        rig.run(2.0)
+        assert rig.loop.machine.fault is Fault.STROKE_NOT_HELD
+        rig.run(4.0)
+        (text,) = told(rig, Kind.ESCALATION)
+        assert "the brake does not hold" in text
+        rig.rig.drive.defect = None
+        assert rig.command(Verb.RESET) is Refusal.NONE
+        rig.run(1.0)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+
+
+# -- an encoder that lies -----------------------------------------------------------------------------------------
+@pytest.mark.parametrize("speed", [0.2, -0.45, 0.55, 1.2])
+@pytest.mark.parametrize("too", [False, True], ids=["its speed is true", "its speed drifts with it"])
+def test_a_position_that_drifts_does_not_take_the_load_along(
+    settings: RigSettings, gains: Gains, speed: float, too: bool
+) -> None:
+    drifts = reads(STROKE, drift_s=speed)
+    with lockstep(settings, gains) as rig:
+        bring(rig, Mode.HOLD)
+        moved = moved_mm(rig, both(drifts, reads(SPEED, plus=speed)) if too else drifts, 1.0 / abs(speed) + 1.0)
+        assert np.abs(moved).max() < HELD_MM
+        assert rig.loop.machine.action is Action.POWER_OFF
+        assert rig.rig.drive.control.stage.braked
+
+
+def test_a_correction_is_bounded_by_what_a_drive_that_follows_may_need(held: Lockstep) -> None:
+    put_in(held, reads(STROKE, plus=0.45))  # below the jump that trips DRIVE_NOT_FOLLOWING
+    assert np.abs(held.run(1.0)["command_mm_s"]).max() <= AUTHORITY_MM_S
+    assert abs(held.rig.truth.stroke_mm - held.loop._stroke_hold.reference_mm) < HELD_MM
+
+
+# -- a reaction that does not help ----------------------------------------------------------------------------------
+def test_a_quick_stop_that_does_not_stop_ends_with_the_power_off(held: Lockstep) -> None:
+    put_in(held, creeps(0.3))
+    held.run(0.1)
+    held.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), held.clock.now())
+    before = held.rig.truth.stroke_mm
+    held.run(1.0)
+    (text,) = told(held, Kind.ESCALATION)
+    assert "LIMIT, reaction did not help: the stroke still moves at 0.30 mm/s after the quick stop" in text
+    assert held.rig.drive.control.stage.braked
+    assert abs(held.rig.truth.stroke_mm - before) < 0.2
+
+
+def test_a_tension_that_goes_on_rising_is_not_only_held(settings: RigSettings, gains: Gains) -> None:
+    """The position lies as well: the stroke is not seen to move."""
+    with lockstep(settings, gains) as rig:
+        stand.start(rig, Mode.HOLD, 394.0)
+        stand.enter(rig, Mode.HOLD)
+        rig.events.read()
+        put_in(rig, both(creeps(0.45), in_device.stuck(STROKE), reads(SPEED, times=0.0)))
+        rig.run(6.0)
+        assert rig.loop.machine.fault is Fault.TENSION_HIGH
+        assert "quick stop, then power off" in told(rig, Kind.ESCALATION)[0]
+        assert rig.rig.drive.control.stage.braked
+        assert rig.rig.truth.tension_n < 408.0  # 3 N until it is found, 1.2 s for a drive that does not go off
