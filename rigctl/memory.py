@@ -25,6 +25,7 @@ class Share:
 SUPERVISOR = Share(-800)
 """With it goes the loop, in order: it is told to end with its parent."""
 SHARES = {
+    "hold": Share(-850, 512),  # the operator's last way in
     "control": Share(-900),  # -1000 would have it go on when nothing else is left to end
     "recorder": Share(300, 1024),
     "gateway": Share(500, 1024),  # with one client it takes 200 MiB

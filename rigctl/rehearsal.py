@@ -103,6 +103,8 @@ def own(settings: RigSettings, purpose: str) -> RigSettings:
 
     name = f"{purpose}_{settings.rig}"[:LONGEST_NAME]
     changes: dict[str, Any] = {}
+    encoder = settings.cylinder.stroke_waiver or f"{purpose}: the simulated rig, its stroke begins at 0"
+    changes["cylinder"] = of("cylinder", stroke_waiver=encoder)
     if settings.calibration is not None:
         why = settings.calibration.waiver or f"{purpose}: the simulated rig, nothing hangs there"
         changes["calibration"] = of("calibration", file=None, waiver=why)

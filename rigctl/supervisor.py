@@ -247,17 +247,20 @@ class Supervisor:
         last = LastStroke(seen_mm) if seen_mm is not None else last_stroke.read(self.settings)
         if last.why:
             self._say(f"WARNING: the stroke last known: {last.why}; it has to be confirmed")
-        self._runtime.write_json(last_stroke.IN_FORCE, last)
+        try:
+            self._runtime.write_json(last_stroke.IN_FORCE, last)
+        except OSError as error:  # without one, or with an older one, the stroke has to be confirmed
+            self._say(f"WARNING: {self._no_room(error)}; the stroke last known stays as it was")
 
     def _spawn(self, name: str) -> None:
         command = [sys.executable, "-m", self._modules[name], str(self._runtime.directory)]
         stdin = subprocess.PIPE if name == "control" else subprocess.DEVNULL
         process = subprocess.Popen(command, stdin=stdin, start_new_session=True)
+        failures = self._children[name].failures if name in self._children else 0
+        self._children[name] = Child(name, process, time.monotonic(), failures)
         memory.apply(memory.SHARES[name], process.pid)
         if name != "control":
             self._keep_off_the_loops_processor(process.pid)
-        failures = self._children[name].failures if name in self._children else 0
-        self._children[name] = Child(name, process, time.monotonic(), failures)
         self._note(Doing.PROCESS_STARTED, name, str(process.pid))
 
     def _keep_off_the_loops_processor(self, pid: int) -> None:

@@ -103,6 +103,23 @@ class _Percentiles(msgspec.Struct):
     max: Real
 
 
+class _Cause(msgspec.Struct):
+    fault: Line = ""
+    text: Line = ""
+    action: Line = ""
+    value: Real | None = None
+    limit: Real | None = None
+    since_ns: Time | None = None
+    since_wall_ns: Time | None = None
+    blocks_reset: bool = False
+
+
+class _ReadBack(msgspec.Struct):
+    t_ns: Time
+    settings: Count
+    took_s: Real
+
+
 class _AnyState(msgspec.Struct):
     mode: Word | None
     loop_alive: bool
@@ -121,6 +138,8 @@ class _AnyState(msgspec.Struct):
     stream: Count = 0
     event_seq: Count = 0
     note_seq: Count = 0
+    causes: Annotated[list[_Cause], Meta(max_length=256)] = []
+    read_back: _ReadBack | None = None
 
 
 class _Derived(_AnyState, kw_only=True):

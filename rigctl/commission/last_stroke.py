@@ -13,6 +13,7 @@ from typing import Any
 
 import msgspec
 
+from rigctl import input_file
 from rigctl.commission.ledger import sync_folder, utc
 from rigctl.config import RigSettings
 from rigctl.control.homed import LastStroke
@@ -23,6 +24,8 @@ from rigctl.telemetry.runtime import Runtime
 IN_FORCE = "stroke.json"  # in the runtime folder
 KEPT_MM = 0.02  # a stroke that differs by less is not written again
 _LARGEST_MM = 1e4
+_LARGEST_BYTES = 4096
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 class _File(msgspec.Struct, forbid_unknown_fields=True):
@@ -35,12 +38,12 @@ def read(settings: RigSettings) -> LastStroke:
     """What the file says; a damaged one says why nothing is known."""
     path = settings.last_stroke
     try:
-        found = msgspec.json.decode(path.read_bytes(), type=_File)
+        found: _File = input_file.decoded(input_file.read(path, largest=_LARGEST_BYTES, links=True), _File)
     except FileNotFoundError:
         return LastStroke()
     except OSError as error:
         return LastStroke(None, f"{path.name} cannot be read: {error.strerror}")
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+    except msgspec.MsgspecError:
         return LastStroke(None, f"{path.name} is damaged")
     if found.rig != settings.rig:
         return LastStroke(None, f"{path.name} is of {printable(found.rig)[:32]}")
@@ -49,8 +52,8 @@ def read(settings: RigSettings) -> LastStroke:
     return LastStroke(found.stroke_mm)
 
 
-def write(settings: RigSettings, stroke_mm: float, wall_ns: int) -> None:
-    """Replace the file.
+def write(settings: RigSettings, stroke_mm: float, wall_ns: int, *, sync: bool = True) -> None:
+    """Replace the file. ``sync``: wait until it is on the disk; without, a power cut may leave an older one.
 
     Raises:
         OSError: it could not be written, and is as it was.
@@ -60,12 +63,15 @@ def write(settings: RigSettings, stroke_mm: float, wall_ns: int) -> None:
     data = msgspec.json.encode(_File(settings.rig, round(stroke_mm, 4), utc(wall_ns))) + b"\n"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("wb") as file:
+        part.unlink(missing_ok=True)
+        with os.fdopen(os.open(part, _NEW, 0o640), "wb") as file:
             file.write(data)
             file.flush()
-            os.fsync(file.fileno())
+            if sync:
+                os.fsync(file.fileno())
         part.replace(path)
-        sync_folder(path.parent)
+        if sync:
+            sync_folder(path.parent)
     except OSError:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)

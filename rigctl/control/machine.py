@@ -118,8 +118,8 @@ class Machine:
         if verb in modes.TRIED_IN and self.arming:
             self.answers.append(Answer(id_, verb, Refusal.WRONG_MODE))
             return
-        if verb is Verb.DISARM and self.arming:
-            self._finish_arming(Refusal.DRIVE_TIMEOUT)
+        if verb in (Verb.DISARM, Verb.HOLD) and self.arming:  # the load stays where it hangs: on the brake
+            self._finish_arming(Refusal.ABORTED)
             self.answers.append(Answer(id_, verb, Refusal.NONE))
             return
         if verb is Verb.ARM and self.arming:

@@ -183,7 +183,7 @@ class Orders:
         elif self._arm is not None and verb in modes.TRIED_IN:
             self._reply(t_ns, id_, Refusal.WRONG_MODE)
             return
-        elif self._arm is not None and verb is Verb.DISARM:
+        elif self._arm is not None and verb in (Verb.DISARM, Verb.HOLD):
             self._reply(t_ns, self._arm[0], Refusal.ABORTED)
             self._reply(t_ns, id_, Refusal.NONE)
             self._arm = None

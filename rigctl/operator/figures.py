@@ -42,7 +42,7 @@ def why(state: dict[str, Any]) -> str:
     if state.get("mode") is None:
         return "the control process has written no record yet"
     if not state["loop_alive"]:
-        return f"no record from the loop for {state['age_ms'] / 1000:.1f} s"
+        return f"no record from the loop for {(state['age_ms'] or 0.0) / 1000:.1f} s"
     latched = f"{state['fault']}: {state['fault_text']}" if state["fault"] else ""
     first = next(iter(_standing(state)), None)
     if first is None or first.get("fault") == state["fault"]:

@@ -22,6 +22,7 @@ from pydantic import ValidationError
 
 from rigctl.commission import last_stroke, ledger
 from rigctl.config import RigSettings
+from rigctl.control.modes import Mode
 from rigctl.control.realtime import die_with_parent
 from rigctl.recorder.audit_log import AuditError, AuditLog, Item
 from rigctl.recorder.continuous import Continuous
@@ -156,15 +157,20 @@ class Recorder:
             self._add(*said)
 
     def _keep_stroke(self, now_ns: int, wall_ns: int, *, final: bool) -> None:
-        """The stroke last known, once a second while it changes, and at the end."""
-        stroke_mm = last_stroke.of_record(self._records.latest())
-        if stroke_mm is None or abs(stroke_mm - self._kept_mm) < last_stroke.KEPT_MM:
+        """The stroke last known, once a second while it changes, and at the end.
+
+        Only one at rest is waited for until it is on the disk: a disk that stalls must not hold up what records.
+        """
+        record = self._records.latest()
+        stroke_mm = last_stroke.of_record(record)
+        if record is None or stroke_mm is None or abs(stroke_mm - self._kept_mm) < last_stroke.KEPT_MM:
             return
+        at_rest = final or int(record["mode"]) in (Mode.DISARMED, Mode.HOLD, Mode.FAULT)
         if not final and now_ns < self._keep_ns:
             return
         self._keep_ns = now_ns + KEEP_STROKE_NS
         try:
-            last_stroke.write(self._settings, stroke_mm, wall_ns)
+            last_stroke.write(self._settings, stroke_mm, wall_ns, sync=at_rest)
         except OSError as error:
             why = f"{self._settings.last_stroke} cannot be written: {error.strerror}"
             self.trouble.begins("last stroke", why, now_ns)

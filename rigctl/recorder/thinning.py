@@ -34,10 +34,17 @@ _SAME: dict[str, tuple[str, ...]] = {
     "hold_without_lease": ("other",),
     "too_many_commands": (),
     "clock": (),
+    "foreign_sdo": ("a",),
+    "cause": ("a",),
+    "cause_over": ("a",),
+    "stroke_left": ("a",),
+    "drive_creeps": (),
 }
 """Kinds whose repeats become one entry, by what is the same about them beside kind and operator."""
 _REPEATED_VERBS = frozenset({"hold", "lease_take", "lease_return"})
-_COUNTED = frozenset({*_SAME, "command_given", "order", "reply", "bus_error", "emergency", "node_state", "send_failed"})
+_COUNTED = frozenset(
+    {*_SAME, "setting_lost", "command_given", "order", "reply", "bus_error", "emergency", "node_state", "send_failed"}
+)
 """Kinds that are counted rather than written when they come too fast."""
 
 

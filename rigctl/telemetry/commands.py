@@ -216,6 +216,11 @@ class Desk:
                 asked = LeaseAsked(query, parse_lease(act, payload))
             else:
                 asked = Asked(query, parse(verb_of(name), payload))
+                wanted = asked.request
+                if wanted.verb is Verb.HOLD and (
+                    elsewhere := self._meant_for_another(wanted.run_id, "hold", wanted.operator)
+                ):
+                    asked = Refused(elsewhere)
         except RequestError as error:
             asked = Refused(refused(on_one_line(name), "", "bad_request", str(error)))
         if isinstance(asked, Asked) and asked.request.verb is Verb.HOLD:

@@ -55,10 +55,9 @@ class Flow:
     def admit(self, operator: str, now_ns: int, *, holder: bool = False) -> str:
         """Why a command is refused, empty if it is let through; ``holder``: of the lease, as its id proves."""
         with self._lock:
-            own = self._of.pop(operator, None) or Bucket(
-                PER_OPERATOR_HZ, PER_OPERATOR_BURST, PER_OPERATOR_BURST, now_ns
-            )
-            self._of[operator] = own  # the last to ask is the last to be forgotten
+            name = f"\0{operator}" if holder else operator  # who only uses the holder's name has another's limit
+            own = self._of.pop(name, None) or Bucket(PER_OPERATOR_HZ, PER_OPERATOR_BURST, PER_OPERATOR_BURST, now_ns)
+            self._of[name] = own  # the last to ask is the last to be forgotten
             if len(self._of) > NAMES_MAX:
                 del self._of[next(iter(self._of))]
             mine, everybody = own.fill(now_ns), self._all.fill(now_ns)

@@ -137,7 +137,8 @@ class Keeper:
             return None
         return {
             "holder": lease.holder, "since_ns": lease.since_ns, "until_ns": lease.until_ns,
-            "held_s": round((now_ns - lease.since_ns) / 1e9, 1), "left_s": round((lease.until_ns - now_ns) / 1e9, 1),
+            "held_s": max(0.0, round((now_ns - lease.since_ns) / 1e9, 1)),
+            "left_s": round((lease.until_ns - now_ns) / 1e9, 1),
         }  # fmt: skip
 
     def has_lapsed(self, now_ns: int) -> bool:

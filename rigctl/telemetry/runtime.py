@@ -15,6 +15,7 @@ Anyone may make a folder of this name in ``/dev/shm``. A daemon uses one that is
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import os
@@ -268,8 +269,8 @@ class Runtime:
             found = self.directory.lstat()
         except FileNotFoundError:
             return "it has been deleted"
-        except OSError as error:
-            return f"it cannot be read: {error.strerror}"
+        except OSError:
+            return ""  # a lack of descriptors or memory says nothing of the folder
         if not os.path.samestat(found, os.fstat(self._claimed)):
             return "it has been replaced by another"
         if found.st_uid != os.geteuid() or found.st_mode & 0o077:
@@ -278,8 +279,11 @@ class Runtime:
             try:
                 if identity(path) != made:
                     return f"{path.name} in it has been replaced or damaged"
-            except OSError:
+            except FileNotFoundError:
                 return f"{path.name} in it has been deleted"
+            except OSError as error:
+                if error.errno == errno.ELOOP:
+                    return f"{path.name} in it has been replaced or damaged"
         return ""
 
     def make_rings(self, settings: RigSettings, *, reserve: bool = False) -> None:

@@ -188,7 +188,9 @@ class Doubts:
 
     def _note(self, event: np.void) -> None:
         kind, text = int(event["kind"]), bytes(event["text"]).decode(errors="replace")
-        if kind == Kind.SETTING_LOST:
+        if kind == Kind.STARTED:  # of the loop before
+            self._words, self._read_back = {}, None
+        elif kind == Kind.SETTING_LOST:
             self._words[Check.DRIVE_SUPERVISION] = setting_words(text)
         elif kind == Kind.STROKE and not event["a"]:
             self._words[Check.STROKE_UNCONFIRMED] = stroke_words(float(event["value"]), text)

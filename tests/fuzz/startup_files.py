@@ -22,9 +22,10 @@ from datetime import UTC, datetime
 import msgspec
 
 from rigctl import config
-from rigctl.commission import ledger, preflight
+from rigctl.commission import last_stroke, ledger, preflight
 from rigctl.commission.ledger import Standing, in_force
 from rigctl.config import ConfigError, RigSettings
+from rigctl.control.homed import LastStroke
 from rigctl.design import gain_file
 from rigctl.design.gain_file import GainFileError
 from rigctl.design.margins import design_and_check
@@ -168,6 +169,7 @@ def _runtime(folder: pathlib.Path, rig: RigSettings) -> Runtime:
     runtime.write_json(
         RECORDED, {**told, "recording": recording, "failures": 0, "warnings": [], "trips": "", "t_ns": 1}
     )
+    runtime.write_json(last_stroke.IN_FORCE, LastStroke(52.0))
     runtime.write_json("calibration.json", Standing(0.4, 1.001, "2027-01-01T00:00:00Z"))
     now = time.monotonic_ns()
     lease = {"holder": "anna", "id": "0" * 32, "since_ns": now - 10**9, "until_ns": now + 10**11}
@@ -234,6 +236,7 @@ def _of_the_daemon(runtime: Runtime, rig: RigSettings) -> list[File]:
         File("control.json", at / "control.json", control),
         File("recorder.json", at / RECORDED, recorded),
         File("calibration.json", at / "calibration.json", calibration),
+        File("stroke.json", at / last_stroke.IN_FORCE, lambda: last_stroke.in_force(runtime)),
         File("lease.json", at / lease_keeper.IN_FORCE, lease),
         File("gateway.cursor", at / "gateway.cursor", cursor, (OSError,)),
         File("lock", at / "lock", lock),
@@ -250,6 +253,7 @@ def _kept(folder: pathlib.Path, runtime: Runtime, rig: RigSettings) -> list[File
         rig, "tare", "anna", _NOW_NS, before={}, after={"zero_n": 0.4, "scale": 1.0}, figures={"n": 0.03}
     )
     ledger.append(rig, new)
+    last_stroke.write(rig, 52.0, _NOW_NS)
     log = audit_log.AuditLog(rig.audit_log, rig.rig)
     log.append(
         [audit_log.Item(i, _NOW_NS, "command", "ARM accepted", "anna") for i in range(3)],
@@ -276,6 +280,7 @@ def _kept(folder: pathlib.Path, runtime: Runtime, rig: RigSettings) -> list[File
         File(
             "calibration ledger", book, lambda: ledger.standing(rig, ledger.read(rig), _NOW_NS), (ledger.LedgerError,)
         ),
+        File("last stroke", rig.last_stroke, lambda: last_stroke.read(rig)),
         File("audit log", rig.audit_log, recorder, (audit_log.AuditError,)),
         File("audit log's torn line", torn, recorder, (audit_log.AuditError,)),
         File("recording", part, functools.partial(progress_of, part), (RecordingError,)),

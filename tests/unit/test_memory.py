@@ -1,0 +1,14 @@
+"""Every process of the daemon has a share of memory, and the loop goes last."""
+
+from __future__ import annotations
+
+from rigctl import memory, supervisor
+
+
+def test_every_process_has_a_share() -> None:
+    assert set(memory.SHARES) == set(supervisor.PROCESSES) | set(supervisor.PAGE)
+
+
+def test_the_loop_is_ended_last_and_holds_way_before_it() -> None:
+    order = sorted(memory.SHARES, key=lambda name: memory.SHARES[name].oom_score_adj)
+    assert order[:2] == ["control", "hold"]
