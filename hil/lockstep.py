@@ -158,7 +158,7 @@ class Lockstep:
 
     def command(self, verb: Verb | Setting, value: float = 0.0, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
         """Give a command, ``age_ns`` ago, through the command ring and run until it is answered."""
-        return self._answer(verb.name, self.give(verb, value, age_ns=age_ns), limit_s)
+        return self._answer(repr(verb), self.give(verb, value, age_ns=age_ns), limit_s)
 
     def hold(self, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
         """Give HOLD, ``age_ns`` ago, through its own ring and run until it is answered."""

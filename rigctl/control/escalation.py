@@ -18,6 +18,7 @@ STOP_TAIL_LAGS = 5.0  # of the drive, beyond its ramp: below 0.1 mm/s from 10
 BRAKE_NS = 200 * _MS  # to close; servo holding brakes take 20 to 60 ms
 OFF_NS = 1_000 * _MS  # for a drive that stands to close its brake and go off
 RAMP_SPARE_S = 5.0
+UNSEEN_S = 0.5  # a stroke that is not seen may creep; by then a drive or an interface that came back would be heard
 
 
 class Symptom(IntEnum):
@@ -31,6 +32,7 @@ class Symptom(IntEnum):
     STOP_DRIFTS = 6
     STOP_STAYS_ON = 7
     OFF_DRIFTS = 8
+    HOLD_UNSEEN = 9
 
 
 @dataclass
@@ -97,6 +99,10 @@ def _speed_mm_s(sight: Sight, _since: Since, bounds: Bounds) -> float:
     return abs(sight.speed_mm_s) if sight.drive_age_ns <= bounds.stale_ns else 0.0
 
 
+def _unseen_s(sight: Sight, _since: Since, bounds: Bounds) -> float:
+    return max(0, sight.drive_age_ns - bounds.stale_ns) * 1e-9
+
+
 def _drift_mm(sight: Sight, since: Since, _bounds: Bounds) -> float:
     return abs(sight.stroke_mm - since.stroke_mm) if since.stroke_mm is not None else 0.0
 
@@ -114,6 +120,8 @@ STEPS = (
          f"tension above its limit, and risen by {RISE_MM:g} mm of stretch", "a stroke that is held adds none"),
     Step(Symptom.HOLD_MOVES, Action.HOLD, _speed_mm_s, FAST_MM_S, 0, 500 * _MS, Action.QUICK_STOP,
          f"stroke faster than {FAST_MM_S:g} mm/s", "no correction of HOLD is as fast"),
+    Step(Symptom.HOLD_UNSEEN, Action.HOLD, _unseen_s, UNSEEN_S, 0, 0, Action.QUICK_STOP,
+         f"nothing heard of the drive for {UNSEEN_S:g} s", "a stroke that is not seen is not held"),
     Step(Symptom.STOP_MOVES, Action.QUICK_STOP, _speed_mm_s, BRAKE_SLIP_MM_S, 0, 20 * _MS, Action.POWER_OFF,
          f"stroke faster than {BRAKE_SLIP_MM_S:g} mm/s", "the drive does not stop by itself"),
     Step(Symptom.STOP_DRIFTS, Action.QUICK_STOP, _drift_mm, MOVED_MM, 0, 0, Action.POWER_OFF,

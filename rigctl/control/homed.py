@@ -49,11 +49,13 @@ class Homed:
         """Take a new sample of the drive; what has been found, where that is news."""
         before_mm, passed_ns = self._seen_mm, now_ns - self._seen_ns
         usual_mm = 0.5 * (speed_mm_s + self._seen_mm_s) * passed_ns * 1e-9 if passed_ns <= GAP_NS else 0.0
+        # Over a longer gap the drive has stopped by its own deadline: within GAP_NS at the speed it had.
+        spare_mm = abs(self._seen_mm_s) * GAP_NS * 1e-9 if passed_ns > GAP_NS else 0.0
         self._seen_mm, self._seen_mm_s, self._seen_ns = stroke_mm, speed_mm_s, now_ns
         if math.isnan(before_mm):
             return self._first(stroke_mm)
         jump_mm = abs(stroke_mm - before_mm - usual_mm)
-        if jump_mm <= TOLERANCE_MM:
+        if jump_mm <= TOLERANCE_MM + spare_mm:
             return None
         self.known, self.doubted, told = False, True, self.jump_mm > 0.0
         self.jump_mm = max(self.jump_mm, jump_mm)

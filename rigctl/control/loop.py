@@ -36,6 +36,7 @@ STOPPED_MM_S = 0.05
 STOP_LIMIT_NS = 2_000_000_000
 SAFE_FRAMES = 10  # commands of no speed in a row before the drive is switched on, and before it is switched off
 COMMANDS_PER_TICK = HOLDS_PER_TICK = 4
+FAILING_TICKS = 100  # in a row that end in an exception, after which the drive is stopped and goes off
 SKIP_NOTICE = 5  # ticks skipped at once that are worth an event
 _KEEPS = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
 """Modes in which the stroke is to stay where it is."""
@@ -95,6 +96,7 @@ class Loop:
             supervised=supervised,
         )  # fmt: skip
         self._work_ns = self._stop_until = self._off_until = 0
+        self._failing = 0  # ticks in a row that ended in an exception
         logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.cursor)
         self.observer.sight.host_checks = host_checks
         if correction is not None:
@@ -117,6 +119,7 @@ class Loop:
             self._decide(t_ns, estimate)
             speed_mm_s = self._speed(estimate)
             self._send(t_ns, speed_mm_s)
+            self._failing = 0
         except Exception as error:  # noqa: BLE001 - the edge of the tick: recorded, latched, and the stroke held
             self._stop_safely(t_ns, error)
         try:
@@ -147,6 +150,7 @@ class Loop:
         sight.rope_lost = law.rope_lost
         sight.drive_wanted = machine.drive_wanted and not machine.stopping
         asked = self.outbox.controlword == Controlword.ENABLE_OPERATION
+        sight.drive_powered = sight.drive_powered and not asked  # motion we ask for is ours; the latch watches it
         self._went_off = not asked and (self._went_off or sight.drive_off)
         sight.drive_unasked = sight.drive_enabled and self._went_off
         sight.drive_lingers = sight.drive_enabled and not asked
@@ -310,6 +314,7 @@ class Loop:
         fault = signs.see(self.law.command_mm_s, inbox.stroke_mm, inbox.tension_n)
         sight.drive_reversed, sight.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
         if signs.passed:
+            self._stroke_hold.found_stiffness(signs.slope_n_mm)
             stiffness = self.settings.plant.stiffness_n_mm
             self._logbook.event(now_ns, Kind.SIGNS, value=signs.slope_n_mm, limit=stiffness)
 
@@ -326,8 +331,12 @@ class Loop:
 
     def _stop_safely(self, t_ns: int, error: Exception) -> None:
         """The safe command first: no speed, the drive as it is. Then FAULT, latched, and a word about why."""
+        self._failing += 1
         try:
-            self.outbox.command(self.outbox.controlword, 0.0, t_ns)
+            word = self.outbox.controlword
+            if self._failing > FAILING_TICKS:  # nobody watches the stroke meanwhile
+                word = next_controlword(drive_state(self.inbox.statusword), Power.QUICK_STOP, word)
+            self.outbox.command(word, 0.0, t_ns)
         except Exception:  # noqa: BLE001 - the bus itself fails: the drive stops by its own supervision
             self.outbox.failures += 1
         self.law.follow_speed(0.0)

@@ -170,10 +170,15 @@ class Orders:
 
     def _obey(self, id_: int, verb: Verb, value: float, t_ns: int) -> None:
         machine = self._machine
+        if verb is Verb.RESET and machine.mode is Mode.DISARMED and self._arm is None:
+            self._readback.forget()  # ARM reads all of it again
+            self._observer.sight.settings_lost, self._observer.sight.disobeys = 0, False
         if verb is Verb.ARM and self._arm is None and machine.mode is Mode.DISARMED and not machine.arming:
             judged_later = Check.DRIVE_SUPERVISION | arming.AWAITED_CHECKS
             others = self.failed_checks(near_end=value == 1.0) & ~judged_later
             if self._readback.size and self._verified_at_start and not others and not machine.stopping:
+                machine.end_trial(Refusal.ABORTED)
+                self.trial = None
                 self._arm = id_, value, t_ns
                 self._readback.begin_all(t_ns)
                 return
@@ -232,7 +237,9 @@ class Orders:
             self._sequence.begin(t_ns)
         self.trial = trials.begin(machine.trial, settings, observer.inbox) if machine.trial is not None else None
         if fault is not machine.fault:
-            observer.sight.brake_slip_known |= fault in (Fault.STROKE_MOVES, Fault.BRAKE_SLIPS)
+            sight = observer.sight
+            slides = sight.off_ns >= arming.REACTION_NS and sight.still_ns < arming.STILL_NS  # on a closed brake
+            sight.brake_slip_known |= slides or fault in (Fault.STROKE_MOVES, Fault.BRAKE_SLIPS)
             self._logbook.event(t_ns, Kind.RESET, fault)
         done = bool(machine.answers) and machine.answers[-1].refusal is Refusal.NONE
         if verb is Verb.TARGET and done:

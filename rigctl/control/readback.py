@@ -138,11 +138,15 @@ class Readback:
         self._done()
         return True
 
+    def forget(self) -> None:
+        """What was found lost is acknowledged; whoever does so reads everything again before it matters."""
+        self.lost.clear()
+
     def suspect(self, node: int, where: tuple[int, int] | None) -> None:
         """Somebody else has asked a device for this object: it is read next."""
         for i, item in enumerate(self._table):
             if not self._unread and (item.node, item.index, item.sub) == (node, *(where or ())):
-                self._place = i
+                self._place = i - (self._asked is not None)  # the answer that is awaited takes it one further
 
     def _ask(self, t_ns: int) -> tuple[int, bytes]:
         if self._asked is None:

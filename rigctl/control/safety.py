@@ -503,7 +503,12 @@ class Watch:
         return found
 
     def _blocking(self, sight: Sight) -> Iterator[Fault]:
-        return (row.fault for row in self._rows if row.fault in BLOCK_RESET and row.value(sight) > row.limit)
+        # A limit of the drive's own may stand until its fault is reset; arming is barred by it.
+        return (
+            row.fault
+            for row in self._rows
+            if row.fault in BLOCK_RESET and row.text is not _LIMITS and row.value(sight) > row.limit
+        )
 
     def _ends(self, i: int, *, watched: bool = True) -> None:
         """A row that is good again, or not watched any more: of these only the rows that log say that they are over."""

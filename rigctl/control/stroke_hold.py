@@ -54,6 +54,10 @@ class StrokeHold:
         self._share = min(1.0, self._dt / TENSION_S)
         self._forget()
 
+    def found_stiffness(self, n_mm: float) -> None:
+        """What the rope's stiffness is, in N/mm, by the check of signs; the rig file's may be far from it."""
+        self._stiffness = n_mm
+
     def follow(self) -> None:
         """The stroke moves on purpose, or its motion is acknowledged: latch it anew once it is to be kept."""
         if self._settles_ns is not None:

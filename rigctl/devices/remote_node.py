@@ -245,14 +245,17 @@ class RemoteNode:
         parameters = {2: transmission, **timers}
         mapped = self._mapping(layout.mapping_object)
         same = found == cob_id and mapped == layout.mapping
-        if same and all(self.read(communication, sub) == value for sub, value in parameters.items()):
-            return layout
-        self.write(cob_id | od.PDO_NOT_VALID, communication, 1, verify=False)
-        for sub, value in parameters.items():
-            self.write(value, communication, sub)
-        if mapped != layout.mapping:
-            layout = self._remap(layout, mapped)
-        self.write(cob_id, communication, 1)
+        if not (same and all(self.read(communication, sub) == value for sub, value in parameters.items())):
+            self.write(cob_id | od.PDO_NOT_VALID, communication, 1, verify=False)
+            for sub, value in parameters.items():
+                self.write(value, communication, sub)
+            if mapped != layout.mapping:
+                layout = self._remap(layout, mapped)
+            self.write(cob_id, communication, 1)
+        for sub, value in {1: cob_id, **parameters}.items():  # also what was so already
+            self.watch(value, communication, sub)
+        for sub, value in enumerate((len(layout.mapping), *layout.mapping)):
+            self.watch(value, layout.mapping_object, sub)
         return layout
 
     def _mapping(self, index: int) -> tuple[int, ...]:

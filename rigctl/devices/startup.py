@@ -163,7 +163,8 @@ def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[s
     process_data = ProcessData(frames, units)
     _check_load(settings, process_data)
     drive.write(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_OF_OPERATION)
-    drive.watch(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_DISPLAY)
+    if drive.has(od.MODE_DISPLAY):
+        drive.watch(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_DISPLAY)
     supervision = _supervise(drive, settings, units)
     for node in nodes.values():
         node.write(DEVICE_HEARTBEAT_MS, od.PRODUCER_HEARTBEAT)
@@ -227,6 +228,8 @@ def _ratio(drive: RemoteNode, index: int) -> float:
     above, below = drive.read(index, 1), drive.read(index, 2)
     if above <= 0 or below <= 0:
         raise StartupError(f"{drive.where(index, 1)}: found the ratio {above}/{below}, allowed one of positive numbers")
+    drive.watch(above, index, 1)
+    drive.watch(below, index, 2)
     return above / below
 
 
@@ -240,6 +243,7 @@ def _si_unit_mm(drive: RemoteNode, index: int, denominator: int) -> float:
             f"{drive.where(index, 0)}: found {found:#x}, allowed {what} with a prefix of 10^{_FINEST} to "
             f"10^{_COARSEST} (0xFA01{denominator:02X}00 = micro), or cylinder.increments_per_mm or lead_mm"
         )
+    drive.watch(found, index)
     return float(f"1e{prefix + 3}")
 
 

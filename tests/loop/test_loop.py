@@ -182,7 +182,8 @@ def test_a_device_that_goes_silent_ends_in_hold_latched(
     limit = rig.settings.safety.inclination_stale_ms if device == "inclinometer" else rig.settings.safety.stale_ms
     records = rig.run((limit + 25) * 1e-3)
     assert records["mode"][-1] == Mode.FAULT
-    assert records["fault"][-1] == fault
+    stopped = Fault.NODE_NOT_OPERATIONAL  # its heartbeat says so, which may come before its samples are too old
+    assert records["fault"][-1] in (fault, stopped)
     tripped = int(np.argmax(records["mode"] == Mode.FAULT))
     assert tripped <= limit + (11 if device == "inclinometer" else 2)
     assert_held(rig, float(records["tension_n"][tripped]), float(records["stroke_mm"][tripped]))
@@ -235,7 +236,7 @@ def test_overload_of_the_cell_trips_and_keeps_the_fault_until_it_is_over(rig: Lo
     rig.inject(overload)
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
     rig.rig.receive(nmt(1, cell))
-    rig.run(0.1)
+    rig.run(0.2)  # its heartbeat, every 100 ms, says that it is operational again
     assert rig.command(Verb.RESET) is Refusal.NONE
 
 
@@ -454,6 +455,7 @@ def test_a_brake_that_slips_is_told_once_and_does_not_keep_the_operator_from_hav
     rig.rig.drive.defect = lambda speed, braked: (0.5, False) if braked else (speed, False)
     rig.run(0.5)
     assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.FAULT, Fault.STROKE_MOVES)
+    rig.run(1.5)  # a brake that slips keeps a stop from ending; 2 s after the drive went off nobody waits for it
     assert rig.command(Verb.RESET) is Refusal.NONE
     rig.run(1.0)
     assert rig.loop.machine.mode is Mode.DISARMED
