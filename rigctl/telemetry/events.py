@@ -372,8 +372,8 @@ _SYMPTOM_TEXT: dict[Symptom, str] = {
     "{1:.1f} N); quick stop, then power off",
     Symptom.HOLD_MOVES: "the stroke moves at {0:.2f} mm/s though it is held (limit {1:.2f} mm/s); quick stop, then "
     "power off",
-    Symptom.HOLD_UNSEEN: "nothing has been heard of the drive for {0:.1f} s (limit {1:.1f} s): its stroke may creep; quick "
-    "stop, then power off",
+    Symptom.HOLD_UNSEEN: "nothing has been heard of the drive for {0:.1f} s (limit {1:.1f} s): its stroke may creep; "
+    "quick stop, then power off",
     Symptom.STOP_MOVES: "the stroke still moves at {0:.2f} mm/s after the quick stop (limit {1:.2f} mm/s); power off, "
     "brake closed",
     Symptom.STOP_DRIFTS: "the stroke has moved {0:.2f} mm after the quick stop (limit {1:.2f} mm); power off, brake "

@@ -103,6 +103,8 @@ def test_an_arm_that_waits_is_refused_by_what_fails_meanwhile_and_ended_by_disar
     rig.run(0.4)
     first = rig.give(Verb.ARM)
     rig.run(0.1)
+    while rig.loop.readback.reading_all:  # the devices' settings come first
+        rig.loop.tick()
     assert rig.loop.machine.arming
     assert not any(rig.rig.drive.control.enabled for _ in watched(rig, 0.1))
     rig.rig.drive.press_e_stop(True)

@@ -151,6 +151,7 @@ class _Picture:
         self.lock, self.state, self.silent_s = contextlib.nullcontext(), state | {"warnings": []}, 0.0
         self.limits = type("Limits", (), {"now": []})()
         self.endpoint, self.trouble, self.samples_lost = "tcp/x", "", 0
+        self.refused = ""
 
 
 def test_the_page_says_the_same(rig: Lockstep, shown: Shown) -> None:
