@@ -160,7 +160,7 @@ def serve(file: pathlib.Path, truth: pathlib.Path | None, announce: Callable[[st
     except config.ConfigError as error:
         raise ServeError(str(error), 2) from None
     if settings.simulation is None:
-        raise ServeError(f"{file}: simulation: found nothing, allowed a section (it says what rig to simulate)", 2)
+        raise ServeError(f"{file}: simulation: found nothing, expected a section (it says what rig to simulate)", 2)
     try:
         eds_file.check(settings)
     except eds_file.EdsError as error:

@@ -33,7 +33,7 @@ def as_dict(settings: RigSettings) -> dict[str, Any]:
         "accepted": accepted(settings),
         "stop_distance_mm": round(stop.distance_mm, 3),
         "stop_n": round(stop.newtons, 2),
-        "waived_bounds": [f"{key}: found {found}, allowed {allowed}" for key, found, allowed in findings(settings)],
+        "waived_bounds": [f"{key}: found {found}, expected {allowed}" for key, found, allowed in findings(settings)],
     }
 
 
@@ -94,7 +94,9 @@ def show(settings: RigSettings, console: Console) -> None:
     console.print(Stop.of(settings).in_words(settings), highlight=False)
     for key, found, allowed in findings(settings):
         console.print(
-            f"WAIVED ({settings.safety.waiver}): {key}: found {found}, allowed {allowed}", highlight=False, markup=False
+            f"WAIVED ({settings.safety.waiver}): {key}: found {found}, expected {allowed}",
+            highlight=False,
+            markup=False,
         )
 
 

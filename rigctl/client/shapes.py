@@ -240,11 +240,11 @@ _Shape = TypeVar("_Shape")
 def _checked(payload: bytes, longest: int) -> Any:
     """What the JSON says, with printable text alone."""
     if len(payload) > longest:
-        raise MessageRefusedError(f"found {len(payload)} bytes, allowed {longest}")
+        raise MessageRefusedError(f"found {len(payload)} bytes, expected at most {longest}")
     try:
         return cleaned(msgspec.json.decode(payload))
     except RecursionError:
-        raise MessageRefusedError(f"found more than {DEPTH} levels, allowed {DEPTH}") from None
+        raise MessageRefusedError(f"found more than {DEPTH} levels, expected at most {DEPTH}") from None
     except (msgspec.MsgspecError, UnicodeError) as error:
         raise MessageRefusedError(on_one_line(str(error))) from None
 
@@ -268,7 +268,7 @@ def cleaned(value: Any, depth: int = DEPTH) -> Any:
     if not isinstance(value, dict | list):
         return value
     if depth == 0:
-        raise MessageRefusedError(f"found more than {DEPTH} levels, allowed {DEPTH}")
+        raise MessageRefusedError(f"found more than {DEPTH} levels, expected at most {DEPTH}")
     if isinstance(value, dict):
         return {cleaned(key): cleaned(item, depth - 1) for key, item in value.items()}
     return [cleaned(item, depth - 1) for item in value]

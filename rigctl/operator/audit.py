@@ -62,11 +62,11 @@ def audit(
     --head alone: note the hash that verify prints, or take it from a trip dump or from rigctl status --json.
     """
     if act is Act.SHOW and head is not None:
-        end(USAGE, "found --head, allowed with verify alone")
+        end(USAGE, "found --head, expected with verify alone")
     if act is Act.VERIFY and (last, since, what, who) != (None, None, None, None):
-        end(USAGE, "found a choice of entries, allowed with show alone: the chain is verified as a whole")
+        end(USAGE, "found a choice of entries, expected with show alone: the chain is verified as a whole")
     if head is not None and not _HASH.fullmatch(head):
-        end(USAGE, f"--head: found {head[:80]!r}, allowed 64 letters 0-9 a-f")
+        end(USAGE, f"--head: found {head[:80]!r}, expected 64 letters 0-9 a-f")
     path = _log(file)
     if act is Act.VERIFY:
         _verify(path, head, json)
@@ -94,7 +94,7 @@ def _of_daemon() -> pathlib.Path:
     found = sorted({str(told["audit_log"]) for told in runtime.recorded() if "audit_log" in told})
     if len(found) != 1:
         many = "no daemon" if not found else f"{len(found)} daemons"
-        end(USAGE, f"found {many} on this machine, allowed one, or the name of an audit log or rig file")
+        end(USAGE, f"found {many} on this machine, expected one, or the name of an audit log or rig file")
     return pathlib.Path(found[0])
 
 
@@ -145,7 +145,7 @@ def _moment(since: str | None) -> str:
     try:
         return f"{datetime.fromisoformat(since).astimezone(UTC):%Y-%m-%dT%H:%M:%S.%f}"[:23]
     except (ValueError, OverflowError, OSError):
-        end(USAGE, f"--since: found {since[:80]!r}, allowed ISO 8601, as 2025-01-31 or 2025-01-31T14:00")
+        end(USAGE, f"--since: found {since[:80]!r}, expected ISO 8601, as 2025-01-31 or 2025-01-31T14:00")
 
 
 def _show(

@@ -121,7 +121,7 @@ class Layout:
                 offsets.append(at)
                 at += np.dtype(code).itemsize
             if at != width:
-                raise LayoutError(f"a message of {self.name} has {width} bytes, allowed {at}")
+                raise LayoutError(f"a message of {self.name} has {width} bytes, expected {at}")
             kinds = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": width})
             self._wire[width] = kinds, np.array(places, np.intp), bytes(constant)
         return self._wire[width]

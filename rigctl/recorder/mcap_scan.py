@@ -111,7 +111,7 @@ def _decompressed(compression: str, packed: Buffer, size: int) -> bytes:
                 return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size, allow_extra_data=False)
     except zstandard.ZstdError:
         raise DamageError("a chunk cannot be decompressed") from None
-    raise DamageError(f"a chunk is compressed by {compression[:20]!r}, allowed zstd or none")
+    raise DamageError(f"a chunk is compressed by {compression[:20]!r}, expected zstd or none")
 
 
 def records(data: Buffer) -> Iterator[Piece]:

@@ -89,7 +89,7 @@ def find(recording: Recording) -> Findings:
     records = recording.records
     where = recording.files[0].path
     if not len(records):
-        raise ReportError(f"{where}: found no record, allowed a recording of a loop that ran")
+        raise ReportError(f"{where}: found no record, expected a recording of a loop that ran")
     if missing := [name for name in NEEDED if name not in (records.dtype.names or ())]:
         raise ReportError(f"{where}: its records have no {', '.join(missing)}: written by another version of rigctl")
     found = phases(records)

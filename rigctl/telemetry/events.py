@@ -270,8 +270,8 @@ def refusal_text(
             return f"target must be {significant(limits[0])} to {significant(limits[1], 'N')}"
         case Refusal.STROKE_DIFFERS:
             return (
-                f"the drive's position says {value:z.2f} mm, allowed {TOLERANCE_MM:g} mm from the stroke measured: "
-                "measure it again, or home the drive with its own tool"
+                f"the drive's position says {value:z.2f} mm, expected within {TOLERANCE_MM:g} mm of the stroke "
+                "measured: measure it again, or home the drive with its own tool"
             )
         case Refusal.CAUSE_PRESENT:
             there = [cause for cause in Fault if checks >> cause & 1] or [fault]

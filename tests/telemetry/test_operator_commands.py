@@ -73,16 +73,16 @@ def slow() -> Iterator[Daemon]:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("target", "abc"), "found 'abc', allowed a number of newtons"),
-        (("target", "nan"), "found 'nan', allowed a number of newtons"),
-        (("target", "inf"), "found 'inf', allowed a number of newtons"),
+        (("target", "abc"), "found 'abc', expected a number of newtons"),
+        (("target", "nan"), "found 'nan', expected a number of newtons"),
+        (("target", "inf"), "found 'inf', expected a number of newtons"),
         (("target",), "Missing argument"),
         (("target", "1", "2"), "unexpected extra argument"),
         (("bogus",), "No such command"),
         (("arm", "--bogus"), "No such option"),
         ((), "Missing command"),
-        (("status", "--connect", "nonsense"), "found endpoint 'nonsense', allowed e.g. tcp/127.0.0.1:7447"),
-        (("status", "--rig", "No Such"), "found rig 'No Such', allowed a rig's name"),
+        (("status", "--connect", "nonsense"), "found endpoint 'nonsense', expected e.g. tcp/127.0.0.1:7447"),
+        (("status", "--rig", "No Such"), "found rig 'No Such', expected a rig's name"),
     ],
 )
 def test_wrong_usage_is_one_line_and_exit_2(shared: Daemon, arguments: tuple[str, ...], says: str) -> None:
