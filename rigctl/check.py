@@ -15,7 +15,7 @@ from rigctl.config_limits import SIGNALS
 from rigctl.control import limits, safety
 from rigctl.control.modes import Mode
 from rigctl.devices import busload
-from rigctl.quantity import significant
+from rigctl.quantity import count, significant
 
 NARROW = 72
 """Columns below which meaning and unit are left out, as the key ends in its unit: else it is the values that go."""
@@ -74,7 +74,8 @@ def show(settings: RigSettings, console: Console) -> None:
     console.print(rig)
     for device, message in settings.plain_messages.items():
         console.print(
-            f"{device}: {message.name}, id 0x{message.can_id:03X}, {message.size} bytes, in N and rad", highlight=False
+            f"{device}: {message.name}, id 0x{message.can_id:03X}, {count(message.size, 'byte')}, in N and rad",
+            highlight=False,
         )
         for signal in message.signals.values():
             console.print(f"  {signal}", highlight=False)

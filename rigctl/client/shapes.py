@@ -15,6 +15,7 @@ import msgspec
 from msgspec import Meta
 
 from rigctl.one_line import on_one_line, printable
+from rigctl.quantity import count
 from rigctl.telemetry.record import RECORD
 
 Message = dict[str, Any]
@@ -57,7 +58,7 @@ class Refusals:
         """In one line; empty without any."""
         if not self.count:
             return ""
-        return f"{self.count} message{'s' if self.count > 1 else ''} refused, the last on {self.last}"
+        return f"{count(self.count, 'message')} refused, the last on {self.last}"
 
 
 class _Calibration(msgspec.Struct):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rigctl.operator.options import BAD, DONE, USAGE, Json, end, say, say_json
+from rigctl.quantity import count
 
 if TYPE_CHECKING:
     from rigctl.recorder.chain import Entry, Report
@@ -128,14 +129,14 @@ def _verify(path: pathlib.Path, head: str | None, json: bool) -> None:
 
 def _figures(report: Report) -> str:
     if not report.entries:
-        return "holds: no entries"
-    return f"holds: {report.entries} entries, {report.first} to {report.last}, head {report.head}"
+        return "intact: no entries"
+    return f"intact: {count(report.entries, 'entry', 'entries')}, {report.first} to {report.last}, head {report.head}"
 
 
 def _since_head(report: Report, head: str | None) -> str:
     if head is None:
         return ""
-    return f"; {report.entries - report.head_line} entries since the head given"
+    return f"; {count(report.entries - report.head_line, 'entry', 'entries')} since the head given"
 
 
 def _moment(since: str | None) -> str:

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import zstandard
 
+from rigctl.quantity import count
+
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 1, 2, 3, 4, 5, 6
 ATTACHMENT, METADATA, DATA_END = 9, 12, 15
@@ -74,7 +76,9 @@ class Scan:
                 closed = size >= at + len(MAGIC) and bytes(data[size - len(MAGIC) :]) == MAGIC
                 self.note = "" if closed else "cut off within its index"
                 return
-        self.note = f"cut off: {size - self.end} bytes after the last whole record" if size > self.end else "cut off"
+        self.note = (
+            f"cut off: {count(size - self.end, 'byte')} after the last whole record" if size > self.end else "cut off"
+        )
 
 
 def unpacked(chunk: Buffer) -> bytes:

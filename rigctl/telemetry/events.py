@@ -432,7 +432,9 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.FOREIGN_SDO: lambda _a, _b, _v, _l, t: Worded("warning", f"another master {t}: find it and stop it"),
     Kind.SETTING_LOST: lambda _a, _b, _v, _l, t: Worded("error", f"a device's setting is lost: {t}"),
     Kind.STROKE: _stroke,
-    Kind.READ_BACK: lambda a, _b, v, _l, _t: Worded("info", f"{a} settings of the devices read back in {v:.2f} s"),
+    Kind.READ_BACK: lambda a, _b, v, _l, _t: Worded(
+        "info", f"{count(a, 'setting')} of the devices read back in {v:.2f} s"
+    ),
     Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{count(a, 'tick')} skipped at once"),
 }  # fmt: skip
 
