@@ -113,6 +113,7 @@ def _daemon(connect: str | None, rig: str | None) -> Client:
             if not waiting:  # on standard error: standard output may be JSON for a program
                 of = f" of {wanted}" if (wanted := rig or os.environ.get("RIGCTL_RIG")) else ""
                 sys.stderr.write(f"waiting for a daemon{of} at {endpoint_of(connect)}; Ctrl-C ends\n")
+                sys.stderr.flush()
             waiting = True
             time.sleep(RETRY_S)
 
