@@ -20,6 +20,7 @@ from rigctl.quantity import count, significant
 NARROW = 72
 """Columns below which meaning and unit are left out, as the key ends in its unit: else it is the values that go."""
 NARROWEST_VALUE = 8
+NARROWEST_FRAME = 11  # "inclination" and "heartbeats," whole
 _OF_CANOPEN = ("node", "eds")  # keys without a meaning for a device with plain frames
 
 
@@ -85,7 +86,7 @@ def show(settings: RigSettings, console: Console) -> None:
         highlight=False,
     )
     frames = Table(title="bus", title_justify="left", box=None)
-    frames.add_column("frame", overflow="fold")
+    frames.add_column("frame", overflow="fold", min_width=NARROWEST_FRAME)
     for column in ("bytes", "per second", "bit/s at worst"):
         frames.add_column(column)
     for item in busload.traffic(settings):
