@@ -22,6 +22,7 @@ from rigctl import config, output_file
 from rigctl.config import RigSettings
 from rigctl.control import realtime
 from rigctl.devices import eds_file
+from rigctl.quantity import count
 from rigctl.termination import ENDING, on_signals
 
 WAIT_S = 0.001
@@ -107,10 +108,11 @@ class Service:
     def summary(self) -> str:
         """One line for the operator, at the end."""
         line = self.line
-        text = f"served: {line.received} frames in, {line.delivered} out, {line.lost} lost, {line.malformed} malformed"
+        taken = f"served: {count(line.received, 'frame')} in, {line.delivered} out"
+        text = f"{taken}, {line.lost} lost, {line.malformed} malformed"
         if isinstance(line, HubServer):
-            return f"{text}, {line.clients_seen} clients"
-        return f"{text}, {line.errors} bus errors" if isinstance(line, BusLink) else text
+            return f"{text}, {count(line.clients_seen, 'client')}"
+        return f"{text}, {count(line.errors, 'bus error')}" if isinstance(line, BusLink) else text
 
     def stop(self) -> None:
         """End ``run`` at its next turn; safe in a signal handler."""
@@ -160,7 +162,7 @@ def serve(file: pathlib.Path, truth: pathlib.Path | None, announce: Callable[[st
     except config.ConfigError as error:
         raise ServeError(str(error), 2) from None
     if settings.simulation is None:
-        raise ServeError(f"{file}: simulation: found nothing, allowed a section (it says what rig to simulate)", 2)
+        raise ServeError(f"{file}: simulation: found nothing, expected a section (it says what rig to simulate)", 2)
     try:
         eds_file.check(settings)
     except eds_file.EdsError as error:

@@ -15,11 +15,12 @@ from rigctl.config_limits import SIGNALS
 from rigctl.control import limits, safety
 from rigctl.control.modes import Mode
 from rigctl.devices import busload
-from rigctl.quantity import significant
+from rigctl.quantity import count, significant
 
 NARROW = 72
 """Columns below which meaning and unit are left out, as the key ends in its unit: else it is the values that go."""
 NARROWEST_VALUE = 8
+NARROWEST_FRAME = 11  # "inclination" and "heartbeats," whole
 _OF_CANOPEN = ("node", "eds")  # keys without a meaning for a device with plain frames
 
 
@@ -33,7 +34,7 @@ def as_dict(settings: RigSettings) -> dict[str, Any]:
         "accepted": accepted(settings),
         "stop_distance_mm": round(stop.distance_mm, 3),
         "stop_n": round(stop.newtons, 2),
-        "waived_bounds": [f"{key}: found {found}, allowed {allowed}" for key, found, allowed in findings(settings)],
+        "waived_bounds": [f"{key}: found {found}, expected {allowed}" for key, found, allowed in findings(settings)],
     }
 
 
@@ -74,7 +75,8 @@ def show(settings: RigSettings, console: Console) -> None:
     console.print(rig)
     for device, message in settings.plain_messages.items():
         console.print(
-            f"{device}: {message.name}, id 0x{message.can_id:03X}, {message.size} bytes, in N and rad", highlight=False
+            f"{device}: {message.name}, id 0x{message.can_id:03X}, {count(message.size, 'byte')}, in N and rad",
+            highlight=False,
         )
         for signal in message.signals.values():
             console.print(f"  {signal}", highlight=False)
@@ -84,7 +86,7 @@ def show(settings: RigSettings, console: Console) -> None:
         highlight=False,
     )
     frames = Table(title="bus", title_justify="left", box=None)
-    frames.add_column("frame", overflow="fold")
+    frames.add_column("frame", overflow="fold", min_width=NARROWEST_FRAME)
     for column in ("bytes", "per second", "bit/s at worst"):
         frames.add_column(column)
     for item in busload.traffic(settings):
@@ -94,7 +96,9 @@ def show(settings: RigSettings, console: Console) -> None:
     console.print(Stop.of(settings).in_words(settings), highlight=False)
     for key, found, allowed in findings(settings):
         console.print(
-            f"WAIVED ({settings.safety.waiver}): {key}: found {found}, allowed {allowed}", highlight=False, markup=False
+            f"WAIVED ({settings.safety.waiver}): {key}: found {found}, expected {allowed}",
+            highlight=False,
+            markup=False,
         )
 
 

@@ -1,7 +1,7 @@
 """A rig file (YAML) as frozen, validated settings.
 
 Units are in the names (``_n _mm _mm_s _rad _deg _s _ms _ns _hz``). Every refusal is one line:
-``FILE:LINE: key: found X, allowed Y``.
+``FILE:LINE: key: found X, expected Y``.
 """
 
 from __future__ import annotations
@@ -552,7 +552,7 @@ def load(path: str | pathlib.Path, *, study: bool = False) -> RigSettings:
         study: nothing is moved by what is made of it, so that the bounds of `rigctl.config_bounds` are waived.
 
     Raises:
-        ConfigError: one line per finding, ``FILE:LINE: key: found X, allowed Y``.
+        ConfigError: one line per finding, ``FILE:LINE: key: found X, expected Y``.
     """
     file = pathlib.Path(path)
     try:
@@ -560,7 +560,7 @@ def load(path: str | pathlib.Path, *, study: bool = False) -> RigSettings:
     except strict_yaml.FileError as error:
         raise ConfigError([str(error)]) from None
     if not isinstance(document.data, dict):
-        raise ConfigError([f"{file}:1: found {type(document.data).__name__}, allowed a mapping of sections"])
+        raise ConfigError([f"{file}:1: found {type(document.data).__name__}, expected a mapping of sections"])
     for key in _ADDED & document.data.keys():
         raise ConfigError([f"{file}:{document.line_of((key,))}: {key}: found an unknown key"])
     try:
@@ -572,7 +572,7 @@ def load(path: str | pathlib.Path, *, study: bool = False) -> RigSettings:
         eds = getattr(settings, name).eds
         if not settings.file(eds).is_file():
             line = document.line_of((name, "eds"))
-            raise ConfigError([f"{file}:{line}: {name}.eds: found no file {eds}, allowed an EDS file"])
+            raise ConfigError([f"{file}:{line}: {name}.eds: found no file {eds}, expected an EDS file"])
     if settings.tension_cell.dbc is None and settings.inclinometer.dbc is None:
         return settings
     from rigctl.devices import dbc_file  # cantools takes 0.15 s to import

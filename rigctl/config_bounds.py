@@ -233,7 +233,7 @@ _PAGE = """\
 Generated from the tables of the code: `python -m rigctl.config_bounds FILE > docs/bounds.md`.
 
 A value may be fine by its type and still disarm a protection. A rig file with a setting beyond its bound is refused,
-`FILE:LINE: key: found X, allowed Y (reason)`; `safety.waiver: "why"` lets it run all the same, and `rigctl check` and
+`FILE:LINE: key: found X, expected Y (reason)`; `safety.waiver: "why"` lets it run all the same, and `rigctl check` and
 `rigctl run` then say what is waived. A waiver is for what carries no load: a study without a spring, a simulated rig on
 a machine that pauses. Scenarios of `python -m hil scenario` are such studies and need none.
 
@@ -243,7 +243,7 @@ noticed and until it stands, and what the spring (`plant`) makes of that in newt
 
 > {stop}
 
-| setting | allowed | unit | why |
+| setting | expected | unit | why |
 |---|---|---|---|
 """
 _END = """

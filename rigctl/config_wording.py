@@ -1,4 +1,4 @@
-"""What is wrong with a file of settings, in words: ``FILE:LINE: key: found X, allowed Y``, from pydantic's errors."""
+"""What is wrong with a file of settings, in words: ``FILE:LINE: key: found X, expected Y``, from pydantic's errors."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class Wording:
 
     def say(self, path: Path, found: object, words: str) -> str:
         """One finding: at ``path`` there is ``found``, but allowed is what ``words`` say."""
-        return f"{self.place(path)}: found {on_one_line(str(found))}, allowed {words}"
+        return f"{self.place(path)}: found {on_one_line(str(found))}, expected {words}"
 
     def _resolve(self, loc: Path) -> tuple[Path, Slot | None]:
         """Pydantic's place in the model as a path in the file, and what may stand there.

@@ -143,7 +143,7 @@ def demo(
     settings = _load(file)
     for section in ("demo", "simulation"):
         if getattr(settings, section) is None:
-            end(USAGE, f"{file}: {section}: found nothing, allowed a section (the demo needs it)")
+            end(USAGE, f"{file}: {section}: found nothing, expected a section (the demo needs it)")
     import msgspec
     from rich.console import Console
 
@@ -152,7 +152,7 @@ def demo(
 
     assert settings.demo is not None
     if json is not None and json.resolve() == file.resolve():
-        end(USAGE, f"--json: {json} is the rig file, allowed a file of its own")
+        end(USAGE, f"--json: {json} is the rig file, expected a file of its own")
     check_output("--json", json)
     try:
         summary = play(settings, settings.demo, Console(), recordings.resolve(), lockstep=lockstep)

@@ -19,5 +19,5 @@ def shortage() -> str | None:
             resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
         soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     if 0 <= soft < LEAST:
-        return f"found a limit of {soft} open files, allowed {LEAST} or more: raise it with ulimit -n {ENOUGH}"
+        return f"found a limit of {soft} open files, expected {LEAST} or more: raise it with ulimit -n {ENOUGH}"
     return None

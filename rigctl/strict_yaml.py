@@ -92,7 +92,7 @@ def text_of(file: pathlib.Path) -> str:
         with file.open("rb") as opened:
             data = opened.read(LARGEST_BYTES + 1)
         if len(data) > LARGEST_BYTES:
-            raise FileError(f"{file}: found more than {LARGEST_BYTES} bytes, allowed a settings file")
+            raise FileError(f"{file}: found more than {LARGEST_BYTES} bytes, expected a settings file")
         return data.decode()
     except OSError as error:
         raise FileError(f"{file}: cannot be read: {error.strerror}") from None
@@ -104,7 +104,7 @@ def load(text: str) -> Document:
     """Read one YAML document made of mappings, lists and plain scalars.
 
     Raises:
-        StrictYamlError: with the line and what is allowed instead.
+        StrictYamlError: with the line and what is expected instead.
     """
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
@@ -123,7 +123,7 @@ def load(text: str) -> Document:
     except RecursionError:
         raise StrictYamlError(1, "nested too deeply, or an alias refers to itself") from None
     if isinstance(data, Unreadable):
-        raise StrictYamlError(lines[()], f"file: found {on_one_line(data.text)}, allowed {data.allowed}")
+        raise StrictYamlError(lines[()], f"file: found {on_one_line(data.text)}, expected {data.allowed}")
     return Document(data, lines)
 
 
@@ -131,10 +131,10 @@ def _value(node: yaml.Node, path: Path, lines: dict[Path, int]) -> Any:
     lines.setdefault(path, node.start_mark.line + 1)
     if len(lines) > MOST_VALUES:
         line = node.start_mark.line + 1
-        raise StrictYamlError(line, f"found more than {MOST_VALUES} values, allowed a settings file")
+        raise StrictYamlError(line, f"found more than {MOST_VALUES} values, expected a settings file")
     if not isinstance(node, yaml.ScalarNode) and node.tag not in _COLLECTIONS:
         where = dotted(path) or "file"
-        raise StrictYamlError(node.start_mark.line + 1, f"{where}: found the tag {node.tag}, allowed no tags")
+        raise StrictYamlError(node.start_mark.line + 1, f"{where}: found the tag {node.tag}, expected no tags")
     if isinstance(node, yaml.MappingNode):
         return _mapping(node, path, lines)
     if isinstance(node, yaml.SequenceNode):
@@ -152,7 +152,7 @@ def _mapping(node: yaml.MappingNode, path: Path, lines: dict[Path, int]) -> dict
         if key in result:
             first = lines[(*path, key)]
             raise StrictYamlError(
-                line, f"{dotted((*path, key))}: found the key twice (first on line {first}), allowed once"
+                line, f"{dotted((*path, key))}: found the key twice (first on line {first}), expected once"
             )
         lines[(*path, key)] = line
         result[key] = _value(value_node, (*path, key), lines)
@@ -165,7 +165,7 @@ def _scalar(node: yaml.Node, path: Path) -> Any:
     if isinstance(node, yaml.ScalarNode) and node.style is not None:
         return text
     if not node.tag.startswith("tag:yaml.org,2002:"):
-        raise StrictYamlError(line, f"{dotted(path)}: found the tag {node.tag}, allowed no tags")
+        raise StrictYamlError(line, f"{dotted(path)}: found the tag {node.tag}, expected no tags")
     if text in ("", "null", "~"):
         return None
     if text in ("true", "false"):

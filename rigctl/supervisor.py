@@ -148,7 +148,7 @@ class Supervisor:
         self._note(Doing.DAEMON_STARTED, reason=f"rigctl {__version__}")
         self._say_calibration()
         for key, found, allowed in findings(settings):
-            self._say(f"WARNING: {key}: found {found}, allowed {allowed}; waived: {settings.safety.waiver}")
+            self._say(f"WARNING: {key}: found {found}, expected {allowed}; waived: {settings.safety.waiver}")
         self._put_last_stroke(None)
         for name in self._modules:
             try:

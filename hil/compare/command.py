@@ -69,4 +69,4 @@ def run(
 def _known(option: str, names: Collection[str], allowed: Sequence[str]) -> None:
     for name in names:
         if name not in allowed:
-            raise ScenarioError([f"{option}: found {name!r}, allowed {', '.join(allowed)}"])
+            raise ScenarioError([f"{option}: found {name!r}, expected {', '.join(allowed)}"])

@@ -16,6 +16,7 @@ from hil.compare.rivals import CONTROLLERS, OURS, PASSIVE
 from hil.compare.scenarios import Scenario
 from hil.compare.study import COMPENSATING, LOCKED, SETTLED_PCT, Result, Study, Verdict
 from rigctl.config import RigSettings
+from rigctl.quantity import count
 
 _Value = Callable[[Result], float | None]
 _QUANTITIES: dict[str, tuple[str, _Value]] = {
@@ -57,7 +58,7 @@ def show(study: Study, console: Console) -> None:
     if verdicts:
         console.print()
         console.print(_limits(verdicts), highlight=False)
-        console.print(f"{sum(v.ok for v in verdicts)} of {len(verdicts)} limits kept by ours", highlight=False)
+        console.print(f"{sum(v.ok for v in verdicts)} of {count(len(verdicts), 'limit')} kept by ours", highlight=False)
     if study.with_cell:
         console.print()
         console.print(_cell_errors(study), highlight=False)

@@ -94,7 +94,9 @@ def choose(only: Sequence[str], modes: Sequence[str]) -> Chosen:
     lockstep = tuple((f, m) for f in CATALOGUE if not only or f.id in only for m in f.modes if m in wanted)
     real = tuple((p, m) for p in processes.CATALOGUE if not only or p.id in only for m in p.expected if m in wanted)
     if not lockstep and not real:
-        raise ScenarioError([f"--mode: found {', '.join(modes)}, allowed a mode in which {', '.join(only)} can happen"])
+        raise ScenarioError(
+            [f"--mode: found {', '.join(modes)}, expected a mode in which {', '.join(only)} can happen"]
+        )
     return Chosen(lockstep, real)
 
 
@@ -116,4 +118,4 @@ def show_list() -> None:
 def _known(option: str, names: Collection[str], allowed: Sequence[str]) -> None:
     for name in names:
         if name not in allowed:
-            raise ScenarioError([f"{option}: found {name!r}, allowed {', '.join(allowed)}"])
+            raise ScenarioError([f"{option}: found {name!r}, expected {', '.join(allowed)}"])

@@ -88,9 +88,9 @@ def judge(fault: Fault, mode: Mode, run: Run, undisturbed: Run, settings: RigSet
     if reaction not in _WHAT_WILL_DO.get(expected, {expected}):
         findings.append(f"{reaction}")
     if not math.isfinite(error_n) or error_n > fault.band_n:
-        findings.append(f"tension {error_n:.1f} N off, allowed {fault.band_n:g}")
+        findings.append(f"tension {error_n:.1f} N off, expected at most {fault.band_n:g}")
     if mode in KEPT_IN and (moved_mm := _moved_mm(run, undisturbed, None)) > fault.held_mm:
-        findings.append(f"stroke moved {moved_mm:.2f} mm, allowed {fault.held_mm:g}")
+        findings.append(f"stroke moved {moved_mm:.2f} mm, expected at most {fault.held_mm:g}")
     if fault.carried and not carried:
         findings.append("load not carried")
     findings += _late(fault, mode, expected, detection_ms, latency_ms)
@@ -210,10 +210,10 @@ def _late(
     limit_ms = DRIVE_STOPS_MS if expected is Reaction.DRIVE_STOPS else fault.latency_ms
     findings = []
     if mode is not Mode.FAULT and latency_ms > limit_ms + 1e-6:
-        findings.append(f"reacts after {latency_ms:.0f} ms, allowed {limit_ms:g}")
+        findings.append(f"reacts after {latency_ms:.0f} ms, expected at most {limit_ms:g}")
     total_ms = latency_ms + (detection_ms or 0.0)
     if total_ms > fault.within_ms:
-        findings.append(f"reacts {total_ms:.0f} ms after the fault, allowed {fault.within_ms:g}")
+        findings.append(f"reacts {total_ms:.0f} ms after the fault, expected at most {fault.within_ms:g}")
     return findings
 
 

@@ -14,6 +14,7 @@ from hil.faults.expected import ACCURACY_N, Expected, Fault, Reaction
 from hil.faults.judge import Row
 from hil.faults.processes import ProcessFault
 from rigctl.control.modes import Mode
+from rigctl.quantity import count
 
 WIDTH = 150
 
@@ -31,7 +32,7 @@ def show(rows: Sequence[Row]) -> None:
     bad = sum(not row.ok for row in rows)
     faults = len({row.id for row in rows})
     verdict = "all as expected" if not bad else f"{bad} not as expected"
-    console.print(f"{len(rows)} rows of {faults} faults: {verdict}")
+    console.print(f"{count(len(rows), 'row')} of {count(faults, 'fault')}: {verdict}")
 
 
 def show_kills(found: Mapping[str, object]) -> None:

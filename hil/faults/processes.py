@@ -294,7 +294,7 @@ def judged(expected: Reaction, seen: Seen, mode: Mode, within_ms: float = DRIVE_
     if expected is Reaction.DRIVE_STOPS:
         reaction = Reaction.DRIVE_STOPS if seen.stopped_ms <= within_ms else Reaction.MOVES
         if reaction is Reaction.MOVES:
-            findings.append(f"moves for {seen.stopped_ms:.0f} ms, allowed {within_ms:g}")
+            findings.append(f"moves for {seen.stopped_ms:.0f} ms, expected at most {within_ms:g}")
         if seen.mode_after not in (Mode.DISARMED, Mode.FAULT):
             findings.append(f"then {seen.mode_after.name}, not DISARMED or FAULT")
         return reaction, findings + _moved(seen)
@@ -307,7 +307,7 @@ def judged(expected: Reaction, seen: Seen, mode: Mode, within_ms: float = DRIVE_
         allowed = {mode} | NATURAL.get(mode, set())
         findings += [] if seen.mode_after in allowed else [f"then {seen.mode_after.name}"]
         if seen.setpoint_off_n > ACCURACY_N:
-            findings.append(f"tension {seen.setpoint_off_n:.1f} N off its set-point, allowed {ACCURACY_N:g}")
+            findings.append(f"tension {seen.setpoint_off_n:.1f} N off its set-point, expected at most {ACCURACY_N:g}")
         return Reaction.RIDDEN, findings
     findings += [] if seen.mode_after is mode else [f"then {seen.mode_after.name}"]
     return Reaction.RIDDEN, findings + _moved(seen)
@@ -316,7 +316,7 @@ def judged(expected: Reaction, seen: Seen, mode: Mode, within_ms: float = DRIVE_
 def _moved(seen: Seen) -> list[str]:
     findings = []
     if seen.moved_mm > MOVED_MM:
-        findings.append(f"stroke moved {seen.moved_mm:.2f} mm, allowed {MOVED_MM:g}")
+        findings.append(f"stroke moved {seen.moved_mm:.2f} mm, expected at most {MOVED_MM:g}")
     if not math.isfinite(seen.tension_off_n) or seen.tension_off_n > ACCURACY_N:
-        findings.append(f"tension {seen.tension_off_n:.1f} N off, allowed {ACCURACY_N:g}")
+        findings.append(f"tension {seen.tension_off_n:.1f} N off, expected at most {ACCURACY_N:g}")
     return findings

@@ -25,7 +25,7 @@ def show(rows: list[Row], study: Study, console: Console) -> None:
     """Print a table per figure with what there is to say about its rows, then the closed loop."""
     for figure, title in _TITLES.items():
         table = Table("quantity", title=title, title_justify="left", box=None, pad_edge=False)
-        for column in ("paper", "ours", "difference", "allowed"):
+        for column in ("paper", "ours", "difference", "expected"):
             table.add_column(column, justify="right", no_wrap=True)
         table.add_column("")
         mine = [row for row in rows if row.claim.figure == figure]

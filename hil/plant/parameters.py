@@ -93,7 +93,7 @@ def _check_step(values: dict[str, float], step_us: int) -> None:
     stiffness, distance = values["stiffness"], values["rope_length"]
     if values["stroke_high"] >= distance:
         raise ValueError(
-            f"plant.rope_length_mm: found {distance:g}, allowed more than the stroke {values['stroke_high']:g}"
+            f"plant.rope_length_mm: found {distance:g}, expected more than the stroke {values['stroke_high']:g}"
         )
     mass = values["payload_mass"]
     # of a rope that hangs level, or of its end elements under all the tension there can be; near plumb it is far slower
@@ -112,6 +112,6 @@ def _check_step(values: dict[str, float], step_us: int) -> None:
     longest_us = 1e6 / max(rates)
     if step_us > longest_us:
         raise ValueError(
-            f"simulation.step_us: found {step_us}, allowed at most {longest_us:.0f} "
+            f"simulation.step_us: found {step_us}, expected at most {longest_us:.0f} "
             "with the stiffness and damping of mechanism and rope, and the masses they move"
         )

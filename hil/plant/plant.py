@@ -43,7 +43,7 @@ class Plant:
     def __init__(self, settings: RigSettings, start_ns: int) -> None:
         simulation = settings.simulation
         if simulation is None:
-            raise ValueError("simulation: found nothing, allowed a section (it says what rig to simulate)")
+            raise ValueError("simulation: found nothing, expected a section (it says what rig to simulate)")
         self.t_ns = start_ns
         self._grid_ns = start_ns
         self._step_ns = simulation.step_us * 1000

@@ -30,7 +30,7 @@ def load(path: str | pathlib.Path) -> Case:
     """Read a scenario file and the rig it names.
 
     Raises:
-        ScenarioError: one line per finding, ``FILE:LINE: key: found X, allowed Y``.
+        ScenarioError: one line per finding, ``FILE:LINE: key: found X, expected Y``.
     """
     source = format.read(path)
     settings = rig.settings_of(source)

@@ -34,7 +34,7 @@ def run(file: pathlib.Path, json: pathlib.Path | None, picture: pathlib.Path | N
     """
     case = load(file)
     if picture is not None and picture.suffix.lower() not in SUFFIXES:
-        raise ScenarioError([f"--plot: found {picture}, allowed a name ending in {', '.join(SUFFIXES)}"])
+        raise ScenarioError([f"--plot: found {picture}, expected a name ending in {', '.join(SUFFIXES)}"])
     inputs = [file, file.parent / case.scenario.rig]
     check_outputs({"--json": None if json == STANDARD_OUTPUT else json, "--plot": picture}, inputs)
     played = _play(case)
@@ -82,7 +82,7 @@ def check_outputs(outputs: dict[str, pathlib.Path | None], inputs: list[pathlib.
         if file is None:
             continue
         if file.resolve() in taken:
-            raise ScenarioError([f"{option}: {file} is in use already, allowed a file of its own"])
+            raise ScenarioError([f"{option}: {file} is in use already, expected a file of its own"])
         taken.add(file.resolve())
         output_file.check(option, file)
 
@@ -106,6 +106,6 @@ def simulated_rig(rig_file: pathlib.Path) -> RigSettings:
         raise ScenarioError(error.findings) from None
     if rig.simulation is None:
         raise ScenarioError(
-            [f"{rig_file}: simulation: found nothing, allowed a section (it says what rig to simulate)"]
+            [f"{rig_file}: simulation: found nothing, expected a section (it says what rig to simulate)"]
         )
     return rig

@@ -81,7 +81,7 @@ def read(path: str | pathlib.Path) -> ScenarioFile:
     """Read and validate a scenario file; the rig it names is not looked at.
 
     Raises:
-        ScenarioError: one line per finding, ``FILE:LINE: key: found X, allowed Y``.
+        ScenarioError: one line per finding, ``FILE:LINE: key: found X, expected Y``.
     """
     file = pathlib.Path(path)
     document = read_yaml(file)
@@ -103,5 +103,5 @@ def read_yaml(file: pathlib.Path) -> strict_yaml.Document:
     except strict_yaml.FileError as error:
         raise ScenarioError([str(error)]) from None
     if not isinstance(document.data, dict):
-        raise ScenarioError([f"{file}:1: found {type(document.data).__name__}, allowed a mapping of keys"])
+        raise ScenarioError([f"{file}:1: found {type(document.data).__name__}, expected a mapping of keys"])
     return document

@@ -29,7 +29,7 @@ def as_dict(case: Case, played: Played) -> dict[str, Any]:
         "stiffness_n_mm": case.settings.plant.stiffness_n_mm,
         "duration_s": scenario.duration_s,
         "waived_bounds": [
-            f"{key}: found {found}, allowed {allowed}" for key, found, allowed in findings(case.settings)
+            f"{key}: found {found}, expected {allowed}" for key, found, allowed in findings(case.settings)
         ],
         "ended": asdict(played.ended),
         "windows": {name: {"from_s": span[0], "to_s": span[1]} for name, span in scenario.spans.items()},

@@ -123,7 +123,7 @@ def design(settings: RigSettings) -> Gains:
         raise ScenarioError([f"{settings.rig}: design: unstable with the plant in the file, no waiver helps"])
     raise ScenarioError(
         [
-            f"{settings.rig}: design refused: Ms {found.ms_max:.2f} over the family of plants, allowed "
+            f"{settings.rig}: design refused: Ms {found.ms_max:.2f} over the family of plants, expected at most "
             f"{found.limit:g}; to run it all the same, say why in change: design: waiver"
         ]
     )

@@ -59,10 +59,10 @@ def bench(file: File, seconds: Seconds = 30.0, rate: Rates = None, json: Json = 
 
 def _check(seconds: float, rates: list[int]) -> None:
     if not _SHORTEST_S <= seconds <= _LONGEST_S:
-        end(USAGE, f"--seconds: found {seconds:g}, allowed {_SHORTEST_S:g} to {_LONGEST_S:g}")
+        end(USAGE, f"--seconds: found {seconds:g}, expected {_SHORTEST_S:g} to {_LONGEST_S:g}")
     for rate_hz in rates:
         if not 100 <= rate_hz <= 4000 or rate_hz % 100 or 1_000_000_000 % rate_hz:
-            end(USAGE, f"--rate: found {rate_hz}, allowed 100 to 4000, a multiple of 100 of whole nanoseconds")
+            end(USAGE, f"--rate: found {rate_hz}, expected 100 to 4000, a multiple of 100 of whole nanoseconds")
 
 
 def _settings(file: pathlib.Path) -> RigSettings:
@@ -73,7 +73,7 @@ def _settings(file: pathlib.Path) -> RigSettings:
     except config.ConfigError as error:
         end(USAGE, "\nrigctl: ".join(error.findings))
     if settings.simulation is None:
-        end(USAGE, f"{file}: simulation: found nothing, allowed a section (the bench needs it)")
+        end(USAGE, f"{file}: simulation: found nothing, expected a section (the bench needs it)")
     return settings
 
 

@@ -76,7 +76,7 @@ def endpoint_of(connect: str | None) -> str:
     """
     endpoint = connect or os.environ.get("RIGCTL_CONNECT") or keys.DEFAULT_ENDPOINT
     if not re.fullmatch(r"[a-z-]+/\S+", endpoint):
-        raise ChoiceError(f"found endpoint {endpoint!r}, allowed e.g. {keys.DEFAULT_ENDPOINT}")
+        raise ChoiceError(f"found endpoint {endpoint!r}, expected e.g. {keys.DEFAULT_ENDPOINT}")
     return endpoint
 
 
@@ -110,7 +110,7 @@ class Client:
         self.endpoint = endpoint_of(connect)
         wanted = rig or os.environ.get("RIGCTL_RIG") or None
         if wanted is not None and not _RIG.fullmatch(wanted):
-            raise ChoiceError(f"found rig {wanted!r}, allowed a rig's name, e.g. paper_rig")
+            raise ChoiceError(f"found rig {wanted!r}, expected a rig's name, e.g. paper_rig")
         self.leases: dict[str, str] = {}  # id shown with the commands of each operator; kept from the answers
         self.refusals = Refusals()  # messages that were none of our daemon's
         self.session = _open(self.endpoint)
@@ -125,7 +125,7 @@ class Client:
     def _check_run(self) -> None:
         if self._run_id is not None and (found := self.active().get("run_id")) != self._run_id:
             raise NoDaemonError(
-                f"another daemon answers at {self.endpoint}: found run {found}, allowed run {self._run_id}; "
+                f"another daemon answers at {self.endpoint}: found run {found}, expected run {self._run_id}; "
                 f"it was not commanded"
             )
 
@@ -177,7 +177,7 @@ class Client:
                 continue
             try:
                 if len(said.payload) > LONGEST_PAST:
-                    raise MessageRefusedError(f"found {len(said.payload)} bytes, allowed {LONGEST_PAST}")
+                    raise MessageRefusedError(f"found {len(said.payload)} bytes, expected at most {LONGEST_PAST}")
                 found = bytes(said.payload)
                 if reply.ok is not None:
                     check(found)

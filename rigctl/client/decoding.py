@@ -97,7 +97,7 @@ def layout_of(schema: Mapping[str, Any]) -> Layout:
     try:
         record = msgspec.convert(dict(schema), _Schema).fast.record
         if objects := [field.name for field in record.fields if "O" in field.type]:
-            raise SchemaError(f"meta/schema cannot be used: found objects in {objects[0]}, allowed plain numbers")
+            raise SchemaError(f"meta/schema cannot be used: found objects in {objects[0]}, expected plain numbers")
         known_types = [field for field in record.fields if _is_known(field)]
         dtype = np.dtype(
             {

@@ -31,7 +31,7 @@ class Mailbox:
 
     def _put(self, sample: zenoh.Sample) -> None:
         if len(sample.payload) > self._longest:
-            self.refuse(f"found {len(sample.payload)} bytes, allowed {self._longest}")
+            self.refuse(f"found {len(sample.payload)} bytes, expected at most {self._longest}")
             return
         self.dropped += len(self._waiting) == self._waiting.maxlen
         self._waiting.append(bytes(sample.payload))

@@ -15,6 +15,7 @@ import msgspec
 from msgspec import Meta
 
 from rigctl.one_line import on_one_line, printable
+from rigctl.quantity import count
 from rigctl.telemetry.record import RECORD
 
 Message = dict[str, Any]
@@ -57,7 +58,7 @@ class Refusals:
         """In one line; empty without any."""
         if not self.count:
             return ""
-        return f"{self.count} message{'s' if self.count > 1 else ''} refused, the last on {self.last}"
+        return f"{count(self.count, 'message')} refused, the last on {self.last}"
 
 
 class _Calibration(msgspec.Struct):
@@ -259,11 +260,11 @@ _Shape = TypeVar("_Shape")
 def _checked(payload: bytes, longest: int) -> Any:
     """What the JSON says, with printable text alone."""
     if len(payload) > longest:
-        raise MessageRefusedError(f"found {len(payload)} bytes, allowed {longest}")
+        raise MessageRefusedError(f"found {len(payload)} bytes, expected at most {longest}")
     try:
         return cleaned(msgspec.json.decode(payload))
     except RecursionError:
-        raise MessageRefusedError(f"found more than {DEPTH} levels, allowed {DEPTH}") from None
+        raise MessageRefusedError(f"found more than {DEPTH} levels, expected at most {DEPTH}") from None
     except (msgspec.MsgspecError, UnicodeError) as error:
         raise MessageRefusedError(on_one_line(str(error))) from None
 
@@ -287,7 +288,7 @@ def cleaned(value: Any, depth: int = DEPTH) -> Any:
     if not isinstance(value, dict | list):
         return value
     if depth == 0:
-        raise MessageRefusedError(f"found more than {DEPTH} levels, allowed {DEPTH}")
+        raise MessageRefusedError(f"found more than {DEPTH} levels, expected at most {DEPTH}")
     if isinstance(value, dict):
         return {cleaned(key): cleaned(item, depth - 1) for key, item in value.items()}
     return [cleaned(item, depth - 1) for item in value]

@@ -55,7 +55,7 @@ def calibrate(
 ) -> None:
     """Hold the cell against a known weight that hangs still, or against the shunt; on record, with a due date."""
     if shunt and (adopt or weight_n is not None):
-        end(USAGE, "found --shunt with --adopt or --weight-n, allowed --shunt alone")
+        end(USAGE, "found --shunt with --adopt or --weight-n, expected --shunt alone")
     _end(_give("calibrate", connect, rig, operator, weight_n, shunt=shunt, adopt=adopt), json)
 
 
@@ -69,9 +69,9 @@ def identify(
 ) -> None:
     """Small steps of speed in HOLD tell lag, delay, stiffness, backlash and noise; proposes, and changes nothing."""
     if where not in PLACES:
-        end(USAGE, f"--in: found {where!r}, allowed {' or '.join(PLACES)}")
+        end(USAGE, f"--in: found {where!r}, expected {' or '.join(PLACES)}")
     if file is not None and (file.is_dir() or not file.parent.is_dir()):
-        end(USAGE, f"--file: {file}: allowed a file in a folder that is there")
+        end(USAGE, f"--file: {file}: expected a file in a folder that is there")
     answer = _give("identify", connect, rig, operator, tight=where == "tension")
     if file is not None and answer.get("accepted"):
         import msgspec

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rigctl import quantity
 from rigctl.commission.motion import Array, behind_play, delayed, response
 from rigctl.devices.objects import MM_PER_POSITION_UNIT
 
@@ -278,7 +279,7 @@ def noise(values: Array, period_s: float) -> Estimate:
     length = max(8, round(_NOISE_WINDOW_S / period_s))
     count = len(values) // length
     if count == 0:
-        raise IdentificationError(f"{len(values)} samples at rest, {length} are needed")
+        raise IdentificationError(f"{quantity.count(len(values), 'sample')} at rest, {length} are needed")
     time = np.linspace(-1.0, 1.0, length)
     columns = np.column_stack([time, np.ones(length)])
     squares = 0.0

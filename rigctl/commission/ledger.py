@@ -135,7 +135,7 @@ def read(settings: RigSettings) -> list[Entry]:
     except msgspec.MsgspecError as error:
         raise LedgerError(f"{path}: no calibration ledger: {printable(' '.join(str(error).split()))}") from None
     if found.rig != settings.rig:
-        raise LedgerError(f"{path}: found the ledger of {found.rig!r}, allowed that of {settings.rig!r}")
+        raise LedgerError(f"{path}: found the ledger of {found.rig!r}, expected that of {settings.rig!r}")
     for number, item in enumerate(found.entries, 1):
         _check(path, number, item, settings)
     return found.entries
@@ -146,7 +146,7 @@ def _check(path: pathlib.Path, number: int, item: Entry, settings: RigSettings) 
     try:
         moment(item.when)
     except ValueError:
-        raise LedgerError(f"{path}: entry {number}: found the date {item.when!r}, allowed ISO 8601") from None
+        raise LedgerError(f"{path}: entry {number}: found the date {item.when!r}, expected ISO 8601") from None
     pair = item.after.get("zero_n"), item.after.get("scale")
     if pair == (None, None):
         return
@@ -154,7 +154,7 @@ def _check(path: pathlib.Path, number: int, item: Entry, settings: RigSettings) 
     if zero_n is None or scale is None or not Correction(zero_n, scale).fits(settings):
         limit = tare_limit_n(settings)
         raise LedgerError(
-            f"{path}: entry {number}: found zero {zero_n} N and scale {scale}, allowed {-limit:g} to {limit:g} N and "
+            f"{path}: entry {number}: found zero {zero_n} N and scale {scale}, expected {-limit:g} to {limit:g} N and "
             f"{1 - SCALE_BOUND:g} to {1 + SCALE_BOUND:g}"
         )
 

@@ -13,6 +13,7 @@ from rigctl.commission import identification
 from rigctl.commission.identification import Drive, Estimate, IdentificationError, Signals
 from rigctl.config import RigSettings
 from rigctl.control.trials import QUIET_S
+from rigctl.quantity import count
 
 LAST_QUIET_S = 0.01  # of the rest before the first step, left out
 LAG_SHARE = STIFFNESS_SHARE = 0.1  # uncertainty over value: a figure less certain than this is none
@@ -33,7 +34,9 @@ def signals_of(records: npt.NDArray[Any], period_s: float) -> Signals:
     ticks = np.rint((records["t_ns"] - records["t_ns"][0]) * (1e-9 / period_s)).astype(int)
     skipped = int(ticks[-1]) + 1 - len(records)
     if skipped * period_s > SKIPPED_S:
-        raise IdentificationError(f"the computer had the loop skip {skipped} periods during the excitation: repeat it")
+        raise IdentificationError(
+            f"the computer had the loop skip {count(skipped, 'period')} during the excitation: repeat it"
+        )
     known = records[np.searchsorted(ticks, np.arange(ticks[-1] + 1), side="right") - 1]
     columns = (known[name].astype(float) for name in ("command_mm_s", "stroke_mm", "speed_mm_s", "tension_n"))
     return Signals(period_s, *columns)

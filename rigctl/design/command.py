@@ -66,7 +66,7 @@ def tune(
                 say(f"written: {written}")
         if settings.safety.waiver == STUDY:
             for key, value, allowed in findings(settings):
-                say(f"note: `rigctl run` refuses this file: {key}: found {value}, allowed {allowed}")
+                say(f"note: `rigctl run` refuses this file: {key}: found {value}, expected {allowed}")
         kept = settings.design.gains_file
         if kept is not None and (gains is None or gains.resolve() != settings.file(kept).resolve()):
             say(f"note: `rigctl run` takes the gains of {settings.file(kept)}, not these")
@@ -82,16 +82,16 @@ def _check_outputs(file: pathlib.Path, outputs: dict[str, pathlib.Path | None]) 
         if path is None:
             continue
         if path.resolve() in taken:
-            end(USAGE, f"{option}: {path} is {taken[path.resolve()]}, allowed a file of its own")
+            end(USAGE, f"{option}: {path} is {taken[path.resolve()]}, expected a file of its own")
         taken[path.resolve()] = f"the file of {option}"
         if option == "--plot" and path.suffix.lower() not in SUFFIXES:
-            end(USAGE, f"--plot: found {path}, allowed a name ending in {', '.join(SUFFIXES)}")
+            end(USAGE, f"--plot: found {path}, expected a name ending in {', '.join(SUFFIXES)}")
         check_output(option, path)
         if option == "--gains" and path.exists():
             try:
                 gain_file.read(path)
             except gain_file.GainFileError:
-                end(USAGE, f"--gains: {path} is there and is no gain file, allowed a new file or a gain file")
+                end(USAGE, f"--gains: {path} is there and is no gain file, expected a new file or a gain file")
 
 
 def _design(file: pathlib.Path, settings: RigSettings) -> Design:

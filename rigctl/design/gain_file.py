@@ -177,7 +177,7 @@ def _understood(document: strict_yaml.Document, file: pathlib.Path) -> GainFile:
         found = GainFile.model_validate(document.data)
     except ValidationError as error:
         if not isinstance(document.data, dict):
-            raise GainFileError(f"{file}:1: found no gain file, allowed one from `rigctl tune --gains`") from None
+            raise GainFileError(f"{file}:1: found no gain file, expected one from `rigctl tune --gains`") from None
         first, *more = Wording(GainFile, frozenset(), document, file).lines(error)
         raise GainFileError(first + (f" (and {len(more)} more)" if more else "")) from None
     if sha256(found.provenance.inputs) != found.provenance.inputs_sha256:
@@ -222,7 +222,7 @@ def design_while_running(settings: RigSettings, text: str, name: str) -> Design:
     found = parse(text, name)
     then = found.provenance.inputs
     if found.provenance.rig != settings.rig:
-        raise GainFileError(f"{name}: found gains of rig {found.provenance.rig!r}, allowed {settings.rig!r}")
+        raise GainFileError(f"{name}: found gains of rig {found.provenance.rig!r}, expected {settings.rig!r}")
     weights = then.get("design", {})
     if weights.keys() != set(INPUTS["design"]) or any(value is None or value <= 0.0 for value in weights.values()):
         raise GainFileError(f"{name}: its inputs hold no weights of the design: run `rigctl tune` again")

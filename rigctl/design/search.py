@@ -162,7 +162,7 @@ def _against(settings: RigSettings, design: Design) -> Iterator[str]:
     worst = max(design.margins, key=lambda member: member.ms_worst)
     k_m = "rigid" if worst.k_m is None else f"{worst.k_m:g} N/mm"
     yield (
-        f"the best found is {design.ms_in_words()}, allowed {design.limit:g}; worst with mechanism {k_m}, "
+        f"the best found is {design.ms_in_words()}, expected at most {design.limit:g}; worst with mechanism {k_m}, "
         f"rope's k x {worst.k_scale:g}, delay x {worst.delay_scale}"
     )
     for key, factor, words in _RELIEF:

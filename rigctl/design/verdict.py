@@ -82,7 +82,7 @@ class Design:
         """``Ms 1.585 over the family of plants``."""
         if not math.isfinite(self.ms_max):
             return f"unstable with {sum(not m.stable for m in self.margins)} of {len(self.margins)} plants"
-        digits = 3 if abs(self.ms_max - self.limit) > 0.001 else 6  # never "1.600, allowed 1.6"
+        digits = 3 if abs(self.ms_max - self.limit) > 0.001 else 6  # never "1.600, expected at most 1.6"
         return f"Ms {self.ms_max:.{digits}f} over the family of plants"
 
     def verdict(self) -> str:
@@ -92,7 +92,7 @@ class Design:
             made = self.source.provenance
             origin = f"; gains of {self.source.file}, {made['date_utc']}, inputs {made['inputs_sha256'][:12]}"
         if not self.accepted:
-            return f"design refused: {self.ms_in_words()}, allowed {self.limit:g}{self._way_out()}{origin}"
+            return f"design refused: {self.ms_in_words()}, expected at most {self.limit:g}{self._way_out()}{origin}"
         return f"{self.ms_in_words()} (limit {self.limit:g}{', waived' if self.waiver else ''}){origin}"
 
     def warnings(self) -> list[str]:
@@ -101,7 +101,9 @@ class Design:
         if self.source and self.source.edited:
             found.append(f"gains of {self.source.file} are not those its inputs give: edited by hand?")
         if self.accepted and self.waiver:
-            found.append(f"{self.ms_in_words()}, allowed {self.limit:g}, waived: {' '.join(self.waiver.split())}")
+            found.append(
+                f"{self.ms_in_words()}, expected at most {self.limit:g}, waived: {' '.join(self.waiver.split())}"
+            )
         return found
 
     def _way_out(self) -> str:

@@ -28,10 +28,10 @@ _NAMES_SHOWN = 8
 
 
 class DbcError(ValueError):
-    """A DBC section that is refused: ``key`` is the rig file's (a path), with what was found and what is allowed."""
+    """A DBC section that is refused: ``key`` is the rig file's (a path), with what was found and what is expected."""
 
     def __init__(self, key: tuple[str, ...], found: str, allowed: str) -> None:
-        super().__init__(f"{'.'.join(key)}: found {found}, allowed {allowed}")
+        super().__init__(f"{'.'.join(key)}: found {found}, expected {allowed}")
         self.key = key
 
 

@@ -33,6 +33,6 @@ def check(settings: RigSettings) -> None:
             raise EdsError(f"{path}: cannot be read: {error.strerror}") from None
         except Exception as error:  # noqa: BLE001 - canopen's parser lets out whatever its libraries raise
             what = printable(" ".join(f"{type(error).__name__}: {error}".split()))[:300]
-            raise EdsError(f"{path}: no EDS file ({what}), allowed one as in CiA 306") from None
+            raise EdsError(f"{path}: no EDS file ({what}), expected one as in CiA 306") from None
         if not len(found):
-            raise EdsError(f"{path}: found no objects, allowed an EDS file as in CiA 306")
+            raise EdsError(f"{path}: found no objects, expected an EDS file as in CiA 306")

@@ -288,9 +288,9 @@ class PdoLayout:
             missing.discard((index, sub))
             if code is not None and struct.calcsize("<" + code) * 8 != bits:
                 wide = struct.calcsize("<" + code) * 8
-                raise ValueError(f"object 0x{index:04X}:{sub:02X} with {bits} bits, allowed {wide}")
+                raise ValueError(f"object 0x{index:04X}:{sub:02X} with {bits} bits, expected {wide}")
             if bits % 8:
-                raise ValueError(f"object 0x{index:04X}:{sub:02X} with {bits} bits, allowed whole bytes")
+                raise ValueError(f"object 0x{index:04X}:{sub:02X} with {bits} bits, expected whole bytes")
             if code is None and not self.transmitted and index > _DUMMY_LAST:
                 raise ValueError(f"object 0x{index:04X}:{sub:02X}, which we do not write")
             fields.append((index, sub, f"{bits // 8}{_PADDING}" if code is None else code))
@@ -298,7 +298,7 @@ class PdoLayout:
             raise ValueError(f"no object 0x{index:04X}:{sub:02X}")
         layout = PdoLayout(self.cob_base, tuple(fields))
         if layout.size > LONGEST_FRAME:
-            raise ValueError(f"{layout.size} bytes, allowed {LONGEST_FRAME}")
+            raise ValueError(f"{layout.size} bytes, expected at most {LONGEST_FRAME}")
         return layout
 
     def reader(self, *wanted: tuple[int, int]) -> Callable[[bytes | bytearray], tuple[int, ...]]:

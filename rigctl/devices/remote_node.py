@@ -138,7 +138,7 @@ class RemoteNode:
         """An object must hold ``value``."""
         found = self.read(index, sub)
         if found != value:
-            raise StartupError(f"{self.where(index, sub)}: found {found:#x}, allowed {value:#x}")
+            raise StartupError(f"{self.where(index, sub)}: found {found:#x}, expected {value:#x}")
         self.watch(found, index, sub)
         return found
 
@@ -214,7 +214,7 @@ class RemoteNode:
         device_type = self.read(od.DEVICE_TYPE)
         if device_type & 0xFFFF != profile & 0xFFFF:
             raise StartupError(
-                f"{self.name} (node {self.id}): found CiA profile {device_type & 0xFFFF}, allowed {profile & 0xFFFF}"
+                f"{self.name} (node {self.id}): found CiA profile {device_type & 0xFFFF}, expected {profile & 0xFFFF}"
             )
         found = Device(self.name, self.id, device_type, *(self.read(od.IDENTITY, sub) for sub in (1, 2, 3, 4)))
         for sub, what in enumerate(("vendor", "product"), 1):
@@ -222,7 +222,7 @@ class RemoteNode:
             if asked is not None and getattr(found, what) != asked:
                 raise StartupError(
                     f"{self.where(od.IDENTITY, sub)}: found {what} {getattr(found, what):#x}, "
-                    f"allowed {asked:#x} ({self._section}.{what} in the rig file)"
+                    f"expected {asked:#x} ({self._section}.{what} in the rig file)"
                 )
         return found
 

@@ -1,7 +1,7 @@
 """Bringing the CANopen devices up, before the loop runs: identity, units, PDO mapping, and the drive's own stop.
 
 Uses the `canopen` library over the loop's bus. Every value written is read back; what does not agree ends the start
-with one line that names device, object, found and allowed.
+with one line that names device, object, found and expected.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def _check_load(settings: RigSettings, process_data: ProcessData) -> None:
     if load is not None and load > busload.LIMIT:
         raise StartupError(
             f"bus load with the devices' own mappings: found {load:.1%} of {settings.can.bitrate_bit_s} bit/s, "
-            f"allowed {busload.LIMIT:.0%}: raise the bit rate or lower loop.rate_hz"
+            f"expected at most {busload.LIMIT:.0%}: raise the bit rate or lower loop.rate_hz"
         )
 
 
@@ -197,7 +197,7 @@ def _units(drive: RemoteNode, settings: RigSettings) -> DriveUnits:
         if per_mm is not None and not math.isclose(found, per_mm, rel_tol=_SAME_SCALE):
             raise StartupError(
                 f"{drive.where(od.FEED_CONSTANT, 1)}: found {found:.9g} units per mm with cylinder.lead_mm "
-                f"({cylinder.lead_mm:g}), allowed cylinder.increments_per_mm ({per_mm:.9g})"
+                f"({cylinder.lead_mm:g}), expected cylinder.increments_per_mm ({per_mm:.9g})"
             )
         per_mm, source = found, "cylinder.lead_mm"
     if per_mm is None:
@@ -212,7 +212,7 @@ def _units(drive: RemoteNode, settings: RigSettings) -> DriveUnits:
         if not math.isclose(unit_mm * per_mm, 1.0, rel_tol=_SAME_SCALE):
             raise StartupError(
                 f"{drive.where(od.SI_UNIT_POSITION, 0)}: found {told:#x}, {1.0 / unit_mm:g} units per mm, "
-                f"allowed {per_mm:.9g} ({source})"
+                f"expected {per_mm:.9g} ({source})"
             )
     return in_increments(settings, per_mm)
 
@@ -227,7 +227,9 @@ def _units_per_turn(drive: RemoteNode) -> float:
 def _ratio(drive: RemoteNode, index: int) -> float:
     above, below = drive.read(index, 1), drive.read(index, 2)
     if above <= 0 or below <= 0:
-        raise StartupError(f"{drive.where(index, 1)}: found the ratio {above}/{below}, allowed one of positive numbers")
+        raise StartupError(
+            f"{drive.where(index, 1)}: found the ratio {above}/{below}, expected one of positive numbers"
+        )
     drive.watch(above, index, 1)
     drive.watch(below, index, 2)
     return above / below
@@ -240,7 +242,7 @@ def _si_unit_mm(drive: RemoteNode, index: int, denominator: int) -> float:
     if found & 0xFFFFFF != _METRE << 16 | denominator << 8 or not _FINEST <= prefix <= _COARSEST:
         what = "metres per second" if denominator else "metres"
         raise StartupError(
-            f"{drive.where(index, 0)}: found {found:#x}, allowed {what} with a prefix of 10^{_FINEST} to "
+            f"{drive.where(index, 0)}: found {found:#x}, expected {what} with a prefix of 10^{_FINEST} to "
             f"10^{_COARSEST} (0xFA01{denominator:02X}00 = micro), or cylinder.increments_per_mm or lead_mm"
         )
     drive.watch(found, index)
@@ -255,7 +257,7 @@ def _check_encoder(encoder: RemoteNode, settings: RigSettings, layout: od.PdoLay
     total = encoder.read(od.ENCODER_TOTAL_RANGE)
     if total == 0 or total % rail.counts_per_turn:
         raise StartupError(
-            f"{encoder.where(od.ENCODER_TOTAL_RANGE, 0)}: found {total}, allowed whole turns of {rail.counts_per_turn}"
+            f"{encoder.where(od.ENCODER_TOTAL_RANGE, 0)}: found {total}, expected whole turns of {rail.counts_per_turn}"
         )
     divisor = settings.loop.rate_hz // rail.rate_hz
     return encoder.map_pdo(layout, divisor)
@@ -265,12 +267,12 @@ def _ask_for_inputs(node: RemoteNode, io: IoSettings, layout: od.PdoLayout) -> o
     """The emergency stop's input by the node's own events and timer: inverted by nobody, kept back by no mask."""
     device_type = node.read(od.DEVICE_TYPE)
     if not device_type & od.DIGITAL_INPUTS_FITTED:
-        raise StartupError(f"{node.where(od.DEVICE_TYPE, 0)}: found {device_type:#x}, allowed one with digital inputs")
+        raise StartupError(f"{node.where(od.DEVICE_TYPE, 0)}: found {device_type:#x}, expected one with digital inputs")
     blocks = node.read(od.INPUTS_8)
     if blocks < io.block:
         raise StartupError(
             f"{node.where(od.INPUTS_8, 0)}: found {blocks * INPUTS_PER_BLOCK} inputs, "
-            f"allowed more than io.e_stop_input ({io.e_stop_input})"
+            f"expected more than io.e_stop_input ({io.e_stop_input})"
         )
     if node.has(od.INPUT_POLARITY_8, io.block):
         node.expect(0, od.INPUT_POLARITY_8, io.block)

@@ -139,9 +139,9 @@ class HoldService:
             return
         try:
             if peer.uid not in (os.geteuid(), 0):
-                raise RequestError(f"found a process of uid {peer.uid}, allowed one of the daemon's user")
+                raise RequestError(f"found a process of uid {peer.uid}, expected one of the daemon's user")
             if len(payload) > REQUEST_BYTES:
-                raise RequestError(f"found more than {REQUEST_BYTES} bytes, allowed a hold")
+                raise RequestError(f"found more than {REQUEST_BYTES} bytes, expected a hold")
             peer.request = parse(Verb.HOLD, payload)
         except RequestError as error:
             self._answer(peer, refused("hold", "", "bad_request", str(error)))

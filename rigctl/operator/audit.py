@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rigctl.operator.options import BAD, DONE, USAGE, Json, end, say, say_json
+from rigctl.quantity import count
 
 if TYPE_CHECKING:
     from rigctl.recorder.chain import Entry, Report
@@ -62,11 +63,11 @@ def audit(
     --head alone: note the hash that verify prints, or take it from a trip dump or from rigctl status --json.
     """
     if act is Act.SHOW and head is not None:
-        end(USAGE, "found --head, allowed with verify alone")
+        end(USAGE, "found --head, expected with verify alone")
     if act is Act.VERIFY and (last, since, what, who) != (None, None, None, None):
-        end(USAGE, "found a choice of entries, allowed with show alone: the chain is verified as a whole")
+        end(USAGE, "found a choice of entries, expected with show alone: the chain is verified as a whole")
     if head is not None and not _HASH.fullmatch(head):
-        end(USAGE, f"--head: found {head[:80]!r}, allowed 64 letters 0-9 a-f")
+        end(USAGE, f"--head: found {head[:80]!r}, expected 64 letters 0-9 a-f")
     path = _log(file)
     if act is Act.VERIFY:
         _verify(path, head, json)
@@ -94,7 +95,7 @@ def _of_daemon() -> pathlib.Path:
     found = sorted({str(told["audit_log"]) for told in runtime.recorded() if "audit_log" in told})
     if len(found) != 1:
         many = "no daemon" if not found else f"{len(found)} daemons"
-        end(USAGE, f"found {many} on this machine, allowed one, or the name of an audit log or rig file")
+        end(USAGE, f"found {many} on this machine, expected one, or the name of an audit log or rig file")
     return pathlib.Path(found[0])
 
 
@@ -128,14 +129,14 @@ def _verify(path: pathlib.Path, head: str | None, json: bool) -> None:
 
 def _figures(report: Report) -> str:
     if not report.entries:
-        return "holds: no entries"
-    return f"holds: {report.entries} entries, {report.first} to {report.last}, head {report.head}"
+        return "intact: no entries"
+    return f"intact: {count(report.entries, 'entry', 'entries')}, {report.first} to {report.last}, head {report.head}"
 
 
 def _since_head(report: Report, head: str | None) -> str:
     if head is None:
         return ""
-    return f"; {report.entries - report.head_line} entries since the head given"
+    return f"; {count(report.entries - report.head_line, 'entry', 'entries')} since the head given"
 
 
 def _moment(since: str | None) -> str:
@@ -145,7 +146,7 @@ def _moment(since: str | None) -> str:
     try:
         return f"{datetime.fromisoformat(since).astimezone(UTC):%Y-%m-%dT%H:%M:%S.%f}"[:23]
     except (ValueError, OverflowError, OSError):
-        end(USAGE, f"--since: found {since[:80]!r}, allowed ISO 8601, as 2025-01-31 or 2025-01-31T14:00")
+        end(USAGE, f"--since: found {since[:80]!r}, expected ISO 8601, as 2025-01-31 or 2025-01-31T14:00")
 
 
 def _show(

@@ -146,14 +146,15 @@ def recorder(state: dict[str, Any]) -> tuple[str, str]:
     audit = state.get("audit")
     if not audit:
         return "nothing is recorded", "yellow"
-    parts, failures = [f"audit log {audit.get('entries', 0)} entries"], int(audit.get("failures") or 0)
+    entries, failed = int(audit.get("entries") or 0), int(audit.get("failures") or 0)
+    parts, failures = [f"audit log {quantity.count(entries, 'entry', 'entries')}"], failed
     if recording := state.get("recording"):
         parts.append(f"recording {recording.get('file') or 'not yet begun'}")
         if lost := recording.get("records_lost"):
-            parts.append(f"{lost} records lost")
+            parts.append(f"{quantity.count(lost, 'record')} lost")
             failures += 1
-    if audit.get("failures"):
-        parts.append(f"{audit['failures']} writes failed")
+    if failed:
+        parts.append(f"{quantity.count(failed, 'write')} failed")
     if dump := state.get("trip_dump"):
         parts.append(f"trip dump {dump}")
     return ", ".join(parts), "yellow" if failures else ""

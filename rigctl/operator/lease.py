@@ -56,7 +56,7 @@ def lease(
     a terminal that dies never moves the rig. HOLD is accepted from anyone, always; watching needs no lease.
     """
     if reason is not None and act is not Act.TAKE:
-        end(USAGE, "found --reason, allowed with take alone")
+        end(USAGE, "found --reason, expected with take alone")
     with daemon(connect, rig) as client:
         if act is Act.SHOW:
             state = client.state()

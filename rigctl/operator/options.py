@@ -23,7 +23,7 @@ DONE, BAD, USAGE = 0, 1, 2
 def _said(value: str | None) -> str | None:
     """An option that is given says something: an empty one is a script's variable that was never set."""
     if value is not None and not value.strip():
-        raise typer.BadParameter("found nothing, allowed a value (or leave the option out)")
+        raise typer.BadParameter("found nothing, expected a value (or leave the option out)")
     return value
 
 

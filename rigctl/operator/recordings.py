@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rigctl import quantity
 from rigctl.operator.options import DONE, USAGE, Json, end, say, say_json
 
 if TYPE_CHECKING:
@@ -82,7 +83,8 @@ def _lines(found: dict[str, Any]) -> list[str]:
         row("file", f"{file['file']}, {file['bytes'] / 1e6:.1f} MB{note}")
     row("sha256", found["sha256"])
     rate = f" at {found['rate_hz']:g} Hz" if found["rate_hz"] else ""
-    row("records", f"{found['records']}{rate}, {found['frames']} frames, {found['commands']} commands")
+    frames, commands = quantity.count(found["frames"], "frame"), quantity.count(found["commands"], "command")
+    row("records", f"{found['records']}{rate}, {frames}, {commands}")
     for number, mode in enumerate(found["modes"]):
         fault = f"  {mode['fault']}" if mode["fault"] else ""
         row("" if number else "modes", f"{mode['t_s']:10.3f} s  {mode['mode']:<12} {mode['for_s']:10.3f} s{fault}")
@@ -98,6 +100,9 @@ def _lines(found: dict[str, Any]) -> list[str]:
     if len(starts) > 1:
         row("restarts", "of the control process at " + ", ".join(f"{t_s:.3f} s" for t_s in starts[1:]))
     for number, item in enumerate(found["attachments"]):
-        row("" if number else "attached", f"{item['t_s']:10.3f} s  {item['name']}, {item['bytes']} bytes")
-    row("versions", ", ".join(f"{name} {version}" for name, version in found["versions"].items()) or "not said")
+        row(
+            "" if number else "attached",
+            f"{item['t_s']:10.3f} s  {item['name']}, {quantity.count(item['bytes'], 'byte')}",
+        )
+    row("versions", ", ".join(f"{name} {version}" for name, version in found["versions"].items()) or "not recorded")
     return lines

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from rigctl.operator.watch import View
 
 SPAN_PCT = 10.0  # the bar shows the target and so much either side
+NARROW = 72
+"""Columns below which a line goes on in the next one: else it is the values that are cut off."""
 _LABEL = 14
+_INDENT = 2
 _SEVERITY = {"error": "bold red", "warning": "yellow", "info": ""}
 
 
@@ -75,6 +78,14 @@ def stroke_bar(state: dict[str, Any], limits: dict[str, Any], width: int) -> lis
     return [first, _row("", text[0] + bar + text[1], "yellow" if near else "")]
 
 
+def fitted(text: Text, width: int) -> list[Text]:
+    """A line as it is, or on a narrow terminal over several, those that go on indented."""
+    if width >= NARROW or text.cell_len <= width:
+        return [text]
+    first, *rest = text.wrap(Console(width=width), width - _INDENT)
+    return [first, *(Text.assemble(" " * _INDENT, more) for more in rest)]
+
+
 class Screen:
     """A view as a full screen, whatever its size."""
 
@@ -104,12 +115,13 @@ class Screen:
             head += self._values(state, width - _LABEL)
         warnings = [*(state or {}).get("warnings", []), *([view.refused] if view.refused else [])]
         head += [_row("warning", text, "yellow") for text in warnings]
-        return head + self._events(max(0, height - len(head)))
+        head = [part for text in head for part in fitted(text, width)]
+        return head + self._events(width, max(0, height - len(head)))
 
     def _title(self, width: int) -> Text:
         left = f"{self._view.rig}  {self._view.endpoint}"
         right = time.strftime("%Y-%m-%d %H:%M:%S") + "  Ctrl-C ends"
-        return Text(left + right.rjust(max(1, width - len(left))), "dim")
+        return Text(left + right.rjust(max(len(right) + 2, width - len(left))), "dim")
 
     @staticmethod
     def _banner(text: str, style: str, width: int) -> list[Text]:
@@ -136,10 +148,14 @@ class Screen:
             _row("lease", figures.lease(state)),
         ]
 
-    def _events(self, room: int) -> list[Text]:
-        shown = self._view.events[-(room - 1) :] if room > 1 else []
+    def _events(self, width: int, room: int) -> list[Text]:
+        if room <= 1:
+            return []
         rows = [
-            Text(f"{figures.clock(event['wall_ns'])}  {event['text']}", _SEVERITY.get(event["severity"], ""))
-            for event in shown
+            part
+            for event in self._view.events[-(room - 1) :]
+            for part in fitted(
+                Text(f"{figures.clock(event['wall_ns'])}  {event['text']}", _SEVERITY.get(event["severity"], "")), width
+            )
         ]
-        return [Text("events", "dim"), *rows] if room > 1 else []
+        return [Text("events", "dim"), *rows[-(room - 1) :]]

@@ -29,7 +29,7 @@ def newtons_of(text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise typer.BadParameter(f"found {text!r}, allowed a number of newtons")
+        raise typer.BadParameter(f"found {text!r}, expected a number of newtons")
     return value
 
 
@@ -43,7 +43,7 @@ def millimetres_of(text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise typer.BadParameter(f"found {text!r}, allowed a number of millimetres")
+        raise typer.BadParameter(f"found {text!r}, expected a number of millimetres")
     return value
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import time
 from dataclasses import dataclass, field
@@ -10,13 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 from rigctl import standard_output
 from rigctl.operator import figures
-from rigctl.operator.options import DONE, Connect, Json, Rig, daemon, end, say, say_json
+from rigctl.operator.options import DONE, USAGE, Connect, Json, Rig, end, say, say_json
 from rigctl.operator.passed_limits import PassedLimits
 
 if TYPE_CHECKING:
     from rigctl.client.connection import Client
 
 REFRESH_S = 0.1
+RETRY_S = 0.5
+"""Between two looks for a daemon that is not there yet."""
 SILENT_S = 1.0
 _EVENTS_HELD = 100
 
@@ -82,8 +85,8 @@ class Follower:
 
 
 def watch(json: Json = False, connect: Connect = None, rig: Rig = None) -> None:
-    """Follow the rig; Ctrl-C ends. One line per second where the output is no terminal."""
-    with contextlib.suppress(KeyboardInterrupt), daemon(connect, rig) as client:
+    """Follow the rig; Ctrl-C ends. Waits for a daemon. One line per second where the output is no terminal."""
+    with contextlib.suppress(KeyboardInterrupt), _daemon(connect, rig) as client:
         follower = Follower(client)
         if json:
             _print_states(follower)
@@ -92,6 +95,27 @@ def watch(json: Json = False, connect: Connect = None, rig: Rig = None) -> None:
         else:
             _print_lines(follower)
     end(DONE)
+
+
+def _daemon(connect: str | None, rig: str | None) -> Client:
+    """A client of the daemon, as soon as there is one; a wrong choice ends the command in one line."""
+    from rigctl.client.connection import ChoiceError, Client, NoDaemonError, endpoint_of
+
+    waiting = False
+    while True:
+        if standard_output.nobody_reads():
+            end(DONE)
+        try:
+            return Client(connect, rig)
+        except ChoiceError as error:
+            end(USAGE, str(error))
+        except NoDaemonError:
+            if not waiting:  # on standard error: standard output may be JSON for a program
+                of = f" of {wanted}" if (wanted := rig or os.environ.get("RIGCTL_RIG")) else ""
+                sys.stderr.write(f"waiting for a daemon{of} at {endpoint_of(connect)}; Ctrl-C ends\n")
+                sys.stderr.flush()
+            waiting = True
+            time.sleep(RETRY_S)
 
 
 def _print_states(follower: Follower) -> None:

@@ -15,7 +15,7 @@ class AddressError(ValueError):
     """Text that is no address; ``str()`` is one line."""
 
     def __init__(self, found: str) -> None:
-        super().__init__(f"found {found!r}, allowed {ALLOWED}")
+        super().__init__(f"found {found!r}, expected {ALLOWED}")
 
 
 class CannotListenError(RuntimeError):

@@ -36,7 +36,7 @@ def page(
     if name is not None and not address.is_loopback and not remote_operator:
         end(USAGE, f"--listen {address} with --operator: other computers reach it; allowed with --remote-operator")
     if remote_operator and name is None:
-        end(USAGE, "found --remote-operator, allowed with --operator NAME")
+        end(USAGE, "found --remote-operator, expected with --operator NAME")
     endpoint, known = _daemon(connect, rig)
     try:
         listening = address.listen()

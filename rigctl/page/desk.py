@@ -85,7 +85,7 @@ class Desk:
             return self._ask(lambda client: client.take_lease(self.operator, reason))
         if act == "return":
             return self._ask(lambda client: client.return_lease(self.operator))
-        raise RefusedError(f"found act {act!r}, allowed take, return")
+        raise RefusedError(f"found act {act!r}, expected take, return")
 
     def propose(self, verb: str, value: float | None) -> Answer:
         """A command to be confirmed: ``confirm`` is its number; HOLD is given at once.
@@ -94,9 +94,9 @@ class Desk:
             RefusedError: no such command, no lease, no daemon.
         """
         if verb not in VERBS:
-            raise RefusedError(f"found the command {verb[:40]!r}, allowed {', '.join(VERBS)}")
+            raise RefusedError(f"found the command {verb[:40]!r}, expected {', '.join(VERBS)}")
         if (value is not None) != (verb == "target"):
-            raise RefusedError("found " + ("no value" if value is None else "a value") + ", allowed with target alone")
+            raise RefusedError("found " + ("no value" if value is None else "a value") + ", expected with target alone")
         if verb == "hold":
             return self._hold()
         if not self._has_id:

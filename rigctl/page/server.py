@@ -153,7 +153,7 @@ async def _body_of(request: Request) -> bytes:
     async for part in request.stream():
         body += part
         if len(body) > BODY_BYTES:
-            raise RefusedError(f"found more than {BODY_BYTES} bytes, allowed a command")
+            raise RefusedError(f"found more than {BODY_BYTES} bytes, expected a command")
     return body
 
 

@@ -37,7 +37,7 @@ def layout_of(schema: dict[str, Any]) -> Layout:
     layout = decoding.layout_of(schema)
     for name in sorted(_NEEDED):
         if name not in layout.fields or layout.dtype[name].kind not in "iuf":
-            raise SchemaError(f"meta/schema cannot be used: found no number {name}, allowed the records of a rig")
+            raise SchemaError(f"meta/schema cannot be used: found no number {name}, expected the records of a rig")
     return layout
 
 

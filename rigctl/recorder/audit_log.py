@@ -192,7 +192,7 @@ def last_line(fd: int, path: pathlib.Path, rig: str) -> tuple[Entry | None, str,
     except ChainError as error:
         raise AuditError(f"{path}: no audit log, or broken: its last line: {error}") from None
     if entry.rig != rig:
-        raise AuditError(f"{path}: found the audit log of {entry.rig!r}, allowed that of {rig!r}")
+        raise AuditError(f"{path}: found the audit log of {entry.rig!r}, expected that of {rig!r}")
     return entry, own, start + end, torn
 
 

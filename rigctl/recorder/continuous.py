@@ -179,7 +179,7 @@ class Continuous:
             return False
         if free >= least:
             return True
-        self.why = f"not recorded: {free >> 20} MiB free for {self.folder}, allowed {least >> 20} or more"
+        self.why = f"not recorded: {free >> 20} MiB free for {self.folder}, expected {least >> 20} or more"
         if part is not None:
             self._finish(part)
         return False

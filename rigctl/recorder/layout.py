@@ -15,6 +15,7 @@ import numpy.typing as npt
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from google.protobuf.message import DecodeError
 
+from rigctl.quantity import count
 from rigctl.recorder.protobuf import (
     ENUM_BYTES,
     WIRE_32,
@@ -109,7 +110,7 @@ class Layout:
                 if kind == _P.TYPE_BYTES:
                     size = width - at - 1
                     if not 0 <= size <= _BYTES_MAX:
-                        raise LayoutError(f"a message of {self.name} has {width} bytes")
+                        raise LayoutError(f"a message of {self.name} has {count(width, 'byte')}")
                     fixed(bytes([size]))
                     if not size:
                         continue
@@ -121,7 +122,7 @@ class Layout:
                 offsets.append(at)
                 at += np.dtype(code).itemsize
             if at != width:
-                raise LayoutError(f"a message of {self.name} has {width} bytes, allowed {at}")
+                raise LayoutError(f"a message of {self.name} has {count(width, 'byte')}, expected {at}")
             kinds = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": width})
             self._wire[width] = kinds, np.array(places, np.intp), bytes(constant)
         return self._wire[width]

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import zstandard
 
+from rigctl.quantity import count
+
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 1, 2, 3, 4, 5, 6
 ATTACHMENT, METADATA, DATA_END = 9, 12, 15
@@ -74,7 +76,9 @@ class Scan:
                 closed = size >= at + len(MAGIC) and bytes(data[size - len(MAGIC) :]) == MAGIC
                 self.note = "" if closed else "cut off within its index"
                 return
-        self.note = f"cut off: {size - self.end} bytes after the last whole record" if size > self.end else "cut off"
+        self.note = (
+            f"cut off: {count(size - self.end, 'byte')} after the last whole record" if size > self.end else "cut off"
+        )
 
 
 def unpacked(chunk: Buffer) -> bytes:
@@ -111,7 +115,7 @@ def _decompressed(compression: str, packed: Buffer, size: int) -> bytes:
                 return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size, allow_extra_data=False)
     except zstandard.ZstdError:
         raise DamageError("a chunk cannot be decompressed") from None
-    raise DamageError(f"a chunk is compressed by {compression[:20]!r}, allowed zstd or none")
+    raise DamageError(f"a chunk is compressed by {compression[:20]!r}, expected zstd or none")
 
 
 def records(data: Buffer) -> Iterator[Piece]:

@@ -265,7 +265,7 @@ class _mapped:  # noqa: N801
             with self._path.open("rb") as stream:
                 size = stream.seek(0, io.SEEK_END)
                 if not size:
-                    raise RecordingError(f"{self._path}: found an empty file, allowed a recording")
+                    raise RecordingError(f"{self._path}: found an empty file, expected a recording")
                 self._map = mmap.mmap(stream.fileno(), size, access=mmap.ACCESS_READ)
         except OSError as error:
             raise RecordingError(f"{self._path} cannot be read: {error.strerror}") from None

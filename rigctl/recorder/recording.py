@@ -137,7 +137,7 @@ def read(*paths: str | pathlib.Path, frames: bool = True) -> Recording:
         RecordingError: one is no recording, or they are not of one run of one rig.
     """
     if not paths:
-        raise RecordingError("found no file, allowed one or more")
+        raise RecordingError("found no file, expected one or more")
     found = [Part(pathlib.Path(path), frames) for path in paths]
     first = found[0]
     for other in found[1:]:

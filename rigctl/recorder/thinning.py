@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from rigctl import quantity
 from rigctl.recorder.audit_log import Item
 
 WINDOW_NS = 10_000_000_000
@@ -123,10 +124,11 @@ class Thinning:
                 if same.count:
                     found.append(_repeated(same, now_ns, wall_ns))
         if self._left_out and (final or now_ns - self._left_out_ns >= WINDOW_NS):
-            count, seconds = self._left_out.total(), (now_ns - self._left_out_ns) * 1e-9
+            entries = quantity.count(self._left_out.total(), "entry", "entries")
+            seconds = (now_ns - self._left_out_ns) * 1e-9
             kinds = ", ".join(f"{what} {number}" for what, number in self._left_out.most_common())
             text = (
-                f"{count} entries left out in {seconds:.0f} s, more than {RATE_HZ} entries or {RATE_BYTES >> 10} KiB "
+                f"{entries} left out in {seconds:.0f} s, more than {RATE_HZ} entries or {RATE_BYTES >> 10} KiB "
                 f"a second: {kinds}"
             )
             found.append(Item(now_ns, wall_ns, "left_out", text, details=dict(self._left_out)))
@@ -137,6 +139,6 @@ class Thinning:
 def _repeated(same: _Same, now_ns: int, wall_ns: int) -> Item:
     last, seconds = same.last, (same.last.t_ns - same.first.t_ns) * 1e-9
     kind = "refusal" if last.what == "command_refused" else last.what.replace("_", " ")
-    text = f"the same {kind} {same.count} times more in {seconds:.0f} s: {last.text}"
+    text = f"the same {kind} {quantity.count(same.count, 'time')} more in {seconds:.0f} s: {last.text}"
     details = {"count": same.count, "what": last.what, "source": last.source, "up_to": last.seq}
     return Item(now_ns, wall_ns, "repeated", text, last.who, details)

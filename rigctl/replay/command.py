@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rigctl.operator.options import BAD, DONE, USAGE, Json, check_output, end, say, say_json
+from rigctl.quantity import count
 
 if TYPE_CHECKING:
     from rigctl.config import RigSettings
@@ -109,9 +110,9 @@ def _shown(divergence: Divergence, offset_ns: int) -> dict[str, Any]:
 def _say_row(row: dict[str, Any], *, many: bool) -> None:
     name = f"loop {row['loop']}: " if many else ""
     if (first := row["first_difference"]) is None:
-        say(f"{name}{row['ticks']} ticks bit-identical: commands, modes, frames sent, every recorded figure")
+        say(f"{name}{count(row['ticks'], 'tick')} bit-identical: commands, modes, frames sent, every recorded figure")
     else:
-        say(f"{name}{row['same']} ticks the same; first difference in tick {first['tick']} at {first['utc']}:")
+        say(f"{name}{count(row['same'], 'tick')} the same; first difference in tick {first['tick']} at {first['utc']}:")
         for field, both in first["fields"].items():
             say(f"  {field:24}  then {both['then']}")
             say(f"  {'':24}  now  {both['now']}")
@@ -197,7 +198,7 @@ def _say_against(found: Against, file: pathlib.Path, span: Span, gains: Gains, o
         say(f"  {row['mode']:14} {ticks:8}  " + " ".join(f"{figure:9.4f}" for figure in figures))
     if (other := found.first_other_mode) is not None:
         say(
-            f"other mode in {found.other_mode_ticks} ticks, first at {ledger.utc(other[0] + offset_ns)}: "
+            f"other mode in {count(found.other_mode_ticks, 'tick')}, first at {ledger.utc(other[0] + offset_ns)}: "
             f"{other[1].name} then, {other[2].name} now"
         )
     if (fault := found.first_fault) is not None:

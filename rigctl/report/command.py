@@ -36,11 +36,11 @@ def report(
     page = output if output is not None or json else pathlib.Path(f"{file.stem}.html")
     if page is not None:
         if page.suffix.lower() not in SUFFIXES:
-            end(USAGE, f"--output: found {page}, allowed a name ending in {', '.join(SUFFIXES)}")
+            end(USAGE, f"--output: found {page}, expected a name ending in {', '.join(SUFFIXES)}")
         check_output("--output", page)
     recording = _read(file, alone=part)
     if page is not None and any(_same(page, own.path) for own in recording.files):
-        end(USAGE, f"--output: {page} is the recording, allowed a file of its own")
+        end(USAGE, f"--output: {page} is the recording, expected a file of its own")
     found = _find(recording)
     if page is not None:
         _write(page, found)

@@ -15,6 +15,7 @@ from rigctl.commission import ledger
 from rigctl.commission.ledger import IN_FORCE, Standing
 from rigctl.config import RigSettings
 from rigctl.control.tension import Gains
+from rigctl.quantity import count
 from rigctl.recorder.recording import Recording
 from rigctl.report import bus, happenings, sensor_budget, spectrum, timing, verdict
 from rigctl.report.error_statistics import ErrorStatistics, error_n, statistics
@@ -89,7 +90,7 @@ def find(recording: Recording) -> Findings:
     records = recording.records
     where = recording.files[0].path
     if not len(records):
-        raise ReportError(f"{where}: found no record, allowed a recording of a loop that ran")
+        raise ReportError(f"{where}: found no record, expected a recording of a loop that ran")
     if missing := [name for name in NEEDED if name not in (records.dtype.names or ())]:
         raise ReportError(f"{where}: its records have no {', '.join(missing)}: written by another version of rigctl")
     found = phases(records)
@@ -191,13 +192,18 @@ def _remarks(recording: Recording, settings: RigSettings | None) -> list[str]:
     for gap in recording.gaps:
         if gap.ring == "records":
             t_s = (gap.t_ns - recording.start_ns) * 1e-9
-            said.append(f"{gap.count} records are missing after {t_s:.3f} s")
+            said.append(f"{count(gap.count, 'record')} {'is' if gap.count == 1 else 'are'} missing after {t_s:.3f} s")
     others = sum(gap.count for gap in recording.gaps if gap.ring != "records")
     if others:
         rings = sorted({gap.ring for gap in recording.gaps if gap.ring != "records"})
-        said.append(f"{others} slots of other rings are missing ({', '.join(rings)})")
+        said.append(
+            f"{count(others, 'slot')} of other rings {'is' if others == 1 else 'are'} missing ({', '.join(rings)})"
+        )
     if unseen := _overwritten(recording):
-        said.append(f"{unseen} CAN frames were overwritten before the recorder had read them: not in the file")
+        were = "was" if unseen == 1 else "were"
+        said.append(
+            f"{count(unseen, 'CAN frame')} {were} overwritten before the recorder had read them: not in the file"
+        )
     if settings is None:
         said.append("its settings cannot be read by this version of rigctl: the rig's own limits are not judged")
     return said

@@ -228,7 +228,7 @@ def bus_rows(found: Findings) -> list[Row]:
         Row("frames received", number(figures.received)),
         Row("frames lost", number(figures.lost)),
         Row("frames refused (length, value)", number(figures.refused)),
-        Row("frames the bus did not take", number(figures.unsent)),
+        Row("unsent frames", number(figures.unsent)),
         Row("CAN error frames", number(figures.error_frames)),
         Row(f"load at worst (limit {100 * figures.load_limit:.0f} %)", load, "" if figures.load is None else "%"),
     ]

@@ -86,7 +86,7 @@ def decode(payload: bytes) -> Block:
     if magic != MAGIC or version != VERSION:
         raise BlockError(f"found {magic!r} version {version}, expected {MAGIC!r} version {VERSION}")
     if size < 8 or first_seq + count > 2**63 or head_seq > 2**63:
-        raise BlockError(f"found {count} records of {size} bytes from {first_seq} on, allowed records of a rig")
+        raise BlockError(f"found {count} records of {size} bytes from {first_seq} on, expected records of a rig")
     if start < HEADER.size or len(payload) != start + count * size:
         raise BlockError(f"{len(payload)} bytes do not hold {count} records of {size} after {start}")
     return Block(size, count, first_seq, lost, stream, head_seq, memoryview(payload)[start:])

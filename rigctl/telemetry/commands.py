@@ -140,7 +140,7 @@ def _payload_of(query: zenoh.Query) -> bytes | None:
     if query.payload is None:
         return None
     if len(query.payload) > MESSAGE_BYTES:
-        raise RequestError(f"found {len(query.payload)} bytes, allowed {MESSAGE_BYTES}")
+        raise RequestError(f"found {len(query.payload)} bytes, expected at most {MESSAGE_BYTES}")
     return bytes(query.payload)
 
 
@@ -210,7 +210,7 @@ class Desk:
         asked: Asked | LeaseAsked | Refused
         try:
             if key != self._keys.command(name):
-                raise RequestError(f"found the key {on_one_line(key)}, allowed one rig and one command")
+                raise RequestError(f"found the key {on_one_line(key)}, expected one rig and one command")
             payload = _payload_of(query)
             if (act := ACTS.get(name)) is not None:
                 asked = LeaseAsked(query, parse_lease(act, payload))
@@ -275,7 +275,7 @@ class Desk:
         """The refusal of a command that a program gave to the daemon it started, and which reached this one."""
         if not run_id or run_id == self._run_id:
             return None
-        text = f"found the run id of another daemon, allowed {self._run_id}; nothing was done here"
+        text = f"found the run id of another daemon, expected {self._run_id}; nothing was done here"
         return refused(name, operator, "other_run", text)
 
     def _write(self, code: Verb | Setting, value: float) -> int:

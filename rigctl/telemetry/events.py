@@ -270,8 +270,8 @@ def refusal_text(
             return f"target must be {significant(limits[0])} to {significant(limits[1], 'N')}"
         case Refusal.STROKE_DIFFERS:
             return (
-                f"the drive's position says {value:z.2f} mm, allowed {TOLERANCE_MM:g} mm from the stroke measured: "
-                "measure it again, or home the drive with its own tool"
+                f"the drive's position says {value:z.2f} mm, expected within {TOLERANCE_MM:g} mm of the stroke "
+                "measured: measure it again, or home the drive with its own tool"
             )
         case Refusal.CAUSE_PRESENT:
             there = [cause for cause in Fault if checks >> cause & 1] or [fault]
@@ -434,7 +434,9 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.FOREIGN_SDO: lambda _a, _b, _v, _l, t: Worded("warning", f"another master {t}: find it and stop it"),
     Kind.SETTING_LOST: lambda _a, _b, _v, _l, t: Worded("error", f"a device's setting is lost: {t}"),
     Kind.STROKE: _stroke,
-    Kind.READ_BACK: lambda a, _b, v, _l, _t: Worded("info", f"{a} settings of the devices read back in {v:.2f} s"),
+    Kind.READ_BACK: lambda a, _b, v, _l, _t: Worded(
+        "info", f"{count(a, 'setting')} of the devices read back in {v:.2f} s"
+    ),
     Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{count(a, 'tick')} skipped at once"),
 }  # fmt: skip
 

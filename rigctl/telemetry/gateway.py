@@ -143,7 +143,7 @@ def _after(query: zenoh.Query, name: str = "after") -> int:
     """The ``after=SEQ`` of a query."""
     text = query.parameters.get(name, "0") or "0"
     if not text.isascii() or not text.isdigit() or len(text) > 19:
-        raise ValueError(f"found {name}={text[:40]!r}, allowed a sequence number")
+        raise ValueError(f"found {name}={text[:40]!r}, expected a sequence number")
     return int(text)
 
 

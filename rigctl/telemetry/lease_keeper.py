@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from rigctl.quantity import count
 from rigctl.telemetry.flow import Crowd
 from rigctl.telemetry.lease import Act, Book, Change, Denial, Lease, Turn, is_id
 from rigctl.telemetry.lease_request import LeaseRequest
@@ -96,9 +97,9 @@ class Keeper:
         """Tell of commands that were refused because there were too many: the worst few by name, the rest as one."""
         worst, rest = crowds[:CROWDS_TOLD], crowds[CROWDS_TOLD:]
         if rest:
-            worst.append(Crowd(f"{len(rest)} others", sum(crowd.count for crowd in rest), rest[0].since_ns))
+            worst.append(Crowd(count(len(rest), "other"), sum(crowd.count for crowd in rest), rest[0].since_ns))
         for crowd in worst:
-            text = f"{crowd.count} commands in {(now_ns - crowd.since_ns) / 1e9:.0f} s"
+            text = f"{count(crowd.count, 'command')} in {(now_ns - crowd.since_ns) / 1e9:.0f} s"
             self._note(now_ns, Note.TOO_MANY_COMMANDS, crowd.operator, reason=text)
 
     def decide(self, request: LeaseRequest, now_ns: int) -> dict[str, Any]:

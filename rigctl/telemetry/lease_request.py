@@ -44,7 +44,7 @@ def parse_lease(act: Act, payload: bytes | None) -> LeaseRequest:
     found = decoded(payload, _Payload, _ALLOWED[act])
     reason = found.reason.strip()
     if reason and act is Act.RETURN:
-        raise RequestError(f"found reason, allowed {_ALLOWED[act]}")
+        raise RequestError(f"found reason, expected {_ALLOWED[act]}")
     if len(reason) > _REASON_LENGTH or not reason.isprintable():
-        raise RequestError(f"found reason {reason[:80]!r}, allowed up to {_REASON_LENGTH} printable letters")
+        raise RequestError(f"found reason {reason[:80]!r}, expected up to {_REASON_LENGTH} printable letters")
     return LeaseRequest(act, operator_of(found.operator), lease_of(found.lease), reason, found.run_id)

@@ -52,7 +52,7 @@ KINDS: dict[Kind, str] = {
     Kind.CLOCK: "the loop could not keep its rate; a: ticks skipped at once",
     Kind.CORRECTION: "tare or calibration in force; value: zero in N, limit: scale",
     Kind.GAINS: "gains changed; text: K_T, K_v, K_i now in force",
-    Kind.LIMIT: "a limit of the rig file that only logs is passed; a: fault, b: action, value, limit",
+    Kind.LIMIT: "a limit of the rig file that only logs is exceeded; a: fault, b: action, value, limit",
     Kind.LIMIT_OVER: "such a limit is kept again; as limit",
     Kind.CAUSE: "a further cause of a fault stands; as trip",
     Kind.CAUSE_OVER: "a cause of a fault is gone; as trip",

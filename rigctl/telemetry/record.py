@@ -130,7 +130,7 @@ RECORD = Slot(
         Field("frames_received", "Q", "", "frames received so far"),
         Field("frames_lost", "Q", "", "device frames that did not come, so far"),
         Field("frames_refused", "Q", "", "frames with a wrong length or a non-finite value, so far"),
-        Field("send_failures", "Q", "", "frames the bus did not take, so far"),
+        Field("send_failures", "Q", "", "unsent frames, so far: the bus did not take them"),
         Field("error_frames", "Q", "", "CAN error frames seen so far"),
         Field("rail_rad", "d", "rad", "angle of the rail's shaft, -pi up to pi"),
         Field("rail_quality", "B", "", "bits, see quality; 0 good; NEVER where no encoder is fitted"),

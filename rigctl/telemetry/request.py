@@ -44,7 +44,7 @@ _OPTIONS: dict[Verb, frozenset[str]] = {
 
 
 class RequestError(ValueError):
-    """A command that is not one; ``str()`` says what was found and what is allowed."""
+    """A command that is not one; ``str()`` says what was found and what is expected."""
 
 
 class _Payload(msgspec.Struct, forbid_unknown_fields=True):
@@ -99,7 +99,7 @@ def verb_of(name: str) -> Verb:
     """
     verb = VERBS.get(name)
     if verb is None:
-        raise RequestError(f"found the command {name[:40]!r}, allowed {', '.join((*VERBS, *ACTS))}")
+        raise RequestError(f"found the command {name[:40]!r}, expected {', '.join((*VERBS, *ACTS))}")
     return verb
 
 
@@ -113,13 +113,13 @@ def decoded(payload: bytes | None, kind: type[_Some], allowed: str) -> _Some:
         RequestError: none, too long, bad JSON, an unknown key, a wrong type.
     """
     if not payload:
-        raise RequestError(f"found no payload, allowed {allowed}")
+        raise RequestError(f"found no payload, expected {allowed}")
     if len(payload) > PAYLOAD_BYTES:
-        raise RequestError(f"found {len(payload)} bytes, allowed {allowed}")
+        raise RequestError(f"found {len(payload)} bytes, expected {allowed}")
     try:
         return msgspec.json.decode(payload, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise RequestError(f"{on_one_line(str(error))}, allowed {allowed}") from None
+        raise RequestError(f"{on_one_line(str(error))}, expected {allowed}") from None
 
 
 def operator_of(text: str) -> str:
@@ -130,7 +130,7 @@ def operator_of(text: str) -> str:
     """
     operator = text.strip()
     if not operator or len(operator) > _OPERATOR_LENGTH or not operator.isprintable():
-        raise RequestError(f"found operator {text[:80]!r}, allowed 1 to {_OPERATOR_LENGTH} printable letters")
+        raise RequestError(f"found operator {text[:80]!r}, expected 1 to {_OPERATOR_LENGTH} printable letters")
     return operator
 
 
@@ -143,7 +143,7 @@ def lease_of(found: Any) -> str | None:
     if found is None or (isinstance(found, str) and is_id(found)):
         return found
     what = f"text of {len(found)} letters" if isinstance(found, str) else type(found).__name__
-    raise RequestError(f"found lease: {what}, allowed the id from an answer, {2 * ID_BYTES} letters 0-9 a-f")
+    raise RequestError(f"found lease: {what}, expected the id from an answer, {2 * ID_BYTES} letters 0-9 a-f")
 
 
 def parse(verb: Verb, payload: bytes | None) -> Request:
@@ -158,13 +158,13 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
     options = _OPTIONS.get(verb, frozenset())
     for name in ("value", "shunt", "adopt", "tight", "near_end", "gain_file", "name"):
         if name not in options and getattr(found, name) not in (None, False, ""):
-            raise RequestError(f"found {name}, allowed {allowed}")
+            raise RequestError(f"found {name}, expected {allowed}")
     if verb is Verb.GAINS and not (found.gain_file and found.name and found.name.isprintable()):
-        raise RequestError(f"found no gain file with a name, allowed {allowed}")
+        raise RequestError(f"found no gain file with a name, expected {allowed}")
     if found.value is None and verb in (Verb.TARGET, Verb.CONFIRM_STROKE):
-        raise RequestError(f"found no value, allowed {allowed}")
+        raise RequestError(f"found no value, expected {allowed}")
     if found.value is not None and not math.isfinite(found.value):
-        raise RequestError(f"found value {found.value}, allowed a finite number")
+        raise RequestError(f"found value {found.value}, expected a finite number")
     value = math.nan if found.value is None else found.value
     try:
         lease = lease_of(found.lease)

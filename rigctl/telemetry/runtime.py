@@ -226,7 +226,7 @@ class Runtime:
         elif found.st_mode & 0o077:
             what = f"found mode {stat.S_IMODE(found.st_mode):04o}"
         if what:
-            allowed = f"allowed a folder of user {os.geteuid()} with mode 0700"
+            allowed = f"expected a folder of user {os.geteuid()} with mode 0700"
             raise FolderError(f"{self.directory}: {what}, {allowed}; it was not used: remove it, or rename the rig")
         try:
             fd = os.open(self.directory, _FOLDER_FLAGS)

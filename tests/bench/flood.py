@@ -42,7 +42,7 @@ class Flood:
         where = endpoint.removeprefix("tcp/")
         host, _, port = where.rpartition(":")
         if host != "127.0.0.1":
-            raise SystemExit(f"found the endpoint {endpoint}, allowed one on 127.0.0.1")
+            raise SystemExit(f"found the endpoint {endpoint}, expected one on 127.0.0.1")
         self.endpoint, self.address, self.keys = endpoint, (host, int(port)), Keys(rig)
         self.until = time.monotonic() + min(seconds, SECONDS_MAX)
         self.count = 0

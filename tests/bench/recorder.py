@@ -131,7 +131,7 @@ def main() -> int:
     parser.add_argument("--json", type=pathlib.Path, metavar="F", help="write the figures here")
     asked = parser.parse_args()
     if asked.kills < 1:
-        parser.error(f"--kills: found {asked.kills}, allowed 1 or more")
+        parser.error(f"--kills: found {asked.kills}, expected 1 or more")
     found = play(asked.kills, asked.seed)
     for number, kill in enumerate(found["each"], 1):
         mark = "" if kill["readable"] else "  NOT READABLE"

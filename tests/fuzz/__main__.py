@@ -72,7 +72,7 @@ def main() -> int:
     parser.add_argument("--json", type=pathlib.Path, metavar="F", help="write the figures there")
     asked = parser.parse_args()
     if asked.count is not None and asked.count < 1:
-        parser.error(f"--count: found {asked.count}, allowed 1 or more")
+        parser.error(f"--count: found {asked.count}, expected 1 or more")
     logging.disable(logging.CRITICAL)  # canopen's, about every answer that is none
     said = {}
     for what in COUNTS if asked.what == "all" else (asked.what,):

@@ -117,8 +117,8 @@ def test_a_picture_of_all_and_one_per_trace(said: dict[str, Any], folder: pathli
     [
         (["missing.yaml"], "missing.yaml: cannot be read"),
         (["config/rig.yaml"], "simulation: found nothing"),
-        (["--only", "nothing"], "--only: found 'nothing', allowed paper_k6"),
-        (["--controllers", "pi,bang"], "--controllers: found 'bang', allowed passive, p,"),
+        (["--only", "nothing"], "--only: found 'nothing', expected paper_k6"),
+        (["--controllers", "pi,bang"], "--controllers: found 'bang', expected passive, p,"),
         (["--json", "missing/rows.json"], "--json: missing/rows.json cannot be written"),
         (["--plots", "README.md"], "--plots: README.md cannot be made"),
         (["--depth", "3"], "No such option"),

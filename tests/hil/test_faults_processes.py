@@ -33,9 +33,9 @@ STILL = Seen(Mode.DISARMED, "NONE", 40.0, 0.2, 1.0, 0.0, 299.0, 300.0, tripped=F
     ("seen", "words"),
     [
         (STILL, []),
-        (replace(STILL, stopped_ms=101.0), ["moves for 101 ms, allowed 100"]),
-        (replace(STILL, moved_mm=1.1), ["stroke moved 1.10 mm, allowed 1"]),
-        (replace(STILL, tension_off_n=9.5), ["tension 9.5 N off, allowed 9"]),
+        (replace(STILL, stopped_ms=101.0), ["moves for 101 ms, expected at most 100"]),
+        (replace(STILL, moved_mm=1.1), ["stroke moved 1.10 mm, expected at most 1"]),
+        (replace(STILL, tension_off_n=9.5), ["tension 9.5 N off, expected at most 9"]),
         (replace(STILL, carried=False), ["load not carried"]),
         (replace(STILL, mode_after=Mode.HOLD), ["then HOLD, not DISARMED or FAULT"]),
     ],
@@ -51,10 +51,10 @@ def test_a_loop_that_has_gone_leaves_the_load_where_it_was(seen: Seen, words: li
     [
         (Mode.COMPENSATING, replace(STILL, mode_after=Mode.COMPENSATING), []),
         (Mode.COMPENSATING, replace(STILL, mode_after=Mode.COMPENSATING, setpoint_off_n=10.0),
-         ["tension 10.0 N off its set-point, allowed 9"]),
+         ["tension 10.0 N off its set-point, expected at most 9"]),
         (Mode.TENSIONING, replace(STILL, mode_after=Mode.COMPENSATING, moved_mm=8.0, tension_off_n=40.0), []),
         (Mode.TENSIONING, replace(STILL, mode_after=Mode.FAULT, fault="OVERRUN", tripped=True), ["tripped: OVERRUN"]),
-        (Mode.HOLD, replace(STILL, mode_after=Mode.HOLD, moved_mm=1.5), ["stroke moved 1.50 mm, allowed 1"]),
+        (Mode.HOLD, replace(STILL, mode_after=Mode.HOLD, moved_mm=1.5), ["stroke moved 1.50 mm, expected at most 1"]),
         (Mode.RELEASING, replace(STILL, mode_after=Mode.DISARMED), ["then DISARMED"]),
     ],
 )  # fmt: skip
@@ -93,7 +93,7 @@ def test_kills_are_counted_and_the_largest_figures_found() -> None:
         [
             kills.Kill("control", "SIGKILL", "HOLD", 0.2, 1.0, ()),
             kills.Kill("gateway", "SIGSTOP", "TENSIONING", None, 2.0, ()),
-            kills.Kill("control", "SIGSTOP", "COMPENSATING", 1.2, 0.5, ("stroke moved 1.20 mm, allowed 1",)),
+            kills.Kill("control", "SIGSTOP", "COMPENSATING", 1.2, 0.5, ("stroke moved 1.20 mm, expected at most 1",)),
         ]
     )
     assert (found["moved_max_mm"], found["tension_off_max_pct"], found["bad"]) == (1.2, 2.0, 1)

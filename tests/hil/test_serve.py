@@ -45,7 +45,7 @@ def test_it_says_when_it_is_ready_and_what_it_did(
         assert syncs_answered(bus, 20) == 20
     code, out, err = finish(served)
     assert (code, err) == (0, "")
-    summary = re.fullmatch(r"served: (\d+) frames in, (\d+) out, 0 lost, 0 malformed, 1 clients\n", out)
+    summary = re.fullmatch(r"served: (\d+) frames in, (\d+) out, 0 lost, 0 malformed, 1 client\n", out)
     assert summary is not None, out
     assert int(summary[1]) == 21
     assert int(summary[2]) >= 40

@@ -242,12 +242,12 @@ def test_start_up_sets_the_node_to_send_by_itself_and_reads_it_back(rig: Lockste
 @pytest.mark.parametrize(
     ("index", "sub", "value", "words"),
     [
-        (objects.DEVICE_TYPE, 0, 0x00020191, "found 0x20191, allowed one with digital inputs"),
-        (objects.DEVICE_TYPE, 0, 0x00020194, "found CiA profile 404, allowed 401"),
-        (objects.INPUTS_8, 0, 1, "found 8 inputs, allowed more than io.e_stop_input (9)"),
-        (objects.INPUT_POLARITY_8, 2, 2, "object 0x6002:02: found 0x2, allowed 0x0"),
-        (objects.INPUT_EVENT_MASK_8, 2, 0, "object 0x6006:02: found 0x0, allowed 0xff"),
-        (objects.TPDO1_COMMUNICATION, 5, 0, "object 0x1800:05: found 0x0, allowed 0x14"),
+        (objects.DEVICE_TYPE, 0, 0x00020191, "found 0x20191, expected one with digital inputs"),
+        (objects.DEVICE_TYPE, 0, 0x00020194, "found CiA profile 404, expected 401"),
+        (objects.INPUTS_8, 0, 1, "found 8 inputs, expected more than io.e_stop_input (9)"),
+        (objects.INPUT_POLARITY_8, 2, 2, "object 0x6002:02: found 0x2, expected 0x0"),
+        (objects.INPUT_EVENT_MASK_8, 2, 0, "object 0x6006:02: found 0x0, expected 0xff"),
+        (objects.TPDO1_COMMUNICATION, 5, 0, "object 0x1800:05: found 0x0, expected 0x14"),
     ],
 )
 def test_a_node_that_is_another_or_keeps_settings_of_its_own_ends_the_start(
@@ -270,7 +270,7 @@ def test_a_node_that_is_another_or_keeps_settings_of_its_own_ends_the_start(
 
 def test_an_input_that_the_node_has_not_got_ends_the_start(settings: RigSettings, gains: Gains) -> None:
     with (
-        pytest.raises(startup.StartupError, match=r"found 16 inputs, allowed more than io\.e_stop_input"),
+        pytest.raises(startup.StartupError, match=r"found 16 inputs, expected more than io\.e_stop_input"),
         lockstep(fitted(settings, e_stop_input=16), gains),
     ):
         pass

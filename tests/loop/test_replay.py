@@ -185,7 +185,7 @@ def test_recorded_settings_that_this_version_refuses_are_named(paper: tuple[Reco
             active["settings"]["tension"]["ramp_n_s"] = -1.0
             document = dataclasses.replace(document, data=msgspec.json.encode(active))  # noqa: PLW2901
         found.append(document)
-    with pytest.raises(ReplayError, match=r"refused by this version: .*tension\.ramp_n_s: found -1\.0, allowed"):
+    with pytest.raises(ReplayError, match=r"refused by this version: .*tension\.ramp_n_s: found -1\.0, expected"):
         spans(dataclasses.replace(recording, generations=found))
 
 

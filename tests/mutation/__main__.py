@@ -34,7 +34,7 @@ def main() -> int:
     asked = parser.parse_args()
     chosen = [file for file in TESTS if not asked.modules or pathlib.Path(file).stem in asked.modules]
     if not chosen or len(chosen) < len(set(asked.modules)) or asked.parallel < 1:
-        parser.error(f"found {asked.modules}, allowed {', '.join(pathlib.Path(file).stem for file in TESTS)}")
+        parser.error(f"found {asked.modules}, expected {', '.join(pathlib.Path(file).stem for file in TESTS)}")
     if asked.write and len(chosen) < len(TESTS):
         parser.error("--write needs all modules")
     with tempfile.TemporaryDirectory(prefix="rigctl-mutation-", dir="/dev/shm") as name:

@@ -112,15 +112,15 @@ def test_every_answer_forbids_what_does_not_come_from_here(readonly: Server) -> 
 @pytest.mark.parametrize(
     ("what", "body", "said"),
     [
-        ("command", {"verb": "tare"}, "allowed arm"),
+        ("command", {"verb": "tare"}, "expected arm"),
         ("command", {"verb": "arm"}, "take the lease first"),
-        ("command", {"verb": "arm", "value": 3}, "allowed with target alone"),
+        ("command", {"verb": "arm", "value": 3}, "expected with target alone"),
         ("command", {"verb": "target"}, "found no value"),
         ("command", {"verb": "arm", "force": True}, "unknown field"),
         ("command", {}, "missing required field"),
         ("command", [1], "not a command"),
         ("confirm", {"confirm": "ä"}, "ask again"),
-        ("lease", {"act": "steal"}, "allowed take, return"),
+        ("lease", {"act": "steal"}, "expected take, return"),
         ("command", {"verb": "x" * 5000}, "found more than 4096 bytes"),
     ],
 )
@@ -140,12 +140,12 @@ def page(*options: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     ("options", "code", "said"),
     [
-        (["--listen", "8080"], 2, "found '8080', allowed HOST:PORT"),
+        (["--listen", "8080"], 2, "found '8080', expected HOST:PORT"),
         (["--listen", "127.0.0.1:99999"], 2, "found '127.0.0.1:99999'"),
         (["--listen", "1.2.3:80"], 2, "found '1.2.3:80'"),
         (["--listen", "192.0.2.1:8080"], 1, "cannot listen on 192.0.2.1:8080"),
         (["--listen", "0.0.0.0:0", "--operator", "kim"], 2, "allowed with --remote-operator"),
-        (["--remote-operator"], 2, "allowed with --operator"),
+        (["--remote-operator"], 2, "expected with --operator"),
         (["--operator", " "], 2, "found operator"),
         (["--connect", "nonsense"], 2, "found endpoint 'nonsense'"),
         (["--rig", "NOT A RIG"], 2, "found rig"),
@@ -206,7 +206,7 @@ def test_the_server_goes_by_its_own_names_alone(listen: str, host: str, ours: bo
 
 @pytest.mark.parametrize("text", ["", ":80", "a:", "a b:80", "[::1:80", "[nonsense]:80", "300.1.1.1:80", "host:-1"])
 def test_text_that_is_no_address_is_refused(text: str) -> None:
-    with pytest.raises(AddressError, match="allowed HOST:PORT"):
+    with pytest.raises(AddressError, match="expected HOST:PORT"):
         Address.parse(text)
 
 
@@ -229,7 +229,7 @@ def test_an_address_is_read_and_written_the_same(text: str, loopback: bool) -> N
 def test_a_page_section_is_checked_with_the_rig_file(tmp_path: Any) -> None:
     file = daemons.rig_file(tmp_path)
     file.write_text(file.read_text() + "page: {listen: 'everywhere'}\n")
-    with pytest.raises(config.ConfigError, match=r"page\.listen: found everywhere, allowed HOST:PORT"):
+    with pytest.raises(config.ConfigError, match=r"page\.listen: found everywhere, expected HOST:PORT"):
         config.load(file)
     file.write_text(file.read_text().replace("everywhere", "0.0.0.0:8080"))
     found = config.load(file).page

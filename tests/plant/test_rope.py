@@ -140,12 +140,12 @@ def test_a_stiffer_mechanism_comes_closer_to_prescribed_motion() -> None:
 
 
 def test_a_step_too_long_for_the_mechanism_is_refused() -> None:
-    with pytest.raises(ValueError, match="step_us: found 100, allowed at most"):
+    with pytest.raises(ValueError, match="step_us: found 100, expected at most"):
         build({"mechanism": {"vertical_n_mm": 900_000.0}})
 
 
 def test_a_rope_shorter_than_the_stroke_is_refused() -> None:
-    with pytest.raises(ValueError, match="rope_length_mm: found 100, allowed more than the stroke 125"):
+    with pytest.raises(ValueError, match="rope_length_mm: found 100, expected more than the stroke 125"):
         Plant(rig({"plant": {"rope_length_mm": 100.0}}), 0)
 
 

@@ -232,9 +232,9 @@ def test_a_ledger_that_cannot_be_believed_is_refused_at_the_start(tmp_path: path
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("identify", "--in", "space"), "allowed hold or tension"),
+        (("identify", "--in", "space"), "expected hold or tension"),
         (("identify", "--file", "nowhere/x.json"), "a folder that is there"),
-        (("calibrate", "--shunt", "--adopt"), "allowed --shunt alone"),
+        (("calibrate", "--shunt", "--adopt"), "expected --shunt alone"),
         (("calibrate", "--weight-n", "much"), "much"),
         (("tare", "5"), "5"),
     ],

@@ -128,7 +128,7 @@ def test_a_low_limit_of_open_files_is_one_line(words: tuple[str, ...], limit: in
         ["bash", "-c", command], capture_output=True, text=True, cwd=daemons.ROOT, timeout=60, check=False
     )
     assert answer.returncode == 1
-    assert f"found a limit of {limit} open files, allowed 64 or more" in answer.stderr
+    assert f"found a limit of {limit} open files, expected 64 or more" in answer.stderr
     assert answer.stderr.count("\n") == 1
 
 
@@ -139,9 +139,9 @@ def test_a_low_limit_of_open_files_is_one_line(words: tuple[str, ...], limit: in
         ("mount -t tmpfs -o size=1m tmpfs /dev/shm", "No space left on device"),
         ("mount -t tmpfs -o ro tmpfs /dev/shm", "Read-only file system"),
         ("mount -t tmpfs tmpfs /dev && mknod -m 666 /dev/null c 1 3", "No such file or directory"),
-        ("mkdir /dev/shm/rigctl-NAME && chmod 777 /dev/shm/rigctl-NAME", "found mode 0777, allowed"),
+        ("mkdir /dev/shm/rigctl-NAME && chmod 777 /dev/shm/rigctl-NAME", "found mode 0777, expected"),
         ("mkdir /dev/shm/rigctl-NAME && chown 4321 /dev/shm/rigctl-NAME", "found a folder of user 4321"),
-        ("ln -s /tmp /dev/shm/rigctl-NAME", "found a link, allowed"),
+        ("ln -s /tmp /dev/shm/rigctl-NAME", "found a link, expected"),
     ],
 )
 def test_a_runtime_folder_that_cannot_be_had_is_one_line(tmp_path: pathlib.Path, prepare: str, said: str) -> None:

@@ -201,8 +201,8 @@ def test_what_is_no_endpoint_no_rig_or_not_there_is_one_line(shared: Daemon) -> 
     shared.rig().close()
     nowhere = f"tcp/127.0.0.1:{free_port()}"
     for arguments, error, says in (
-        (("nonsense",), rigctl.client.ChoiceError, "found endpoint 'nonsense', allowed e.g. tcp/127.0.0.1:7447"),
-        ((shared.endpoint, "No Such"), rigctl.client.ChoiceError, "found rig 'No Such', allowed a rig's name"),
+        (("nonsense",), rigctl.client.ChoiceError, "found endpoint 'nonsense', expected e.g. tcp/127.0.0.1:7447"),
+        ((shared.endpoint, "No Such"), rigctl.client.ChoiceError, "found rig 'No Such', expected a rig's name"),
         ((shared.endpoint, "other"), rigctl.client.NoDaemonError, "no daemon of other answers at"),
         ((nowhere,), rigctl.client.NoDaemonError, f"no daemon answers at {nowhere}"),
     ):

@@ -134,7 +134,7 @@ def test_malformed_is_refused_and_survived(shared: Daemon, payload: bytes, says:
         assert not answered
         assert answer["reason"] == "bad_request"
         assert answer["accepted"] is False
-        assert "allowed" in answer["text"]
+        assert "expected" in answer["text"]
         assert says in answer["text"]
         assert client.state()["target_n"] == 300.0
 
@@ -173,7 +173,7 @@ def test_a_command_that_is_meant_for_another_daemon_is_not_carried_out(own: Daem
         assert client.take_lease("kim")["reason"] == "other_run"
         assert client.state()["lease"] is None
         assert not {Verb.ARM, Verb.HOLD} & {int(code) for code in commands.read()["verb"]}, given
-    with pytest.raises(NoDaemonError, match=f"found run {RUN_ID}, allowed run another; it was not commanded"):
+    with pytest.raises(NoDaemonError, match=f"found run {RUN_ID}, expected run another; it was not commanded"):
         Client(own.endpoint, own.settings.rig, "another")
     with Client(own.endpoint, own.settings.rig, RUN_ID) as mine:
         assert mine.command("arm", "kim")["accepted"]

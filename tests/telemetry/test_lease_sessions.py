@@ -335,7 +335,7 @@ def test_the_lease_typed(own: Daemon) -> None:
     ("arguments", "says"),
     [
         (("lease", "steal"), "'steal' is not one of 'show', 'take', 'return'"),
-        (("lease", "return", "--reason", "x"), "found --reason, allowed with take alone"),
+        (("lease", "return", "--reason", "x"), "found --reason, expected with take alone"),
         (("lease", "take", "--reason"), "requires an argument"),
     ],
 )
@@ -350,5 +350,5 @@ def test_a_reason_that_is_none_is_one_line(shared: Daemon, reason: str) -> None:
     shared.client().close()
     result = shared.cli("lease", "take", "--reason", reason)
     assert result.returncode == 1
-    assert "allowed up to 120 printable letters" in result.stderr
+    assert "expected up to 120 printable letters" in result.stderr
     assert result.stderr.count("\n") == 1

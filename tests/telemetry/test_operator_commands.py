@@ -73,16 +73,16 @@ def slow() -> Iterator[Daemon]:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("target", "abc"), "found 'abc', allowed a number of newtons"),
-        (("target", "nan"), "found 'nan', allowed a number of newtons"),
-        (("target", "inf"), "found 'inf', allowed a number of newtons"),
+        (("target", "abc"), "found 'abc', expected a number of newtons"),
+        (("target", "nan"), "found 'nan', expected a number of newtons"),
+        (("target", "inf"), "found 'inf', expected a number of newtons"),
         (("target",), "Missing argument"),
         (("target", "1", "2"), "unexpected extra argument"),
         (("bogus",), "No such command"),
         (("arm", "--bogus"), "No such option"),
         ((), "Missing command"),
-        (("status", "--connect", "nonsense"), "found endpoint 'nonsense', allowed e.g. tcp/127.0.0.1:7447"),
-        (("status", "--rig", "No Such"), "found rig 'No Such', allowed a rig's name"),
+        (("status", "--connect", "nonsense"), "found endpoint 'nonsense', expected e.g. tcp/127.0.0.1:7447"),
+        (("status", "--rig", "No Such"), "found rig 'No Such', expected a rig's name"),
     ],
 )
 def test_wrong_usage_is_one_line_and_exit_2(shared: Daemon, arguments: tuple[str, ...], says: str) -> None:
@@ -93,7 +93,7 @@ def test_wrong_usage_is_one_line_and_exit_2(shared: Daemon, arguments: tuple[str
     assert result.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("arguments", [("status",), ("watch",), ("arm",), ("target", "300"), ("tension", "--wait")])
+@pytest.mark.parametrize("arguments", [("status",), ("arm",), ("target", "300"), ("tension", "--wait")])
 def test_no_daemon_is_one_line_and_exit_1(shared: Daemon, arguments: tuple[str, ...]) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     result = shared.cli(*arguments, RIGCTL_CONNECT=endpoint)
@@ -134,6 +134,44 @@ def test_watch_prints_lines_through_a_restart(own: Daemon) -> None:
     watching.send_signal(signal.SIGINT)
     assert watching.communicate(timeout=PATIENCE_S)[1] == ""
     assert watching.returncode == 0
+
+
+@pytest.mark.parametrize("options", [(), ("--json",)])
+def test_watch_waits_for_a_daemon(options: tuple[str, ...]) -> None:
+    late = Daemon()
+    command = [sys.executable, "-m", "rigctl.cli", "watch", *options, "--connect", late.endpoint]
+    watching = subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        assert watching.stdout is not None
+        assert watching.stderr is not None
+        assert watching.stderr.readline() == f"waiting for a daemon at {late.endpoint}; Ctrl-C ends\n"
+        late.start_loop()
+        late.start_gateway()
+        assert "DISARMED" in watching.stdout.readline()
+        watching.send_signal(signal.SIGINT)
+        assert watching.communicate(timeout=PATIENCE_S)[1] == ""  # it was said once
+        assert watching.returncode == 0
+    finally:
+        watching.kill()
+        watching.communicate()
+        late.close()
+
+
+def test_watch_stops_waiting_at_ctrl_c() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-m", "rigctl.cli", "watch", "--connect", endpoint]
+    watching = subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        assert watching.stderr is not None
+        assert watching.stderr.readline() == f"waiting for a daemon at {endpoint}; Ctrl-C ends\n"
+        watching.send_signal(signal.SIGINT)
+        said, complaint = watching.communicate(timeout=PATIENCE_S)
+        assert said == ""
+        assert "Traceback" not in complaint
+        assert watching.returncode == 0
+    finally:
+        watching.kill()
+        watching.communicate()
 
 
 def test_watch_json_is_one_state_per_line(shared: Daemon) -> None:

@@ -148,8 +148,8 @@ def test_a_bad_value_gets_one_line(refuse: Refuse, old: str, new: str, key: str,
     written = PAPER.replace(old, new, 1).splitlines()[number - 1]
     assert written.strip().startswith(key.rpartition(".")[2] + ":")
     assert rest.startswith(f"{key}: found ")
-    assert found in rest.partition(", allowed")[0]
-    assert allowed in rest.partition(", allowed")[2]
+    assert found in rest.partition(", expected")[0]
+    assert allowed in rest.partition(", expected")[2]
 
 
 def test_each_of_several_bad_values_gets_its_line(refuse: Refuse) -> None:
@@ -159,7 +159,7 @@ def test_each_of_several_bad_values_gets_its_line(refuse: Refuse) -> None:
 
 def test_a_missing_section_and_a_broken_file_are_one_line_each(refuse: Refuse) -> None:
     (line,) = refuse("plant:  ", "plamt:  ")
-    assert "plamt: found an unknown key, allowed plant?" in line
+    assert "plamt: found an unknown key, expected plant?" in line
     (line,) = refuse("interface: rigsim", "interface: [rigsim")
     assert "not YAML" in line
 

@@ -124,7 +124,7 @@ def test_a_value_that_disarms_a_protection_is_refused_in_words(
 def test_a_rope_without_a_spring_needs_words(tmp_path: pathlib.Path) -> None:
     bare = {"plant": {"spring_n_mm": None}}
     (line,) = refusals(tmp_path, **bare)
-    assert "tension.speed_max_mm_s: found 10.0, allowed at most 1.25 (" in line
+    assert "tension.speed_max_mm_s: found 10.0, expected at most 1.25 (" in line
     assert refusals(tmp_path, **bare, safety={"waiver": WAIVER}) == []
 
 

@@ -152,7 +152,7 @@ def test_a_rig_file_that_asks_for_what_is_not_there(
     rig = changed(RIG, old, new)
     section, _, name = key.rpartition(".")
     number = line_of(section.split(".")[0], name, rig)
-    assert refusal(write(rig, DBC)) == f"FILE:{number}: {key}: found {found}, allowed {allowed}"
+    assert refusal(write(rig, DBC)) == f"FILE:{number}: {key}: found {found}, expected {allowed}"
 
 
 @pytest.mark.parametrize(
@@ -206,7 +206,7 @@ def test_a_dbc_file_that_the_loop_could_not_use(
         dbc = "\n".join(line for line in dbc.splitlines() if not line.startswith(("CM_ BO", "CM_ SG", "BA_ "))) + "\n"
     section, _, name = key.rpartition(".")
     number = line_of(section.split(".")[0], name)
-    assert refusal(write(RIG, dbc)) == f"FILE:{number}: {key}: found {found}, allowed {allowed}"
+    assert refusal(write(RIG, dbc)) == f"FILE:{number}: {key}: found {found}, expected {allowed}"
 
 
 def test_can_fd_is_refused_whatever_its_length(write: Write) -> None:
@@ -218,7 +218,7 @@ def test_can_fd_is_refused_whatever_its_length(write: Write) -> None:
     line = refusal(write(RIG, DBC + frame_format))
     number = line_of("tension_cell", "message")
     assert line == (
-        f"FILE:{number}: {CELL}.message: found Tension with CAN FD, 5 bytes, allowed a classic frame of 1 to 8 bytes"
+        f"FILE:{number}: {CELL}.message: found Tension with CAN FD, 5 bytes, expected a classic frame of 1 to 8 bytes"
     )
 
 
@@ -227,7 +227,7 @@ def test_a_cycle_time_that_is_no_number_is_refused(write: Write) -> None:
     dbc = dbc.replace("BO_ 272 1;", 'BO_ 272 "often";').replace("BO_ 273 10;", 'BO_ 273 "10";')
     number = line_of("tension_cell", "message")
     assert refusal(write(RIG, dbc)) == (
-        f"FILE:{number}: {CELL}.message: found Tension with a GenMsgCycleTime that is no number, allowed milliseconds"
+        f"FILE:{number}: {CELL}.message: found Tension with a GenMsgCycleTime that is no number, expected milliseconds"
     )
 
 
@@ -241,7 +241,7 @@ def test_two_devices_cannot_share_a_message(write: Write) -> None:
     dbc = DBC.replace('"N" Controller\n', '"N" Controller\n SG_ A : 33|7@1+ (1,0) [0|0] "deg" Controller\n')
     number = line_of("inclinometer", "message")
     assert refusal(write(rig, dbc)) == (
-        f"FILE:{number}: {SLOPE}.message: found Tension with id 0x110, allowed an id of its own (tension_cell has it)"
+        f"FILE:{number}: {SLOPE}.message: found Tension with id 0x110, expected an id of its own (tension_cell has it)"
     )
 
 
@@ -267,7 +267,7 @@ def test_check_shows_the_refusal_and_the_layout(write: Write) -> None:
     bad = check(file)
     assert bad.returncode == 2
     assert len(bad.stderr.splitlines()) == 1
-    assert f"{file}:{line_of('tension_cell', 'tension')}: {CELL}.tension: found unit lbf, allowed unit N" in bad.stderr
+    assert f"{file}:{line_of('tension_cell', 'tension')}: {CELL}.tension: found unit lbf, expected unit N" in bad.stderr
 
 
 def test_bus_load_counts_plain_frames_at_their_cycle_time_or_the_loops_rate(write: Write) -> None:

@@ -1,4 +1,4 @@
-"""Settings of devices as they are sold: read exactly, or refused in one line with what is allowed."""
+"""Settings of devices as they are sold: read exactly, or refused in one line with what is expected."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def test_a_number_of_a_data_sheet_is_given_in_hexadecimal(tmp_path: pathlib.Path
 @pytest.mark.parametrize(
     ("cylinder", "key", "words"),
     [
-        ('  velocity_object: "0x6069"\n', "velocity_object", "found 0x6069, allowed 0x2044 or 0x606C"),
+        ('  velocity_object: "0x6069"\n', "velocity_object", "found 0x6069, expected 0x2044 or 0x606C"),
         ('  velocity_object: "0x60GC"\n', "velocity_object", "found '0x60GC'"),
         ('  velocity_object: "0x606C"\n', "velocity_pdo", "another than position_pdo (1): status, position and 0x606C"),
-        (STOCK.replace("3", "2"), "status_pdo", "found 2, allowed a PDO of its own"),
-        (STOCK.replace("3", "5"), "velocity_pdo", "found 5, allowed a whole number"),
+        (STOCK.replace("3", "2"), "status_pdo", "found 2, expected a PDO of its own"),
+        (STOCK.replace("3", "5"), "velocity_pdo", "found 5, expected a whole number"),
         ("  increments_per_mm: 10.0\n", "increments_per_mm", "found 10.0"),
         ("  increments_per_mm: 1.0e+8\n", "increments_per_mm", "found 100000000.0"),
         ("  speed_units_per_mm_s: 10.0\n", "speed_units_per_mm_s", "found 10.0"),
@@ -54,7 +54,7 @@ def test_a_limit_on_a_temperature_the_drive_does_not_tell_is_refused(tmp_path: p
     with pytest.raises(config.ConfigError) as refused:
         load(tmp_path, "  temperature_object: null\n")
     (line,) = refused.value.findings
-    assert ".signal: found drive_temperature_c, allowed none of it: cylinder.temperature_object is null" in line
+    assert ".signal: found drive_temperature_c, expected none of it: cylinder.temperature_object is null" in line
 
 
 def test_increments_that_do_not_fit_in_32_bits_are_refused(tmp_path: pathlib.Path) -> None:

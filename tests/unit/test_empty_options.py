@@ -16,7 +16,7 @@ def test_an_empty_option_is_refused_in_one_line(option: str, value: str, in_proc
     answer = in_process("rigctl", "hold", option, value)
     assert (answer.returncode, answer.stdout) == (2, "")
     assert option in answer.stderr
-    assert "found nothing, allowed a value" in answer.stderr
+    assert "found nothing, expected a value" in answer.stderr
     assert answer.stderr.count("\n") == 1
 
 

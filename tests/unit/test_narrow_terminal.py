@@ -10,6 +10,10 @@ import pytest
 from rich.console import Console
 
 from rigctl import check, config
+from rigctl.devices import busload
+from rigctl.operator import figures
+from rigctl.operator.screen import Screen
+from tests.unit.telemetry.test_hostile_messages import EVENT, STATE, view_of
 
 RIG = config.load(pathlib.Path(__file__).parents[2] / "config/paper_rig.yaml")
 
@@ -39,3 +43,35 @@ def test_check_shows_every_value_at_any_width(width: int) -> None:
 def test_check_tells_units_and_meanings_where_there_is_room() -> None:
     assert any("Hz" in line and "loop rate" in line for line in shown(80))
     assert not any("loop rate" in line for line in shown(40))
+
+
+def test_check_breaks_no_name_of_a_frame_at_40_columns() -> None:
+    text = "\n".join(shown(40))
+    for word in ("inclination", "heartbeat,", "controller", "heartbeats,"):
+        assert word in text.split()
+    for item in busload.traffic(RIG):
+        assert f"{item.bit_s:.0f}" in text.split()
+
+
+def screen(width: int, height: int = 60) -> list[str]:
+    out = io.StringIO()
+    Console(file=out, width=width, height=height, highlight=False).print(Screen(view_of()))
+    return out.getvalue().splitlines()
+
+
+@pytest.mark.parametrize("width", [30, 40, 60, 71])
+def test_watch_goes_on_in_the_next_line_where_a_terminal_is_narrow(width: int) -> None:
+    lines = screen(width)
+    text = "".join("".join(lines).split())
+    assert max(map(len, lines)) <= width
+    assert "…" not in text
+    for value in (
+        figures.error(STATE), figures.inclination(STATE), figures.percentiles(STATE["work_us"]),
+        figures.counters(STATE), figures.calibration(STATE)[0], figures.recorder(STATE)[0], figures.lease(STATE),
+        EVENT["text"],
+    ):  # fmt: skip
+        assert "".join(value.split()) in text
+
+
+def test_watch_keeps_to_its_height_where_a_terminal_is_narrow() -> None:
+    assert len(screen(40, 24)) <= 24

@@ -41,7 +41,7 @@ export class Panel {
   }
 
   list(state) {
-    const rows = [["limits", state.limits?.length ? state.limits.join("; ") : "none passed", state.limits?.length ? "yellow" : ""]];
+    const rows = [["limits", state.limits?.length ? state.limits.join("; ") : "none exceeded", state.limits?.length ? "yellow" : ""]];
     rows.push(["flags", state.flags || "-", state.flags ? "yellow" : ""]);
     if (state.flaws) rows.push(["signals", state.flaws, "yellow"]);
     if (state.inclination && state.inclination !== "good") rows.push(["inclination", state.inclination, "yellow"]);

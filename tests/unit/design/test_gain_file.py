@@ -175,7 +175,7 @@ def test_an_edited_gain_that_is_robust_runs_and_is_told(rig: Rig, kept: pathlib.
     ("pattern", "to", "said"),
     [
         (r"spring_n_mm: 6.0", "spring_n_mm: 13.0", "do not give its inputs_sha256"),
-        (r"k_tension: [\d.]+", "k_tension: fast", "k_tension: found 'fast', allowed a number"),
+        (r"k_tension: [\d.]+", "k_tension: fast", "k_tension: found 'fast', expected a number"),
         (r"k_tension: [\d.]+", "k_tension: .nan", "a finite number"),
         (r"k_tension: [\d.]+", "k_tension: 1.0e+30", "k_tension: found 1e+30"),
         (r"k_tension: [\d.]+", "k_tensio: 1.0", "k_tensio: found an unknown key"),

@@ -59,7 +59,10 @@ def test_a_refused_design_is_exit_code_1_and_said_in_words(tmp_path: pathlib.Pat
     assert answer.returncode == 1
     assert answer.stdout.count("UNSTABLE") > 1
     assert answer.stderr.count("\n") == 1
-    assert "design refused: unstable with 6 of 30 plants, allowed 1.6 (or a design.waiver in words)" in answer.stderr
+    assert (
+        "design refused: unstable with 6 of 30 plants, expected at most 1.6 (or a design.waiver in words)"
+        in answer.stderr
+    )
     assert "accepted: false" in (tmp_path / "g.yaml").read_text()
     said = json.loads(in_process("rigctl", "tune", str(file), "--json", "-").stdout)
     assert (said["accepted"], said["ms_max"]) == (False, None)
@@ -76,7 +79,7 @@ def test_a_refused_design_is_exit_code_1_and_said_in_words(tmp_path: pathlib.Pat
         ((PAPER, "--json", "nowhere/x.json"), "--json: nowhere/x.json cannot be written: there is no folder nowhere"),
         ((PAPER, "--json", "config"), "--json: config cannot be written: Is a directory"),
         ((PAPER, "--json", PAPER), "is the rig file"),
-        ((PAPER, "--plot", "x.jpg"), "allowed a name ending in .png, .svg, .pdf"),
+        ((PAPER, "--plot", "x.jpg"), "expected a name ending in .png, .svg, .pdf"),
         ((PAPER, "--plot", "/proc/x.png"), "--plot: /proc/x.png cannot be written: No such file"),
         ((PAPER, "--gains", "config/rig.yaml"), "is there and is no gain file"),
         ((PAPER, "--gains", "/dev/null"), "is there and is no gain file"),

@@ -198,9 +198,9 @@ def test_a_fixed_mapping_is_read_in_its_own_order_and_what_else_is_in_it_skipped
     [
         (od.DRIVE_TPDO, [0x60410010, 0x60640020], "no object 0x2044:00"),
         (od.DRIVE_TPDO, [], "no object 0x2044:00"),
-        (od.CELL_TPDO, [0x91300110, 0x61500108], "object 0x9130:01 with 16 bits, allowed 32"),
-        (od.CELL_TPDO, [0x91300120, 0x20000001, 0x61500108], "object 0x2000:00 with 1 bits, allowed whole bytes"),
-        (od.SLOPE_TPDO, [0x60100010, 0x60200010, 0x20000030], "10 bytes, allowed 8"),
+        (od.CELL_TPDO, [0x91300110, 0x61500108], "object 0x9130:01 with 16 bits, expected 32"),
+        (od.CELL_TPDO, [0x91300120, 0x20000001, 0x61500108], "object 0x2000:00 with 1 bits, expected whole bytes"),
+        (od.SLOPE_TPDO, [0x60100010, 0x60200010, 0x20000030], "10 bytes, expected at most 8"),
         (od.DRIVE_RPDO, [0x60400010, 0x60FF0020, 0x60710010], "object 0x6071:00, which we do not write"),
     ],
 )

@@ -203,7 +203,7 @@ def test_units_come_from_where_the_rig_file_or_the_drive_says(
     ("cylinder", "per_mm", "where", "found", "allowed"),
     [
         ({}, PER_MM, 0x60A8, "found 0x0", "cylinder.increments_per_mm or lead_mm"),
-        ({"increments_per_mm": PER_MM}, None, 0x60A8, "1000 units per mm", "allowed 209715.2"),
+        ({"increments_per_mm": PER_MM}, None, 0x60A8, "1000 units per mm", "expected 209715.2"),
         ({"increments_per_mm": PER_MM, "lead_mm": 10.0}, PER_MM, 0x6092, "found 104857.6 units per mm", "209715.2"),
     ],
 )
@@ -217,7 +217,7 @@ def test_units_that_are_not_known_or_disagree_are_refused(
 @pytest.mark.parametrize(("section", "what"), [("tension_cell", "vendor"), ("cylinder", "product")])
 def test_another_vendor_or_product_is_refused_with_both(section: str, what: str) -> None:
     said = refusal(changed(SETTINGS, **{section: {what: 0x1234}}))
-    assert f"{section}.{what}" in said and "allowed 0x1234" in said and f"found {what} 0x" in said
+    assert f"{section}.{what}" in said and "expected 0x1234" in said and f"found {what} 0x" in said
 
 
 def test_the_right_vendor_and_product_are_taken() -> None:
@@ -262,4 +262,4 @@ def test_a_fixed_mapping_too_long_for_the_bus_is_refused() -> None:
     assert load is not None
     settings = changed(settings, can={"bitrate_bit_s": round(500_000 * load / (limit - 0.001))})
     said = refusal(settings)
-    assert "bus load" in said and "allowed 80%" in said
+    assert "bus load" in said and "expected at most 80%" in said

@@ -137,8 +137,8 @@ def test_a_bad_value_gets_one_line(refuse: Refuse, old: str, new: str, key: str,
     if found != "nothing" and not own.isdigit():
         assert own in text
     assert rest.startswith(f"{key}: found ")
-    assert found in rest.partition(", allowed")[0]
-    assert allowed in rest.partition(", allowed")[2]
+    assert found in rest.partition(", expected")[0]
+    assert allowed in rest.partition(", expected")[2]
 
 
 def test_a_change_that_does_not_go_with_the_rig_file_says_so(refuse: Refuse) -> None:
@@ -151,7 +151,7 @@ def test_a_change_that_does_not_go_with_the_rig_file_says_so(refuse: Refuse) -> 
 def test_an_error_in_a_set_names_the_set(refuse: Refuse, tmp_path: pathlib.Path) -> None:
     (tmp_path / "soft.yaml").write_text("plant:\n  rope_n_mm: 500.0\n  spring_n_mm: -6.0\n")
     (line,) = refuse("duration_s: 10.0", "duration_s: 10.0\nsets: [./soft.yaml]")
-    assert line.startswith(f"{tmp_path}/soft.yaml:3: plant.spring_n_mm: found -6.0, allowed a number in N/mm")
+    assert line.startswith(f"{tmp_path}/soft.yaml:3: plant.spring_n_mm: found -6.0, expected a number in N/mm")
 
 
 def test_a_later_layer_wins(tmp_path: pathlib.Path) -> None:
@@ -304,7 +304,7 @@ def test_a_value_that_cannot_be_read_hides_no_other_finding(tmp_path: pathlib.Pa
         read(file)
     found = str(refused.value).splitlines()
     assert len(found) == 4
-    number = "allowed a finite number written like 10, 0.001 or 1.0e-3"
+    number = "expected a finite number written like 10, 0.001 or 1.0e-3"
     assert f"{file}:3: duration_s: found .nan, {number}" in found
     assert f"{file}:6: windows.early.from_s: found 1e-3, {number}" in found
     assert any(line.startswith(f"{file}:4: settle_s: found -3") for line in found)
@@ -317,5 +317,5 @@ def test_an_unreadable_value_in_a_change_is_refused(tmp_path: pathlib.Path) -> N
         f"scenario: broken\nrig: {ROOT / 'config/paper_rig.yaml'}\nduration_s: 5.0\n"
         "change: {plant: {spring_n_mm: .inf}}\n"
     )
-    with pytest.raises(ScenarioError, match=r"change\.plant\.spring_n_mm: found \.inf, allowed a finite number"):
+    with pytest.raises(ScenarioError, match=r"change\.plant\.spring_n_mm: found \.inf, expected a finite number"):
         settings_of(read(file))

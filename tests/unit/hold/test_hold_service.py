@@ -166,7 +166,7 @@ def test_another_users_process_is_refused(rig: Rig, monkeypatch: pytest.MonkeyPa
     (peer,) = rig.service._peers.values()
     peer.uid = mine + 2
     rig.turns()
-    assert f"found a process of uid {mine + 2}, allowed one of the daemon's user" in answer_of(asked)["text"]
+    assert f"found a process of uid {mine + 2}, expected one of the daemon's user" in answer_of(asked)["text"]
     assert rig.holds.head == 0
 
 

@@ -135,7 +135,7 @@ def test_a_log_that_lost_its_end_between_two_recorders_is_said(path: pathlib.Pat
     [
         (b"hello\n", "no audit log, or broken: its last line: edited: no entry"),
         (b"x" * 200_000, "no audit log: it does not end in lines"),
-        (None, "found the audit log of 'other', allowed that of 'rig'"),
+        (None, "found the audit log of 'other', expected that of 'rig'"),
     ],
 )
 def test_what_is_no_log_of_this_rig_is_refused_and_left_as_it_is(
@@ -184,7 +184,7 @@ def test_run_refuses_another_rigs_log_before_it_starts_anything(
     file.write_text(f"{head}{rest}\naudit: {{file: {log}}}\n")
     answer = in_process("rigctl", "run", file)
     assert (answer.returncode, answer.stderr.count("\n")) == (2, 1)
-    assert answer.stderr == f"rigctl: {log}: found the audit log of 'other', allowed that of 'paper_rig'\n"
+    assert answer.stderr == f"rigctl: {log}: found the audit log of 'other', expected that of 'paper_rig'\n"
     assert config.load(file).audit_log == log
 
 

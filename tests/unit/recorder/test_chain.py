@@ -165,7 +165,7 @@ def test_the_command_says_whether_it_holds_and_where_it_does_not(in_process: Com
     file.write_bytes(b"".join(lines))
     good = in_process("rigctl", "audit", "verify", file)
     assert (good.returncode, good.stderr) == (0, "")
-    assert good.stdout == f"{file}: holds: 3 entries, {WALL} to {WALL}, head {head}\n"
+    assert good.stdout == f"{file}: intact: 3 entries, {WALL} to {WALL}, head {head}\n"
     earlier = read_line(lines[1])[0].previous
     assert "; 2 entries since the head given" in in_process("rigctl", "audit", "verify", file, "--head", earlier).stdout
     for part, options, said in (
@@ -211,10 +211,10 @@ def test_the_command_shows_what_was_done(in_process: Command, tmp_path: pathlib.
         (("verify", "tests"), "tests cannot be read: Is a directory"),
         (("verify", "/dev/zero"), "/dev/zero cannot be read: not a file"),
         (("verify", "nothing.yaml"), "nothing.yaml: cannot be read"),
-        (("verify", "README.md", "--head", "abc"), "--head: found 'abc', allowed 64 letters 0-9 a-f"),
-        (("verify", "README.md", "--last", "3"), "found a choice of entries, allowed with show alone"),
-        (("show", "README.md", "--head", "0" * 64), "found --head, allowed with verify alone"),
-        (("show", "README.md", "--since", "yesterday"), "--since: found 'yesterday', allowed ISO 8601"),
+        (("verify", "README.md", "--head", "abc"), "--head: found 'abc', expected 64 letters 0-9 a-f"),
+        (("verify", "README.md", "--last", "3"), "found a choice of entries, expected with show alone"),
+        (("show", "README.md", "--head", "0" * 64), "found --head, expected with verify alone"),
+        (("show", "README.md", "--since", "yesterday"), "--since: found 'yesterday', expected ISO 8601"),
         (("show", "README.md", "--last", "0"), "--last"),
         (("count",), "count"),
         ((), "verify|show"),
@@ -242,7 +242,7 @@ def test_without_a_name_it_is_the_running_daemons_and_of_a_rig_file_its_own(
         daemon.directory.mkdir()
         daemon.write_json(runtime.ACTIVE, {"pid": process})
         daemon.write_json(runtime.RECORDED, {"audit_log": str(tmp_path / "log.jsonl")})
-    assert "holds: 2 entries" in in_process("rigctl", "audit", "verify").stdout
+    assert "intact: 2 entries" in in_process("rigctl", "audit", "verify").stdout
     of_rig = in_process("rigctl", "audit", "verify", "config/rig.yaml")
     assert of_rig.returncode == 2
     assert "config/audit/rig.jsonl cannot be read" in of_rig.stderr

@@ -160,7 +160,7 @@ def test_it_stops_before_the_disk_is_full_and_goes_on_when_there_is_room(
     filler = disk / "filler"
     filler.write_bytes(bytes(60 << 20))
     tape.run(2000)
-    assert "allowed 48 or more" in tape.recording.why or "allowed 80 or more" in tape.recording.why
+    assert "expected 48 or more" in tape.recording.why or "expected 80 or more" in tape.recording.why
     assert tape.recording.as_dict()["file"] is None
     (first,) = [path for path in tape.files() if path.suffix == ".mcap"]
     assert read(first).complete

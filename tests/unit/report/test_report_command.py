@@ -182,7 +182,7 @@ def test_a_recording_without_records_is_refused(tmp_path: pathlib.Path, in_proce
     file = write(tmp_path / "bare.mcap", run(stay(Mode.HOLD, 0.0)))
     done = in_process("rigctl", "report", file, "-o", tmp_path / "x.html")
     assert done.returncode == 2
-    assert done.stderr == f"rigctl: {file}: found no record, allowed a recording of a loop that ran\n"
+    assert done.stderr == f"rigctl: {file}: found no record, expected a recording of a loop that ran\n"
 
 
 @pytest.mark.parametrize("ticks", [1, 2, 40])

@@ -207,6 +207,6 @@ def test_an_act_on_the_lease_is_read() -> None:
     ],
 )  # fmt: skip
 def test_a_malformed_act_is_one_line(act: Act, more: dict[str, Any]) -> None:
-    with pytest.raises(RequestError, match="allowed") as refused:
+    with pytest.raises(RequestError, match="expected") as refused:
         parse_lease(act, msgspec.json.encode({"operator": "kim"} | more))
     assert "\n" not in str(refused.value)

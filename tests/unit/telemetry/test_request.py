@@ -82,7 +82,7 @@ def test_a_proper_command_is_read(operator: str, value: float) -> None:
 def test_verbs_are_the_modes_verbs() -> None:
     assert [verb_of(verb.name.lower()) for verb in Verb] == list(Verb)
     for name in ("ARM", "", "*", "fly"):
-        with pytest.raises(RequestError, match="allowed arm, tension"):
+        with pytest.raises(RequestError, match="expected arm, tension"):
             verb_of(name)
 
 
