@@ -27,7 +27,7 @@ SPEED_S = 0.02
 AWAIT_NS = 2_000_000_000
 """An accepted ARM waits so long; the longest stop a rig file may ask for is shorter."""
 BRAKE_TEST_NS = 2_000_000_000
-BRAKE_TEST_MM = 0.1
+BRAKE_TEST_MM = 0.05
 """A brake holds without creep: play and wind-up of the brake are taken up while it closes, before the test begins."""
 REACTION_NS = 2_000_000_000
 """A stroke that still moves so long after the drive has gone off hangs on a brake that slips: no stop will end that."""

@@ -120,8 +120,6 @@ STEPS = (
          f"tension above its limit, and risen by {RISE_MM:g} mm of stretch", "a stroke that is held adds none"),
     Step(Symptom.HOLD_MOVES, Action.HOLD, _speed_mm_s, FAST_MM_S, 0, 500 * _MS, Action.QUICK_STOP,
          f"stroke faster than {FAST_MM_S:g} mm/s", "no correction of HOLD is as fast"),
-    Step(Symptom.HOLD_UNSEEN, Action.HOLD, _unseen_s, UNSEEN_S, 0, 0, Action.QUICK_STOP,
-         f"nothing heard of the drive for {UNSEEN_S:g} s", "a stroke that is not seen is not held"),
     Step(Symptom.STOP_MOVES, Action.QUICK_STOP, _speed_mm_s, BRAKE_SLIP_MM_S, 0, 20 * _MS, Action.POWER_OFF,
          f"stroke faster than {BRAKE_SLIP_MM_S:g} mm/s", "the drive does not stop by itself"),
     Step(Symptom.STOP_DRIFTS, Action.QUICK_STOP, _drift_mm, MOVED_MM, 0, 0, Action.POWER_OFF,
@@ -130,6 +128,8 @@ STEPS = (
          f"drive not off {OFF_NS * 1e-9:g} s later", "it has not closed its brake by itself"),
     Step(Symptom.OFF_DRIFTS, Action.POWER_OFF, _drift_mm, MOVED_MM, BRAKE_NS, 0, None,
          f"stroke {MOVED_MM:g} mm from where it was when the brake had closed", "the brake does not hold"),
+    Step(Symptom.HOLD_UNSEEN, Action.HOLD, _unseen_s, UNSEEN_S, 0, 0, Action.QUICK_STOP,
+         f"nothing heard of the drive for {UNSEEN_S:g} s", "a stroke that is not seen is not held"),
 )  # fmt: skip
 """What is watched after a reaction has had its time: what shows that it did not help, and what comes next."""
 

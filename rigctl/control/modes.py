@@ -122,9 +122,9 @@ def preflight_passed(situation: Situation) -> Refusal:
 def cause_gone(situation: Situation) -> Refusal:
     """The latched fault's cause is no longer seen, and the stop it began has ended."""
     # A reset during the stop would also take back the power off that follows if the drive does not obey.
-    if situation.stop_running:
-        return Refusal.STOP_RUNNING
-    return Refusal.CAUSE_PRESENT if situation.cause_present else Refusal.NONE
+    if situation.cause_present:
+        return Refusal.CAUSE_PRESENT
+    return Refusal.STOP_RUNNING if situation.stop_running else Refusal.NONE
 
 
 def rope_tight(situation: Situation) -> Refusal:

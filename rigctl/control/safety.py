@@ -503,12 +503,11 @@ class Watch:
         return found
 
     def _blocking(self, sight: Sight) -> Iterator[Fault]:
-        # A limit of the drive's own may stand until its fault is reset; arming is barred by it.
-        return (
-            row.fault
-            for row in self._rows
-            if row.fault in BLOCK_RESET and row.text is not _LIMITS and row.value(sight) > row.limit
-        )
+        for row, stands in zip(self._rows, self._stands, strict=True):
+            if row.fault not in BLOCK_RESET or row.text is _LIMITS:
+                continue  # a limit of the drive's own may stand until its fault is reset; arming is barred by it
+            if row.value(sight) > row.limit and (row.fault is not Fault.DRIVE_UNASKED or stands):
+                yield row.fault  # a drive that we have just told to go off is still enabled, and no stranger's
 
     def _ends(self, i: int, *, watched: bool = True) -> None:
         """A row that is good again, or not watched any more: of these only the rows that log say that they are over."""

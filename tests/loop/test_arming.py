@@ -171,18 +171,18 @@ def test_the_brake_is_tested_under_the_load_for_two_seconds_before_the_drive_has
 
 
 def test_a_brake_that_gives_way_slowly_is_found_latched_and_said(loaded: Lockstep) -> None:
-    slips(loaded, 0.06)  # no standstill check, and no limit of a slipping brake, sees this
+    slips(loaded, 0.04)  # no standstill check, and no limit of a slipping brake, sees this
     assert loaded.command(Verb.ARM, limit_s=4.0) is Refusal.BRAKE_SLIPPED
     assert abs(loaded.reply["value"]) == pytest.approx(arming.BRAKE_TEST_MM, abs=0.01)
     assert not loaded.rig.drive.control.enabled
     machine = loaded.loop.machine
     assert (machine.mode, machine.fault) == (Mode.FAULT, Fault.BRAKE_SLIPS)
     (line,) = told(loaded, Kind.TRIP)
-    assert "moved by -0.10 mm on the closed brake (limit 0.10 mm)" in line
+    assert "moved by -0.05 mm on the closed brake (limit 0.05 mm)" in line
 
 
 def test_once_that_is_acknowledged_the_motor_may_carry_the_load(loaded: Lockstep) -> None:
-    slips(loaded, 0.06)
+    slips(loaded, 0.04)
     loaded.command(Verb.ARM, limit_s=4.0)
     assert loaded.command(Verb.RESET) is Refusal.NONE
     began_ns = loaded.clock.now()

@@ -236,7 +236,7 @@ def test_overload_of_the_cell_trips_and_keeps_the_fault_until_it_is_over(rig: Lo
     rig.inject(overload)
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
     rig.rig.receive(nmt(1, cell))
-    rig.run(0.2)  # its heartbeat, every 100 ms, says that it is operational again
+    rig.run(1.0)  # its heartbeat says that it is operational again, and its settings are read back
     assert rig.command(Verb.RESET) is Refusal.NONE
 
 

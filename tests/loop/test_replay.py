@@ -139,7 +139,8 @@ def test_a_frame_that_was_another_is_found(paper: tuple[Recording, Span]) -> Non
 def test_a_frame_sent_that_was_another_is_found(paper: tuple[Recording, Span]) -> None:
     recording, span = paper
     frames = recording.frames.copy()
-    at = int(np.flatnonzero(frames["sent"] == 1)[-500])
+    ours = (frames["sent"] == 1) & (frames["can_id"] == 0x204)
+    at = int(np.flatnonzero(ours)[-500])
     frames["data"][at] = b"\xff\x01\x02\x03\x04\x05"
     _, found = replayed(dataclasses.replace(recording, frames=frames), span)
     assert [row.field for row in found.differences] == ["frames sent"]

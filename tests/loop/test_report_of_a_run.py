@@ -69,7 +69,7 @@ def test_it_says_that_the_time_was_simulated_and_what_happened(run: tuple[Findin
     assert [span.name for span in found.modes] == ["DISARMED", "HOLD", "TENSIONING", "COMPENSATING"]
     assert any("TENSIONING -> COMPENSATING" in event.text for event in found.events)
     assert found.bus.lost == 0
-    assert found.bus.load == pytest.approx(0.4274)
+    assert found.bus.load == pytest.approx(0.4544)
     page = render(found)
     assert "Simulated time:" in page
     assert "loop bandwidth" in page

@@ -185,7 +185,7 @@ def test_a_dump_of_a_young_loop_comes_out_bit_identical(
         kept = Kept(rig, tmp_path)
         active = rig.runtime.read_json(ACTIVE)
         rig.runtime.write_json(ACTIVE, {**active, "design": {"gains": msgspec.to_builtins(gains)}})
-        rig.runtime.write_json("control.json", {"supervision": [{"ok": True}], "host_checks": int(Check.HOST)})
+        rig.runtime.write_json("control.json", {**rig.report.as_json(), "host_checks": int(Check.HOST)})
         rig.run(0.3)
         rig.command(Setting.HOST_CHECKS, 0.0)  # as the gateway tells it
         assert rig.command(Verb.TARGET, 60.0) is Refusal.NONE
@@ -213,20 +213,22 @@ def test_two_trips_within_seconds_are_both_covered(kept: Kept) -> None:
     rig = kept.rig
     first_ns = trip(rig)
     rig.rig.receive(nmt(1, rig.settings.tension_cell.node))
-    rig.run(0.5)
+    rig.run(1.0)  # its settings are read back by then
     assert rig.command(Verb.RESET) is Refusal.NONE
-    rig.run(0.8)
+    rig.run(0.3)
     second_ns = trip(rig)
     assert second_ns - first_ns < 2_000_000_000
     rig.run(2.1)
     kept.poll()
     (file,) = kept.files()
     topics, _, words = read(file)
-    assert words["rigctl"]["trips"] == "CELL_STALE CELL_STALE"
+    first, second = words["rigctl"]["trips"].split()
+    assert first == "CELL_STALE"
+    assert second in ("CELL_STALE", "NODE_NOT_OPERATIONAL")  # its heartbeat may say first that it has stopped
     times = [t_ns for t_ns, _ in topics["/records"]]
     assert times[-1] - second_ns == pytest.approx(2e9, abs=2 * TICK_NS)
     rig.rig.receive(nmt(1, rig.settings.tension_cell.node))
-    rig.run(0.5)
+    rig.run(1.0)  # its settings are read back by then
     assert rig.command(Verb.RESET) is Refusal.NONE
     trip(rig)
     rig.run(2.1)
@@ -308,7 +310,7 @@ def test_a_folder_that_takes_no_dump_is_told_and_tried_again_and_given_up_in_the
     again = kept.log()[-1]
     assert (again.what, again.details["what"]) == ("written_again", "trip dump")
     rig.rig.receive(nmt(1, rig.settings.tension_cell.node))
-    rig.run(0.5)
+    rig.run(1.0)  # its settings are read back by then
     assert rig.command(Verb.RESET) is Refusal.NONE
     trip(rig)
     rig.run(0.1)

@@ -64,10 +64,16 @@ def test_the_error_on_an_uneven_rail_shrinks_from_move_to_move(settings: RigSett
 def test_an_encoder_alone_changes_no_command(settings: RigSettings, gains: Gains) -> None:
     def commands(rig_settings: RigSettings) -> list[bytes]:
         with lockstep(rig_settings, gains, log=True) as rig:
-            compensate(rig)
+            begun_ns = rig.clock.now()
+            assert rig.command(Verb.ARM) is Refusal.NONE
+            while rig.clock.now() < begun_ns + 2_000_000_000:  # an encoder is read back too
+                rig.loop.tick()
+            before = len(rig.frames)
+            assert rig.command(Verb.TENSION) is Refusal.NONE
+            rig.run_until(Mode.COMPENSATING, 10.0)
             rig.rig.start_motion()
             rig.run(1.0)
-            frames = [FRAME.unpack(frame) for _, frame in rig.frames]
+            frames = [FRAME.unpack(frame) for _, frame in rig.frames[before:]]
         return [data for can_id, _, data in frames if can_id == objects.RPDO1_BASE + settings.cylinder.node]
 
     bare, encoder, empty = (commands(s) for s in (settings, fitted(settings, table=None), fitted(settings)))
