@@ -13,7 +13,7 @@ import rigctl
 from rigctl.cli import app
 from tests.conftest import Command
 
-VERBS = sorted(typer.main.get_command(app).list_commands(None))
+VERBS = sorted(typer.main.get_group(app).commands)
 
 
 def test_it_says_its_version(in_process: Command) -> None:
