@@ -113,14 +113,14 @@ class Bench:
         return Run(t_s, tension_n, stroke_mm, enabled, records_t_s, records, before, trips, refusal)
 
 
-def changed(settings: RigSettings, change: tuple[tuple[str, float | Settings | None], ...]) -> RigSettings:
+def changed(settings: RigSettings, change: tuple[tuple[str, float | str | Settings | None], ...]) -> RigSettings:
     """Settings with some of them changed, by dotted key."""
     for key, value in change:
         settings = _replaced(settings, key.split("."), value)
     return settings
 
 
-def _replaced(section: Any, path: list[str], value: float | Settings | None) -> Any:
+def _replaced(section: Any, path: list[str], value: float | str | Settings | None) -> Any:
     first, *rest = path
     inner = _replaced(getattr(section, first), rest, value) if rest else value
     return section.model_copy(update={first: inner})

@@ -225,7 +225,8 @@ class CylinderDrive(Node):
         """Objects at their defaults; the state machine starts anew, once a motor that was on has been stopped."""
         self._mode = number(self.device, objects.MODE_OF_OPERATION)
         self._target = 0
-        self._offset = number(self.device, objects.VELOCITY_OFFSET)
+        has_offset = objects.VELOCITY_OFFSET in self.device.object_dictionary  # optional in the profile
+        self._offset = number(self.device, objects.VELOCITY_OFFSET) if has_offset else 0
         self._error_code = 0
         self.control.restart(self.now_ns)
         if self.e_stop_pressed:

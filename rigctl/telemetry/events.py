@@ -212,7 +212,7 @@ def _emergency_words(value: float) -> str:
 def _node_words(value: float, limit: float) -> str:
     """Of a device: how long it has sent no heartbeat, or the NMT state it tells, where the limit is none."""
     if limit:
-        return f"has sent no heartbeat for {value * 1e-6:.0f} ms (limit {limit * 1e-6:.0f} ms)"
+        return f"has sent no heartbeat for {Number(value * 1e-6):.0f} ms (limit {Number(limit * 1e-6):.0f} ms)"
     return f"is {_NMT.get(value, 'in an unknown state')}, not operational: start the daemon anew"
 
 

@@ -32,6 +32,8 @@ _OPTIONS: dict[Verb, dict[str, Any]] = {
 }
 _NAMES = ("", "Arm", "arm ", "arm/..", "*", "**", "lease_take", "lease_return", "é" * 300, "a\nb", "none", "0")
 _NONE = (None, b"", b"null", b"[]", b"{}", b"[" * 100_000, b"{" * 16_000, b" " * 20_000, b"\xff" * 99)
+PRESSED = 0.005  # of the commands are given after an emergency stop: no command by itself leads to FAULT
+PRESSED_TICKS = 300
 
 
 def query(chance: random.Random, mode: Mode) -> tuple[str, bytes | None]:
@@ -69,6 +71,10 @@ def play(settings: RigSettings, gains: Gains, count: int, seed: int) -> Tally:
         rig.run(0.2)
         answered = _take(answers)
         for _ in range(count):
+            if chance.random() < PRESSED:
+                rig.rig.drive.press_e_stop(True)
+                _judge(rig, PRESSED_TICKS, tally)
+                rig.rig.drive.press_e_stop(False)
             name, payload = query(chance, loop.machine.mode)
             found = tally.attempt("command", payload or b"", lambda n=name, p=payload: parsed(n, p), (RequestError,))  # type: ignore[misc]
             if isinstance(found, Request):

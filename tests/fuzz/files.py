@@ -125,6 +125,11 @@ def _as_yaml(found: Any) -> bytes:
     return yaml.dump(found, Dumper=yaml.SafeDumper, sort_keys=False, allow_unicode=True).encode()
 
 
+def _as_gain_file(found: Any) -> bytes:
+    """Text between quotes, as `rigctl tune` writes it: a bare version is refused before its values are looked at."""
+    return yaml.dump(found, Dumper=gain_file._Dumper, sort_keys=False, allow_unicode=True).encode()
+
+
 def _as_json(found: Any) -> bytes:
     return json.dumps(found).encode()
 
@@ -183,7 +188,7 @@ def _gains(rig: RigSettings) -> Kind:
         found = gain_file.parse(text.decode(errors="replace"), "gains.yaml").gains
         return all(map(math.isfinite, Gains(**found.model_dump()).in_order))
 
-    return Kind("gain file", [text], _yaml, _as_yaml, read, (gain_file.GainFileError,))
+    return Kind("gain file", [text], _yaml, _as_gain_file, read, (gain_file.GainFileError,))
 
 
 def _ledger(folder: pathlib.Path, rig: RigSettings) -> Kind:

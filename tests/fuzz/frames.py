@@ -20,17 +20,17 @@ from rigctl.control.loop import Loop
 from rigctl.control.modes import Mode, Setting, Verb
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
-from rigctl.devices.objects import Controlword
+from rigctl.devices.objects import Controlword, NmtState
 from rigctl.telemetry.runtime import Runtime
 
 FRAMES_PER_TICK = 24
-EPISODE_TICKS = 12_000
+EPISODE_TICKS = 6_000
 _ODD = (0, 1, -1, 2**31 - 1, -(2**31), 2**15 - 1, -(2**15), 0x7FC00000, 0x7F800000)
 _COMMAND = od.DRIVE_RPDO.codec
 ROUNDING_MM_S = od.MM_S_PER_VELOCITY_UNIT
 
 
-_STATUS: dict[int, int] = {Controlword.SWITCH_ON: 0x0233, Controlword.ENABLE_OPERATION: 0x0237}
+_STATUS: dict[int, int] = {Controlword.SWITCH_ON: 0x0233, Controlword.ENABLE_OPERATION: 0x0237 | od.STATUS_FOLLOWS}
 
 
 class Echo:
@@ -54,6 +54,11 @@ class Echo:
         self._stroke_mm += self._speed_mm_s * self._dt
         self._tick += 1
 
+    @property
+    def position_um(self) -> int:
+        """What its drive tells."""
+        return round(self._stroke_mm * 1000)
+
     def node_of(self, device: str) -> int:
         """Its node id."""
         return self._nodes[device]
@@ -61,7 +66,7 @@ class Echo:
     def frames(self) -> Iterator[can.Message]:
         """What its devices answer."""
         tension = max(0.0, self._plant.stiffness_n_mm * (self._stroke_mm - 2.0)) + self._chance.gauss(0.0, 0.03)
-        position, velocity = round(self._stroke_mm * 1000), round(self._speed_mm_s * 100)
+        position, velocity = self.position_um, round(self._speed_mm_s * 100)
         yield _frame(od.TPDO1_BASE + self._nodes["tension_cell"], od.CELL_TPDO.codec.pack(round(tension * 1000), 0))
         yield _frame(
             od.TPDO1_BASE + self._nodes["cylinder"], od.DRIVE_TPDO.codec.pack(self._status, position, velocity)
@@ -72,6 +77,14 @@ class Echo:
             yield _frame(od.TPDO1_BASE + self._nodes["inclinometer"], od.SLOPE_TPDO.codec.pack(3, -1))
         if self._tick % 20 == 0 and "io" in self._nodes:
             yield _frame(od.TPDO1_BASE + self._nodes["io"], bytes([od.EVERY_INPUT_8]))
+        if self._tick % 100 == 0:
+            for node in self._nodes.values():
+                yield _frame(od.HEARTBEAT_BASE + node, bytes([NmtState.OPERATIONAL]))
+
+    def emergencies_over(self) -> Iterator[can.Message]:
+        """What its devices have reported is gone: a fault that stands can be acknowledged."""
+        for node in self._nodes.values():
+            yield _frame(od.EMCY_BASE + node, bytes(8))
 
 
 def _negated(data: bytes) -> bytes:
@@ -108,7 +121,7 @@ class RandomBus(can.BusABC):
         self._chance = chance = random.Random(seed)
         self.echo = Echo(settings, chance)
         self._queue: deque[can.Message] = deque()
-        self._anything = anything(settings, chance)
+        self._anything = anything(settings, chance, self.echo)
         self._until, self._wild = 0, True
         self._spoil, self._spoilt, self._frozen = "", 0, b""
         self._devices = ("tension_cell", "inclinometer", "cylinder", *(("io",) if settings.io else ()))
@@ -122,6 +135,8 @@ class RandomBus(can.BusABC):
             self._until = tick + (chance.randrange(2, 200) if self._wild else chance.randrange(300, 9000))
             self._spoil = chance.choice((*_SPOILS, "frozen", "", "")) if self._wild else ""
             self._spoilt, self._frozen = chance.randrange(len(self._devices) + 1), b""
+            if not self._wild:
+                self._queue.extend(self.echo.emergencies_over())
         if not self._wild or self._spoil:
             self._queue.extend(self._spoilt_frames())
         anything_goes = self._wild and not self._spoil
@@ -156,7 +171,7 @@ def _frame(can_id: int, data: bytes) -> can.Message:
     return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
 
 
-def anything(settings: RigSettings, chance: random.Random) -> Iterator[can.Message]:
+def anything(settings: RigSettings, chance: random.Random, echo: Echo) -> Iterator[can.Message]:
     """Good ids with any value, any bytes or any length; any id; error, remote and extended frames."""
     nodes = settings.canopen_nodes
     cell, slope, drive = (od.TPDO1_BASE + nodes[name] for name in ("tension_cell", "inclinometer", "cylinder"))
@@ -175,7 +190,9 @@ def anything(settings: RigSettings, chance: random.Random) -> Iterator[can.Messa
             yield _frame(slope, od.SLOPE_TPDO.codec.pack(chance.randrange(-9000, 9000), chance.randrange(-90, 90)))
         elif kind < 0.5:
             status = chance.choice((0x0237, 0x0237, 0x0231, 0x0250, 0x0208, chance.randrange(2**16)))
-            position, velocity = chance.randrange(-30_000, 130_000), chance.randrange(-1500, 1500)
+            near = chance.random() < 0.9  # else the jump of the position trips before anything else can
+            position = echo.position_um + chance.randrange(-200, 200) if near else chance.randrange(-30_000, 130_000)
+            velocity = chance.randrange(-1500, 1500)
             yield _frame(drive, od.DRIVE_TPDO.codec.pack(status, position, velocity))
         elif kind < 0.55 and "io" in nodes:
             yield _frame(od.TPDO1_BASE + nodes["io"], bytes([chance.choice((0, 0xFF, chance.randrange(256)))]))
@@ -225,9 +242,9 @@ def _episode(settings: RigSettings, gains: Gains, found: Found, chance: random.R
         sent = answered = 0
         for tick in range(EPISODE_TICKS):
             bus.refill(tick)
-            if chance.random() < 0.003:
+            if chance.random() < 0.006:
                 sent += 1
-                commands.write(clock.now(), sent, *_command(settings, chance, loop.machine.mode))
+                commands.write(clock.now(), sent, *_command(settings, chance, loop))
             loop.tick()
             judge.see(bus.sent, loop)
             bus.sent.clear()
@@ -247,21 +264,24 @@ def _episode(settings: RigSettings, gains: Gains, found: Found, chance: random.R
 
 
 ONWARD = {
-    Mode.DISARMED: (Verb.ARM,),
+    Mode.DISARMED: (Verb.ARM, Verb.ARM, Verb.CONFIRM_STROKE),
     Mode.HOLD: (Verb.TENSION, Verb.TENSION, Verb.RELEASE, Verb.IDENTIFY),
     Mode.TENSIONING: (Verb.TARGET,),
     Mode.COMPENSATING: (Verb.TARGET, Verb.TARGET, Verb.RELEASE),
     Mode.RELEASING: (Verb.TENSION, Verb.TARGET),
-    Mode.FAULT: (Verb.RESET,),
+    Mode.FAULT: (Verb.RESET, Verb.RESET, Verb.CONFIRM_STROKE),
 }
 
 
-def _command(settings: RigSettings, chance: random.Random, mode: Mode) -> tuple[int, float]:
+def _command(settings: RigSettings, chance: random.Random, loop: Loop) -> tuple[int, float]:
     """Mostly what leads somewhere; now and then a code or a value that is none."""
     kind = chance.random()
+    if loop.machine.mode is Mode.DISARMED and kind < 0.2:
+        return chance.choice((Setting.HOST_CHECKS, Setting.OVERDUE)), 0.0  # nothing stands against arming any more
     low, high = settings.tension.target_min_n - 20, settings.tension.target_max_n + 20
     if kind < 0.7:
-        return chance.choice(ONWARD[mode]), chance.uniform(low, high)
+        verb = chance.choice(ONWARD[loop.machine.mode])
+        return verb, loop.inbox.stroke_mm if verb is Verb.CONFIRM_STROKE else chance.uniform(low, high)
     if kind < 0.8:
         return chance.randrange(256), chance.choice((math.nan, math.inf, -math.inf, 1e300, -1.0, 0.0))
     if kind < 0.9:

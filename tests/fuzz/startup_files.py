@@ -75,7 +75,7 @@ class File:
                 os.mkfifo(self.path)
                 return b"<pipe>"
             case 3:
-                target = chance.choice(("/dev/zero", "/dev/full", self.path.name, "/nowhere", "/proc/self/mem"))
+                target = chance.choice(("/dev/zero", "/dev/full", self.path.name, "not_there", "/proc/self/mem"))
                 self.path.symlink_to(target)
                 return f"<link to {target}>".encode()
             case 4 | 5:

@@ -41,7 +41,7 @@ def gains(settings: RigSettings) -> Gains:
 def test_whatever_comes_from_the_bus_what_leaves_for_the_drive_is_finite_and_inside_its_limits(
     settings: RigSettings, gains: Gains
 ) -> None:
-    found = frames.play(settings, gains, 60_000, seed=3)
+    found = frames.play(settings, gains, 100_000, seed=3)
     assert found.wrong == []
     assert found.modes == {mode.name for mode in Mode}, "it reached every mode"
     assert len(found.faults) > 5, "NONE and five ways to trip"

@@ -16,6 +16,7 @@ from hil.scenario.errors import ScenarioError
 from rigctl import config
 from rigctl.config import RigSettings
 from rigctl.control import modes, safety
+from rigctl.control.escalation import Escalator
 from rigctl.control.modes import Mode
 from rigctl.design.margins import design_and_check
 
@@ -58,14 +59,12 @@ def test_what_is_expected_is_possible_in_that_mode(fault: Fault) -> None:
 
 def test_no_fault_is_expected_to_end_in_a_release() -> None:
     """Hold is safe, release is not: nothing but riding it through, holding or losing power is ever expected."""
+    moves = {(fault.id, mode) for fault in WHOLE for mode in fault.expected if fault.expected[mode] is Reaction.MOVES}
+    # Nothing may switch a motor on by itself to hold what the brake does not, and nothing on the bus stops that tool.
+    at_rest = ("brake_stuck_open", "brake_slips_slowly", "drive_tool_deaf")
+    assert moves == {(name, Mode.DISARMED) for name in at_rest}
     for fault in WHOLE:
-        never = {Reaction.LEFT, Reaction.ARMED, Reaction.MOVES}
-        if fault.id in (
-            "brake_stuck_open",
-            "brake_slips_slowly",
-        ):  # nothing may switch a motor on by itself to hold what the brake does not
-            never.remove(Reaction.MOVES)
-        assert set(fault.expected.values()) <= set(Reaction) - never
+        assert not set(fault.expected.values()) & {Reaction.LEFT, Reaction.ARMED}
 
 
 def test_only_what_breaks_the_rope_may_drop_the_load() -> None:
@@ -150,12 +149,16 @@ def test_a_safety_table_without_a_row_makes_rows_fail(
     assert row(bench, settings, name, mode).findings
 
 
+@pytest.mark.parametrize(("escalates", "reaction"), [(True, Reaction.DRIVE_OFF), (False, Reaction.LEFT)])
 def test_a_rig_that_releases_the_load_after_a_trip_is_found_out(
-    bench: Bench, settings: RigSettings, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, settings: RigSettings, monkeypatch: pytest.MonkeyPatch, escalates: bool, reaction: Reaction
 ) -> None:
+    """The escalation ends such a release by taking the drive's power away: too late for the row, and said."""
     monkeypatch.setitem(modes.TRANSITIONS, (Mode.COMPENSATING, modes.Event.TRIP), modes.Transition(Mode.RELEASING))
+    if not escalates:
+        monkeypatch.setattr(Escalator, "look", lambda *_: None)
     found = row(bench, settings, "payload_caught", Mode.COMPENSATING)
-    assert found.reaction == Reaction.LEFT
+    assert found.reaction == reaction
     assert found.findings
 
 

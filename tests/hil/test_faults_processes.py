@@ -23,7 +23,7 @@ RIG = pathlib.Path(__file__).parents[2] / "config/paper_rig.yaml"
 PATIENT = (
     ("safety.stale_ms", 100), ("safety.bus_silent_ms", 100), ("safety.inclination_stale_ms", 500),
     ("safety.overrun_ticks", 900), ("cylinder.command_deadline_ms", 60), ("cylinder.heartbeat_timeout_ms", 90),
-    ("tension.target_n", 100.0),
+    ("tension.target_n", 100.0), ("safety.waiver", "a simulated rig on a machine that pauses"),
 )  # fmt: skip
 STILL = Seen(Mode.DISARMED, "NONE", 40.0, 0.2, 1.0, 0.0, 299.0, 300.0, tripped=False, carried=True)
 

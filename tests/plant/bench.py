@@ -13,6 +13,7 @@ from hil.plant.inputs import Track
 from hil.truth import Truth
 from rigctl import config
 from rigctl.config import RigSettings
+from rigctl.config_bounds import as_study
 
 REPOSITORY = pathlib.Path(__file__).parents[2]
 _FRICTION: dict[str, Any] = {
@@ -71,11 +72,11 @@ def merged(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]
 
 
 def rig(*updates: Mapping[str, Any]) -> RigSettings:
-    """The paper's rig with some settings replaced, checked like a rig file."""
+    """The paper's rig with some settings replaced, checked like a rig file of a study: no load hangs on it."""
     values: dict[str, Any] = SETTINGS.model_dump()
     for update in updates:
         values = merged(values, update)
-    return RigSettings.model_validate(values)
+    return RigSettings.model_validate(as_study(values))
 
 
 def build(*simulation: Mapping[str, Any], plant: Mapping[str, Any] | None = None) -> Plant:
