@@ -65,6 +65,7 @@ def test_an_encoder_alone_changes_no_command(settings: RigSettings, gains: Gains
     def commands(rig_settings: RigSettings) -> list[bytes]:
         with lockstep(rig_settings, gains, log=True) as rig:
             begun_ns = rig.clock.now()
+            rig.run(0.2)
             assert rig.command(Verb.ARM) is Refusal.NONE
             while rig.clock.now() < begun_ns + 2_000_000_000:  # an encoder is read back too
                 rig.loop.tick()
