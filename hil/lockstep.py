@@ -31,6 +31,9 @@ START_NS = 1_000_000_000
 PASSING_NS, PASSING_S = 10_000_000, 0.001  # at a time, while start-up waits for devices; and a rest for its thread
 WORK_NS = 100_000  # frames of a tick reach the rig this long after its grid point, as on the bus
 
+LIMIT_S = 3.0
+ARM_LIMIT_S = 25.0  # slow devices take up to 15 s to tell their settings; stop and brake test come after it
+
 
 class SkippingClock(SimulatedClock):
     """A simulated clock whose next tick can be made late: ``skip`` grid points are missed, then it is 0 again."""
@@ -156,8 +159,15 @@ class Lockstep:
         self._commands.write(self.clock.now() - age_ns, self._id, verb, value)
         return self._id
 
-    def command(self, verb: Verb | Setting, value: float = 0.0, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
-        """Give a command, ``age_ns`` ago, through the command ring and run until it is answered."""
+    def command(
+        self, verb: Verb | Setting, value: float = 0.0, *, limit_s: float | None = None, age_ns: int = 0
+    ) -> Refusal:
+        """Give a command, ``age_ns`` ago, through the command ring and run until it is answered.
+
+        ``limit_s``: how long that may take, by default as long as the loop takes at most.
+        """
+        if limit_s is None:
+            limit_s = ARM_LIMIT_S if verb is Verb.ARM else LIMIT_S
         return self._answer(repr(verb), self.give(verb, value, age_ns=age_ns), limit_s)
 
     def hold(self, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
