@@ -249,8 +249,8 @@ class Gateway:
             self._tell_active()
         lease = self._keeper.shown(now)
         state = self._view.make(now, self._fast.lost, self._clerk.standing, lease, verdict, self._cursor)
+        self._view.newest = state  # before the events: whoever hears one may ask at once
         self._events.publish()
-        self._view.newest = state
         self._state.put(state)
 
     def _tell_active(self) -> None:

@@ -173,7 +173,12 @@ def test_a_tare_on_record_whose_gateway_was_killed_is_put_in_force_by_the_next(r
 
 def test_a_failed_check_blocks_the_next_arming(running: Running) -> None:
     running.do("arm")
-    assert "NOT within 0.5 %" in running.refused("calibrate")  # nothing hangs there
+    assert "no weight hangs on the cell" in running.refused("calibrate")
+    assert "OVERDUE" not in running.do("status"), "an empty hook ends no check"
+    running.do("target", "100")
+    running.do("tension", "--wait")
+    running.do("hold")
+    assert "NOT within 0.5 %" in running.refused("calibrate", "--weight-n", "110")
     running.do("disarm")
     assert "no calibration check has passed" in running.refused("arm")
     assert "OVERDUE: no arming" in running.do("status")
