@@ -96,6 +96,7 @@ class Loop:
             supervised=supervised,
         )  # fmt: skip
         self._work_ns = self._stop_until = self._off_until = 0
+        self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._failing = 0  # ticks in a row that ended in an exception
         logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.cursor)
         self.observer.sight.host_checks = host_checks
@@ -152,8 +153,9 @@ class Loop:
         asked = self.outbox.controlword == Controlword.ENABLE_OPERATION
         sight.drive_powered = sight.drive_powered and not asked  # motion we ask for is ours; the latch watches it
         self._went_off = not asked and (self._went_off or sight.drive_off)
-        sight.drive_unasked = sight.drive_enabled and self._went_off
-        sight.drive_lingers = sight.drive_enabled and not asked
+        heard = sight.drive_age_ns <= self._stale_ns  # a drive that is not heard may have obeyed long ago
+        sight.drive_unasked = heard and sight.drive_enabled and self._went_off
+        sight.drive_lingers = heard and sight.drive_enabled and not asked
         homed, readback, inbox = self.homed, self.readback, self.inbox
         if inbox.drive_fresh:
             found = homed.look(inbox.stroke_mm, inbox.speed_mm_s, now_ns)

@@ -311,7 +311,8 @@ def test_without_privileges_it_runs_and_says_what_is_missing(tmp_path: pathlib.P
             for setting in ("scheduler", "memory", "affinity"):
                 assert f"real time: {setting}" in said
             warnings = [line for line in said.splitlines() if "WARNING" in line]
-            missing = [line for line in warnings if "skipped" not in line]  # which a busy machine adds, rightly
+            # A busy machine adds skipped ticks, rightly; the bounds this file waives are said too.
+            missing = [line for line in warnings if "skipped" not in line and "waived:" not in line]
             assert len(missing) == 3, said
             assert daemons.rigctl("arm", file=file).returncode == 0
         finally:

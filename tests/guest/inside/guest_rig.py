@@ -28,7 +28,7 @@ TARGET_N = 100.0
 SLOW: dict[str, dict[str, Any]] = {
     "loop": {"rate_hz": RATE_HZ, "priority": 80, "cpu": 0, "spin_us": 0, "lock_memory": False},
     "can": {"interface": "socketcan", "heartbeat_ms": 50},
-    "cylinder": {"heartbeat_timeout_ms": 1000, "command_deadline_ms": 1000},
+    "cylinder": {"heartbeat_timeout_ms": 1000, "command_deadline_ms": 1000, "status_rate_hz": 5},
     "inclinometer": {"rate_hz": 50},
     "safety": {
         "stale_ms": 900,
