@@ -506,8 +506,9 @@ class Watch:
         for row, stands in zip(self._rows, self._stands, strict=True):
             if row.fault not in BLOCK_RESET or row.text is _LIMITS:
                 continue  # a limit of the drive's own may stand until its fault is reset; arming is barred by it
-            if row.value(sight) > row.limit and (row.fault is not Fault.DRIVE_UNASKED or stands):
-                yield row.fault  # a drive that we have just told to go off is still enabled, and no stranger's
+            ours = row.text in (_LINGERS, _POWERED) and not stands  # for the moment a drive takes to go off
+            if row.value(sight) > row.limit and not ours:
+                yield row.fault
 
     def _ends(self, i: int, *, watched: bool = True) -> None:
         """A row that is good again, or not watched any more: of these only the rows that log say that they are over."""
