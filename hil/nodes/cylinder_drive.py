@@ -135,7 +135,7 @@ class CylinderDrive(Node):
             self._rpdo.apply(received)
         if self.control.state is DriveState.OPERATION_ENABLED:
             moves = self._mode == objects.CYCLIC_SYNCHRONOUS_VELOCITY
-            bus_mm_s = (self._target + self._offset) * self._unit_mm if moves else 0.0
+            bus_mm_s = self._target_mm_s if moves else 0.0
             self.control.stage.follow(bus_mm_s if self.tool is None else self.tool.speed_mm_s)
             self._drive()
         super().on_sync()
@@ -162,7 +162,7 @@ class CylinderDrive(Node):
 
     @property
     def _target_mm_s(self) -> float:
-        return self._target * objects.MM_S_PER_VELOCITY_UNIT
+        return (self._target + self._offset) * self._unit_mm
 
     def _drive(self) -> None:
         stage = self.control.stage

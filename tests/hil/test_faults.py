@@ -176,7 +176,7 @@ def test_the_command_writes_the_rows(tmp_path: pathlib.Path, capsys: pytest.Capt
     keys = {"id", "mode", "expected", "reaction", "latency_ms", "tension_min_n", "tension_max_n", "stroke_mm", "ok"}
     assert all(keys <= set(found) for found in written["faults"])
     assert [found["mode"] for found in written["faults"]] == ["HOLD", "FAULT"]
-    assert "2 rows of 1 faults: all as expected" in capsys.readouterr().out
+    assert "2 rows of 1 fault: all as expected" in capsys.readouterr().out
 
 
 def test_what_is_not_as_expected_comes_first_and_ends_with_1(
