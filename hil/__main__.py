@@ -12,8 +12,9 @@ from typer.exceptions import TyperException
 
 from hil.scenario.errors import ScenarioError
 from hil.serve import ServeError, serve
-from rigctl import descriptors, output_file, standard_output
-from rigctl.termination import on_signals
+from rigctl.cli import descriptors, standard_output
+from rigctl.ipc import output_file
+from rigctl.ipc.termination import on_signals
 
 _INTERRUPTED = 130
 """What typer makes of Ctrl-C."""

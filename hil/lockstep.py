@@ -16,16 +16,16 @@ import numpy.typing as npt
 from hil.bus import InProcessBus
 from hil.hub import Hub
 from hil.rig import SimulatedRig
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.clock import SimulatedClock
-from rigctl.control.correction import Correction
 from rigctl.control.homed import LastStroke
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import LawFactory, Loop
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.tension import Gains
 from rigctl.devices import startup
-from rigctl.telemetry.runtime import Runtime
+from rigctl.ipc.correction import Correction
+from rigctl.ipc.runtime_folder import Runtime
 
 START_NS = 1_000_000_000
 PASSING_NS, PASSING_S = 10_000_000, 0.001  # at a time, while start-up waits for devices; and a rest for its thread

@@ -18,12 +18,13 @@ from hil.hub import Hub
 from hil.hub_server import HubServer
 from hil.rig import SimulatedRig
 from hil.truth import TruthLog
-from rigctl import config, output_file
-from rigctl.config import RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config.quantity import count
+from rigctl.config.rig_file import RigSettings
 from rigctl.control import realtime
 from rigctl.devices import eds_file
-from rigctl.quantity import count
-from rigctl.termination import ENDING, on_signals
+from rigctl.ipc import output_file
+from rigctl.ipc.termination import ENDING, on_signals
 
 WAIT_S = 0.001
 """Longest sleep: the rig's own clocks, heartbeats and time-outs go on at this pace without traffic."""

@@ -47,7 +47,7 @@ def in_process(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
 
     def run(program: str, *words: object) -> subprocess.CompletedProcess[str]:
         from hil.__main__ import main as hil
-        from rigctl.cli import main as rigctl
+        from rigctl.cli.app import main as rigctl
 
         arguments = [str(word) for word in words]
         monkeypatch.chdir(HERE.parent)

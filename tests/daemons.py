@@ -16,8 +16,8 @@ from typing import Any
 
 import yaml
 
-from rigctl.report.metrics import IN_FLIGHT_TICKS
-from rigctl.telemetry.runtime import Runtime
+from rigctl.ipc.runtime_folder import Runtime
+from rigctl.metrics.tension_error import IN_FLIGHT_TICKS
 
 ROOT = pathlib.Path(__file__).parents[1]
 PAPER = ROOT / "config/paper_rig.yaml"

@@ -72,11 +72,11 @@ def play(folder: pathlib.Path, work: pathlib.Path) -> None:
         rig.send_signal(signal.SIGCONT)
         seen = look(chromium, server.address, *SIZES[0])
         seen.live()
-        os.kill(daemons.process_with("rigctl.telemetry.gateway", daemons.name_of(file)), signal.SIGSTOP)
+        os.kill(daemons.process_with("rigctl.gateway.gateway_process", daemons.name_of(file)), signal.SIGSTOP)
         seen.until("rigctl.stale")
         time.sleep(2.0)
         shoot(seen, folder, "stale-1920x1080-light")
-        os.kill(daemons.process_with("rigctl.telemetry.gateway", daemons.name_of(file)), signal.SIGCONT)
+        os.kill(daemons.process_with("rigctl.gateway.gateway_process", daemons.name_of(file)), signal.SIGCONT)
 
 
 def main() -> None:

@@ -14,8 +14,8 @@ from hil.compare.rivals import CONTROLLERS, OURS
 from hil.compare.scenarios import QUICK, scenarios
 from hil.scenario.command import check_folder, check_outputs, simulated_rig
 from hil.scenario.errors import ScenarioError
-from rigctl import output_file
-from rigctl.progress import progress
+from rigctl.cli.progress import progress
+from rigctl.ipc import output_file
 
 WIDTH = 100
 

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 
 from hil.compare.rivals import OURS, PASSIVE
 from hil.compare.study import SETTLED_PCT, Study
-from rigctl import output_file
+from rigctl.ipc import output_file
 
 FIRST = "eta_max.png"
 _COLORS = {

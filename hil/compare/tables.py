@@ -15,8 +15,8 @@ from hil.compare.margins import Robustness
 from hil.compare.rivals import CONTROLLERS, OURS, PASSIVE
 from hil.compare.scenarios import Scenario
 from hil.compare.study import COMPENSATING, LOCKED, SETTLED_PCT, Result, Study, Verdict
-from rigctl.config import RigSettings
-from rigctl.quantity import count
+from rigctl.config.quantity import count
+from rigctl.config.rig_file import RigSettings
 
 _Value = Callable[[Result], float | None]
 _QUANTITIES: dict[str, tuple[str, _Value]] = {

@@ -13,9 +13,9 @@ from hil.faults.expected import Fault
 from hil.faults.judge import Row
 from hil.scenario.command import check_outputs, simulated_rig
 from hil.scenario.errors import ScenarioError
-from rigctl import output_file
+from rigctl.cli.progress import progress
 from rigctl.control.modes import Mode
-from rigctl.progress import progress
+from rigctl.ipc import output_file
 
 NAMES = (*(fault.id for fault in CATALOGUE), *(fault.id for fault in processes.CATALOGUE))
 

@@ -9,7 +9,7 @@ from enum import StrEnum
 
 from hil.faults.stand import Injector
 from hil.plant.inputs import Track
-from rigctl.config_base import Settings
+from rigctl.config.settings_base import Settings
 from rigctl.control.modes import Mode
 
 

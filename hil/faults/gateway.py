@@ -11,12 +11,12 @@ import numpy.typing as npt
 
 from hil.faults.live import GATEWAY, Live, LiveError, give, live
 from hil.scenario.errors import ScenarioError
+from rigctl.cli.progress import Advance
 from rigctl.client.connection import Client
 from rigctl.client.fast import FastReader
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode
-from rigctl.progress import Advance
-from rigctl.telemetry.ring import RingReader
+from rigctl.ipc.ring import RingReader
 
 QUIET_S = 15.0
 """Without kills, before and after: as many ticks as a percentile of one in a thousand needs."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.faults.expected import Fault, Reaction
 from hil.faults.run import Floats, Run, Trip
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control import limits, safety
 from rigctl.control.modes import Mode, Refusal
 

@@ -13,9 +13,9 @@ from hil.faults.judge import DRIVE_STOPS_MS
 from hil.faults.live import CONTROL, GATEWAY, SUPERVISOR, Live, LiveError, live
 from hil.faults.processes import TOLD_MS, Seen, judged, kills, strike
 from hil.scenario.errors import ScenarioError
-from rigctl.config import RigSettings
+from rigctl.cli.progress import Advance
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode
-from rigctl.progress import Advance
 
 SEED = 1
 SHARES = ((CONTROL, 0.5), (GATEWAY, 0.3), (SUPERVISOR, 0.2))

@@ -21,15 +21,15 @@ import numpy.typing as npt
 
 from hil.faults import wall_clock
 from hil.truth import TRUTH_DTYPE
-from rigctl import rehearsal
 from rigctl.client.connection import Client, NoDaemonError
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Fault
+from rigctl.demo import test_rig as rehearsal
 from rigctl.devices import objects
 from rigctl.devices.objects import AiStatus
-from rigctl.telemetry.ring import RingReader
-from rigctl.telemetry.runtime import Runtime
+from rigctl.ipc.ring import RingReader
+from rigctl.ipc.runtime_folder import Runtime
 
 OPERATOR = "faults"
 START_S = 60.0
@@ -111,7 +111,7 @@ class Live:
         assert self.daemon is not None
         if victim == SUPERVISOR:
             return self.daemon.pid
-        module = {CONTROL: b"rigctl.control", GATEWAY: b"rigctl.telemetry.gateway"}[victim]
+        module = {CONTROL: b"rigctl.control", GATEWAY: b"rigctl.gateway.gateway_process"}[victim]
         folder = str(self.runtime.directory).encode()
         found: list[int] = []
 

@@ -13,8 +13,8 @@ from rich.text import Text
 from hil.faults.expected import ACCURACY_N, Expected, Fault, Reaction
 from hil.faults.judge import Row
 from hil.faults.processes import ProcessFault
+from rigctl.config.quantity import count
 from rigctl.control.modes import Mode
-from rigctl.quantity import count
 
 WIDTH = 150
 

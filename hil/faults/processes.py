@@ -22,9 +22,9 @@ from hil.faults.expected import ACCURACY_N, DRIVE_STOPS, RIDE, Expected, Reactio
 from hil.faults.judge import DRIVE_STOPS_MS, STANDS_MM, Row
 from hil.faults.live import CONTROL, GATEWAY, SUPERVISOR, VICTIMS, Live, LiveError, give, live
 from hil.scenario.errors import ScenarioError
-from rigctl.config import RigSettings
+from rigctl.cli.progress import Advance
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode
-from rigctl.progress import Advance
 
 WATCHED_S = 0.8
 BACK_S = 30.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from hil.faults import in_device, on_bus
 from hil.faults.expected import DRIVE_MS, HOLD, NO_HEARTBEAT_MS, PRESSED, RIDE, Around, Fault
-from rigctl.config import RailEncoderSettings
-from rigctl.config_io import IoSettings
+from rigctl.config.io_section import IoSettings
+from rigctl.config.rig_file import RailEncoderSettings
 from rigctl.devices.objects import EmcyCode
 
 FITTED = Around(change=(("io", IoSettings(e_stop_input=0)),))

@@ -13,11 +13,11 @@ from hil.faults import stand
 from hil.faults.expected import Around, Fault, Reaction
 from hil.faults.stand import Stand, Step
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config import RigSettings
-from rigctl.config_base import Settings
+from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings_base import Settings
+from rigctl.control.events import Kind
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
-from rigctl.telemetry.events import Kind
 
 Floats = npt.NDArray[np.float64]
 SEED = "faults"

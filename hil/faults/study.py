@@ -12,10 +12,10 @@ from hil.faults.expected import Fault
 from hil.faults.judge import Row, judge
 from hil.faults.run import Bench
 from hil.scenario.play import design
-from rigctl.config import RigSettings
+from rigctl.cli.progress import Advance
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
-from rigctl.progress import Advance
 
 _MOST_WORKERS = 4
 _WORTH_A_WORKER = 12

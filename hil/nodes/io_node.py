@@ -8,8 +8,8 @@ from hil.nodes.dictionary import number
 from hil.nodes.network import RigNetwork
 from hil.nodes.node import Node
 from hil.plant import Plant
-from rigctl.config import RigSettings
-from rigctl.config_io import INPUTS_PER_BLOCK
+from rigctl.config.io_section import INPUTS_PER_BLOCK
+from rigctl.config.rig_file import RigSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import NmtState
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from rigctl.config_simulation import DriveSettings
+from rigctl.config.simulation_section import DriveSettings
 from rigctl.devices import objects
 
 _INT16_MAX = 0x7FFF

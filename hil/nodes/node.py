@@ -15,7 +15,7 @@ from hil.nodes.dictionary import STRUCT_CODES, Abort, check_range, number, refus
 from hil.nodes.network import RigNetwork
 from hil.nodes.pdo import Address, TransmitPdo, check_cob_id_write, check_inhibit_write, check_mapping_write
 from hil.plant import Plant
-from rigctl.config_simulation import DevicesSettings
+from rigctl.config.simulation_section import DevicesSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import NmtState
 

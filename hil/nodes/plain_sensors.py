@@ -11,9 +11,9 @@ from hil.nodes.inclination_measurement import InclinationMeasurement
 from hil.nodes.tension_measurement import TensionMeasurement
 from hil.plant import Plant
 from hil.wire import FRAME
-from rigctl.config import RigSettings
-from rigctl.config_simulation import SimulationSettings
-from rigctl.devices.plain import PlainMessage
+from rigctl.config.plain import PlainMessage
+from rigctl.config.rig_file import RigSettings
+from rigctl.config.simulation_section import SimulationSettings
 
 
 class PlainSensor(abc.ABC):

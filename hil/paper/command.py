@@ -10,8 +10,8 @@ from rich.console import Console
 
 from hil.paper import claims, plots, study, tables
 from hil.scenario.command import check_folder, check_outputs, simulated_rig
-from rigctl import output_file
-from rigctl.progress import progress
+from rigctl.cli.progress import progress
+from rigctl.ipc import output_file
 
 
 def run(rig_file: pathlib.Path, json: pathlib.Path | None, folder: pathlib.Path | None) -> int:

@@ -15,7 +15,7 @@ from hil.paper.cases import FIGURE_9, NO_SPRING, SPEEDS_DEG_S, STIFFNESSES_N_MM,
 from hil.paper.claims import ETA_PCT, TARGET_N
 from hil.paper.signals import Floats, Signals
 from hil.paper.study import Study
-from rigctl import output_file
+from rigctl.ipc import output_file
 
 _PANELS: dict[str, tuple[str, Callable[[Signals], Floats]]] = {
     "vertical": ("vertical tension, N", lambda run: run.vertical_n),

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from hil.plant.kernel import KG
 from hil.plant.layout import AXES, PARAMETERS
-from rigctl.config import RigSettings
-from rigctl.config_simulation import FrictionSettings, SimulationSettings
+from rigctl.config.rig_file import RigSettings
+from rigctl.config.simulation_section import FrictionSettings, SimulationSettings
 
 N_S_M = 1.0e-3
 """N s/mm in one N s/m."""

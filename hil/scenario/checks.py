@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from hil.scenario import kinds
 from hil.scenario.errors import ScenarioError
 from hil.scenario.format import ScenarioFile
-from rigctl.config import RigSettings
-from rigctl.config_wording import Path
+from rigctl.config.rig_file import RigSettings
+from rigctl.config.wording import Path
 
 STEPS_PER_PERIOD = 10
 """Integration steps the shortest period prescribed must have."""

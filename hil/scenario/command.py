@@ -13,9 +13,10 @@ from hil.scenario.case import Case, load
 from hil.scenario.errors import ScenarioError
 from hil.scenario.play import Played, play
 from hil.scenario.plot import SUFFIXES, plot
-from rigctl import config, output_file
-from rigctl.config import RigSettings
-from rigctl.progress import progress
+from rigctl.cli.progress import progress
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
+from rigctl.ipc import output_file
 
 STANDARD_OUTPUT = pathlib.Path("-")
 

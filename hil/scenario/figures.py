@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from hil.scenario.play import Played
 from rigctl.control.modes import Mode
-from rigctl.telemetry.record import Flag
+from rigctl.ipc.record import Flag
 
 Floats = npt.NDArray[np.float64]
 Values = dict[str, float | None]

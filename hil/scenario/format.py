@@ -10,9 +10,9 @@ from pydantic import Field, ValidationError, model_validator
 
 from hil.scenario.errors import ScenarioError
 from hil.scenario.kinds import LONGEST_S, Disturbances
-from rigctl import strict_yaml
-from rigctl.config_base import Settings, require
-from rigctl.config_wording import Path, Wording
+from rigctl.config import strict_yaml
+from rigctl.config.settings_base import Settings, require
+from rigctl.config.wording import Path, Wording
 
 WHOLE_RUN = "run"
 """Name of the window that is always there."""

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from rigctl.config_base import Settings, require
+from rigctl.config.settings_base import Settings, require
 
 LONGEST_S = 3600
 HIGHEST_HZ = 500

@@ -11,8 +11,8 @@ from rich.table import Table
 from hil.scenario.case import Case
 from hil.scenario.figures import LOOP_FIGURES, TRUTH_FIGURES, Figure, Values, figures
 from hil.scenario.play import Played
-from rigctl.config_bounds import findings
-from rigctl.config_wording import unit_of
+from rigctl.config.bounds import findings
+from rigctl.config.wording import unit_of
 
 COLUMNS = 4
 """Windows side by side in one table: five do not fit into 80 columns."""

@@ -10,11 +10,11 @@ from pydantic import ValidationError
 
 from hil.scenario.errors import ScenarioError
 from hil.scenario.format import ScenarioFile, read_yaml
-from rigctl import config
-from rigctl.config import ConfigError, RigSettings
-from rigctl.config_bounds import as_study
-from rigctl.config_wording import Path, Wording
-from rigctl.strict_yaml import Document
+from rigctl.config import rig_file as config
+from rigctl.config.bounds import as_study
+from rigctl.config.rig_file import ConfigError, RigSettings
+from rigctl.config.strict_yaml import Document
+from rigctl.config.wording import Path, Wording
 
 _ADDED = frozenset({"directory", "plain"})
 _DEVICE_FILES = frozenset({"eds", "dbc"})

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from rigctl.bench import cyclictest
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode, Verb
-from rigctl.rehearsal import Rehearsal, RehearsalError, own, rehearse
-from rigctl.report import metrics
-from rigctl.telemetry.runtime import Runtime
+from rigctl.demo.test_rig import Rehearsal, RehearsalError, own, rehearse
+from rigctl.ipc.runtime_folder import Runtime
+from rigctl.metrics import tension_error as metrics
 
 OPERATOR = "bench"
 ROUNDS = 3
@@ -58,7 +58,7 @@ class Rate:
 
 
 def rehearsed(settings: RigSettings, rate_hz: int) -> RigSettings:
-    """The rig's settings for a bench: another name, port and folders than the rig's own, see `rigctl.rehearsal.own`.
+    """The rig's settings for a bench: another name, port and folders than the rig's own.
 
     The simulated bus has no bit timing: 4 kHz would be 170 % of 1 Mbit/s. The design is judged at the rig's own rate.
     """
@@ -124,7 +124,7 @@ def tension(rehearsal: Rehearsal) -> None:
 
 
 def records_of(rig: str, seconds: float) -> Any:
-    """Records of the next ``seconds`` of a running loop, shape (ticks,), of dtype `rigctl.telemetry.record.RECORD`."""
+    """Records of the next ``seconds`` of a running loop, shape (ticks,), of dtype `rigctl.ipc.record.RECORD`."""
     reader = Runtime.of(rig).record_reader()
     reader.read()
     slices = []

@@ -19,10 +19,10 @@ from rigctl.client import shapes
 from rigctl.client.decoding import SchemaError, usable_schema
 from rigctl.client.messages import Feed, shape_of
 from rigctl.client.shapes import LONGEST_PAST, Check, MessageRefusedError, Refusals
-from rigctl.telemetry import keys
-from rigctl.telemetry.keys import Keys
-from rigctl.telemetry.lease import Act
-from rigctl.telemetry.session import SessionError, close, open_client
+from rigctl.wire import keys
+from rigctl.wire.keys import Keys
+from rigctl.wire.lease import Act
+from rigctl.wire.session import SessionError, close, open_client
 
 OPEN_S = 2.0
 ASK_S = 2.0
@@ -219,7 +219,7 @@ class Client:
 
         It is given under the lease in ``leases``; without one the lease is taken if nobody holds it. One that has
         lapsed is not taken anew behind the program's back, which may no longer know how the rig is: see `take_lease`.
-        ``options``: see `rigctl.telemetry.request.Request`.
+        ``options``: see `rigctl.wire.command_request.Request`.
 
         Raises:
             NoDaemonError: no answer; whether the command was carried out is not known.

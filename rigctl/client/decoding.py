@@ -15,7 +15,7 @@ import numpy.typing as npt
 from msgspec import Meta
 
 from rigctl.client.shapes import Line, MessageRefusedError, document
-from rigctl.telemetry.block import Block
+from rigctl.wire.block import Block
 
 KNOWN_VERSIONS = (1,)
 RECORD_BYTES = 16_384

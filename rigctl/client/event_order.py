@@ -12,7 +12,7 @@ from rigctl.client import shapes
 from rigctl.client.mailbox import Mailbox
 from rigctl.client.shapes import Message, MessageRefusedError
 from rigctl.client.source import Question
-from rigctl.telemetry.keys import Keys
+from rigctl.wire.keys import Keys
 
 _UNKNOWN = -1
 _HEADS = {"loop": "event_seq", "gateway": "note_seq"}

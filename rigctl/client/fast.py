@@ -10,7 +10,7 @@ from rigctl.client.mailbox import Mailbox
 from rigctl.client.ordering import BlockSource, Count
 from rigctl.client.shapes import LONGEST_BLOCK
 from rigctl.client.source import Question
-from rigctl.telemetry.block import Block
+from rigctl.wire.block import Block
 
 DEPTH_BLOCKS = 2048  # 40 s at 50 Hz
 

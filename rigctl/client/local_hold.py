@@ -11,8 +11,8 @@ from typing import Any
 
 import msgspec
 
-from rigctl.telemetry import runtime
-from rigctl.telemetry.runtime import ACTIVE, Runtime
+from rigctl.ipc import runtime_folder as runtime
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 
 CONNECT_S = 0.5
 ANSWER_S = 2.5  # the service answers within 1.5 s, also when the loop says nothing

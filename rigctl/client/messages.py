@@ -9,7 +9,7 @@ import zenoh
 
 from rigctl.client.mailbox import Mailbox
 from rigctl.client.shapes import LONGEST_DOCUMENT, Message, MessageRefusedError, Refusals, active, event, message, state
-from rigctl.telemetry.keys import Keys
+from rigctl.wire.keys import Keys
 
 Decode = Callable[[bytes], Message]
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from rigctl.client.mailbox import Mailbox
 from rigctl.client.shapes import MessageRefusedError
 from rigctl.client.source import Question
-from rigctl.telemetry.block import Block, BlockError, decode
+from rigctl.wire.block import Block, BlockError, decode
 
 
 def block(payload: bytes) -> Block:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from rigctl.client.decoding import Layout, layout_of, usable_schema
 from rigctl.client.ordering import BlockSource, Count
 from rigctl.client.source import Question
-from rigctl.telemetry.block import Block
+from rigctl.wire.block import Block
 
 
 class SampleSource:

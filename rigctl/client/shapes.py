@@ -14,9 +14,9 @@ from typing import Annotated, Any, Literal, TypeVar
 import msgspec
 from msgspec import Meta
 
-from rigctl.one_line import on_one_line, printable
-from rigctl.quantity import count
-from rigctl.telemetry.record import RECORD
+from rigctl.config.one_line import on_one_line, printable
+from rigctl.config.quantity import count
+from rigctl.ipc.record import RECORD
 
 Message = dict[str, Any]
 Check = Callable[[bytes], object]

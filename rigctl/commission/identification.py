@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rigctl import quantity
 from rigctl.commission.motion import Array, behind_play, delayed, response
+from rigctl.config import quantity
 from rigctl.devices.objects import MM_PER_POSITION_UNIT
 
 LATCH_TICKS = 1.0

@@ -18,10 +18,10 @@ from typing import Any
 
 import msgspec
 
-from rigctl.commission.ledger import CLOCKS_DIFFER, Standing, moment
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.safety import HOST_CHECKS, Check
-from rigctl.telemetry.runtime import ACTIVE, Runtime
+from rigctl.ipc.ledger import CLOCKS_DIFFER, Standing, moment
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 
 CONTROL = "control.json"
 LOOK_S, LOOK_AGAIN_S = 0.5, 0.1  # between two looks, and while something fails

@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from rigctl.commission import identification
 from rigctl.commission.identification import Drive, Estimate, IdentificationError, Signals
-from rigctl.config import RigSettings
+from rigctl.config.quantity import count
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.trials import QUIET_S
-from rigctl.quantity import count
 
 LAST_QUIET_S = 0.01  # of the rest before the first step, left out
 LAG_SHARE = STIFFNESS_SHARE = 0.1  # uncertainty over value: a figure less certain than this is none

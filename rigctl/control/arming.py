@@ -13,7 +13,7 @@ from collections.abc import Callable
 from enum import Enum, auto
 from typing import NamedTuple
 
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.safety import Check, Sight
 
 STILL_NS = 200_000_000

@@ -7,17 +7,16 @@ from collections.abc import Callable
 
 import can
 
-from rigctl.config import RigSettings
-from rigctl.control.correction import Correction
+from rigctl.config.plain import PlainMessage
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.readback import Readback
-from rigctl.devices import codecs, dbc, emergency, sdo
+from rigctl.devices import can_errors, codecs, dbc, emergency, sdo
 from rigctl.devices import objects as od
 from rigctl.devices.objects import PdoLayout
-from rigctl.devices.plain import PlainMessage
 from rigctl.devices.process_data import DRIVE_SPEED, DRIVE_STATUS, ProcessData, wanted
-from rigctl.telemetry import can_errors
-from rigctl.telemetry.record import FrameFlag, Quality
-from rigctl.telemetry.ring import RingWriter
+from rigctl.ipc.correction import Correction
+from rigctl.ipc.record import FrameFlag, Quality
+from rigctl.ipc.ring import RingWriter
 
 MAX_FRAMES_PER_TICK = 256
 MAX_NOTICES = 32

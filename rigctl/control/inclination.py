@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.estimator import Array
 from rigctl.control.gate import Gate
 

@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable
 from operator import attrgetter
 
-from rigctl.config import RigSettings
-from rigctl.config_limits import SIGNALS, LimitSettings
+from rigctl.config.limits_section import SIGNALS, LimitSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.control.safety import ARMED, Action, Fault, Row, Sight, status_stale_ns
 
@@ -37,7 +37,7 @@ VALUES: dict[str, Callable[[Sight], float]] = {
     "error_frames": lambda x: float(x.error_frames),
     "command_age_s": lambda x: x.command_age_ns * 1e-9,
 }
-"""How each signal of `rigctl.config_limits.SIGNALS` is read off the sight."""
+"""How each signal of `rigctl.config.limits_section.SIGNALS` is read off the sight."""
 
 Age = Callable[[Sight], float]
 _CELL: Age = attrgetter("cell_age_ns")

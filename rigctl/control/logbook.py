@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.events import Kind
 from rigctl.control.homed import Finding
 from rigctl.control.inbox import Inbox
 from rigctl.control.machine import Machine
@@ -15,10 +16,9 @@ from rigctl.control.outbox import Outbox
 from rigctl.control.readback import Readback
 from rigctl.control.safety import Trip
 from rigctl.control.tension import TensionLaw
-from rigctl.telemetry.events import Kind
-from rigctl.telemetry.record import Flag, Quality
-from rigctl.telemetry.ring import RingReader, RingWriter
-from rigctl.telemetry.runtime import Runtime
+from rigctl.ipc.record import Flag, Quality
+from rigctl.ipc.ring import RingReader, RingWriter
+from rigctl.ipc.runtime_folder import Runtime
 
 NOTICE_NS = 1_000_000_000
 NOTICES_KEPT = 64

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 
 import can
 
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control import arming, limits
 from rigctl.control.clock import Clock
-from rigctl.control.correction import Correction
 from rigctl.control.escalation import Escalator
+from rigctl.control.events import Kind
 from rigctl.control.homed import Homed, LastStroke
 from rigctl.control.inbox import Inbox
 from rigctl.control.logbook import Logbook, Rings, number
@@ -29,8 +29,8 @@ from rigctl.devices.drive import Power, next_controlword
 from rigctl.devices.objects import OFF_STATES, Controlword, drive_state
 from rigctl.devices.process_data import ProcessData
 from rigctl.devices.sdo import Watched
-from rigctl.telemetry.events import Kind
-from rigctl.telemetry.record import Flag
+from rigctl.ipc.correction import Correction
+from rigctl.ipc.record import Flag
 
 STOPPED_MM_S = 0.05
 STOP_LIMIT_NS = 2_000_000_000

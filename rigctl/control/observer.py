@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.arming import Standstill
-from rigctl.control.correction import Correction
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.inbox import Inbox
 from rigctl.control.inclination import InclinationFilter, Stretch
@@ -23,6 +22,7 @@ from rigctl.devices.objects import (
     DriveState,
     drive_state,
 )
+from rigctl.ipc.correction import Correction
 
 _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value

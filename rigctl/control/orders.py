@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control import arming, modes, safety, trials
-from rigctl.control.correction import Correction, tare_limit_n
+from rigctl.control.events import Kind
 from rigctl.control.homed import Homed
 from rigctl.control.logbook import Logbook, number
 from rigctl.control.machine import Machine
@@ -16,8 +16,8 @@ from rigctl.control.observer import Observer
 from rigctl.control.readback import Readback
 from rigctl.control.safety import HOST_CHECKS, Action, Check, Fault, Trip, Watch
 from rigctl.control.tension import Gains, TensionLaw
-from rigctl.telemetry.events import Kind
-from rigctl.telemetry.record import COMMAND_LIFETIME_NS
+from rigctl.ipc.correction import Correction, tare_limit_n
+from rigctl.ipc.record import COMMAND_LIFETIME_NS
 
 _VERBS, _SETTINGS = frozenset(map(int, Verb)), frozenset(map(int, Setting))
 LOOK_NS = 500_000_000  # how often what stands against arming is looked at, to be shown; never while it is armed

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import can
 
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.devices import codecs
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import COMMAND, ProcessData, wanted
-from rigctl.telemetry.ring import RingWriter
+from rigctl.ipc.ring import RingWriter
 
 
 class Outbox:

@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 
-from rigctl.config import RigSettings
-from rigctl.control.correction import tare_limit_n
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.modes import Mode
 from rigctl.control.run_out import stale_ns
 from rigctl.devices.objects import DEVICE_HEARTBEAT_MS, NmtState
+from rigctl.ipc.correction import tare_limit_n
 
 
 class Action(IntEnum):

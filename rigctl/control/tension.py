@@ -14,8 +14,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rigctl.config import RigSettings
-from rigctl.telemetry.record import Flag
+from rigctl.config.rig_file import RigSettings
+from rigctl.ipc.record import Flag
 
 SETTLED_FRACTION = 0.005  # of the target: tensioning is over within this error
 RAMP_EASE_S = 0.25  # a ramp takes this long to reach its slope and to leave it
@@ -76,7 +76,7 @@ class TensionLaw:
         self.integral_mm_s = 0.0
         self._error_n = self._speed_error_mm_s = 0.0  # of the last closed tick
         self.command_mm_s = 0.0
-        self.limits = 0  # bits, see rigctl.telemetry.record.Flag
+        self.limits = 0  # bits, see rigctl.ipc.record.Flag
         self._slack_stroke_mm: float | None = None
         self._tight = False
         self.rope_lost = False  # tension was there in this TENSIONING, and is gone

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from rigctl.config import RigSettings
-from rigctl.control.correction import tare_limit_n
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Refusal, Verb
 from rigctl.control.safety import Sight
+from rigctl.ipc.correction import tare_limit_n
 
 AVERAGED_S = 1.0
 FEWEST_SAMPLES = 10  # of a slow cell, for its mean to mean anything

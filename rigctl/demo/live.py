@@ -20,15 +20,15 @@ import numpy.typing as npt
 
 from hil import truth as truth_log
 from rigctl.client.connection import NoDaemonError
-from rigctl.config import DemoSettings, RigSettings
+from rigctl.config.rig_file import DemoSettings, RigSettings
 from rigctl.control.modes import Mode, Verb
 from rigctl.demo.script import DemoError, Moment, Show, play
 from rigctl.demo.summary import Summary, Telemetry, summarise
+from rigctl.demo.test_rig import STOP_LIMIT_S, Rehearsal, RehearsalError, process, rehearse
 from rigctl.devices import objects as od
+from rigctl.ipc.ring import RingReader
+from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder import parts
-from rigctl.rehearsal import STOP_LIMIT_S, Rehearsal, RehearsalError, process, rehearse
-from rigctl.telemetry.ring import RingReader
-from rigctl.telemetry.runtime import RECORDED, Runtime
 
 OPERATOR = "demo"
 STATE_LIMIT_S = 2.0
@@ -141,7 +141,7 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
         try:
             rehearsal = stack.enter_context(rehearse(settings, pathlib.Path(folder), "--truth", str(truth_file)))
             where = ("--connect", settings.telemetry.listen, "--rig", settings.rig)
-            counter = stack.enter_context(process("rigctl.telemetry.counter", *where, stdout=subprocess.PIPE))
+            counter = stack.enter_context(process("rigctl.client.counter", *where, stdout=subprocess.PIPE))
             records = Runtime.of(settings.rig).record_reader(from_start=True)
             with _simulator(rehearsal.settings) as simulator:
                 stage = LiveStage(rehearsal, records, simulator)

@@ -13,14 +13,14 @@ import numpy.typing as npt
 from hil.lockstep import START_NS, Lockstep, lockstep
 from hil.truth import TRUTH_DTYPE
 from rigctl import __version__
-from rigctl.config import DemoSettings, RigSettings
+from rigctl.config.rig_file import DemoSettings, RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.demo.script import DemoError, Moment, Show, play
 from rigctl.demo.summary import Summary, summarise
 from rigctl.design.gain_file import design_in_use
 from rigctl.design.gains import DesignError
+from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.recorder.continuous import Continuous
-from rigctl.telemetry.runtime import ACTIVE
 
 
 class LockstepStage:

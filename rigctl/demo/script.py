@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from rigctl.config import DemoSettings
+from rigctl.config.rig_file import DemoSettings
 from rigctl.control.modes import Mode, Verb
 
 SETTLE_S = 5.0

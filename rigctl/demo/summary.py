@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.config import DemoSettings
+from rigctl.config.rig_file import DemoSettings
 from rigctl.control.modes import Mode
-from rigctl.report import metrics
+from rigctl.metrics import tension_error as metrics
 
 Array = npt.NDArray[Any]
 

@@ -13,8 +13,8 @@ from typing import Any
 import msgspec
 from pydantic import ValidationError
 
-from rigctl.config import RigSettings
-from rigctl.telemetry.runtime import Runtime
+from rigctl.config.rig_file import RigSettings
+from rigctl.ipc.runtime_folder import Runtime
 
 LIMIT_S = 15.0
 

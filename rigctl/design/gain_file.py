@@ -21,10 +21,11 @@ from typing import Any
 import yaml
 from pydantic import Field, ValidationError
 
-from rigctl import __version__, strict_yaml
-from rigctl.config import RigSettings
-from rigctl.config_base import Settings
-from rigctl.config_wording import Wording
+from rigctl import __version__
+from rigctl.config import strict_yaml
+from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings_base import Settings
+from rigctl.config.wording import Wording
 from rigctl.control.tension import Gains
 from rigctl.design.gains import DesignError, design
 from rigctl.design.margins import design_and_check, judge

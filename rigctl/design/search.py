@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rigctl.config import RigSettings
-from rigctl.config_bounds import findings
+from rigctl.config.bounds import findings
+from rigctl.config.rig_file import RigSettings
 from rigctl.design.margins import design_and_check
 from rigctl.design.verdict import Design
 

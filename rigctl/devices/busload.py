@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rigctl.config import RigSettings
+from rigctl.config.plain import PlainMessage
+from rigctl.config.rig_file import RigSettings
 from rigctl.devices import objects as od
 from rigctl.devices import sdo
-from rigctl.devices.plain import PlainMessage
 from rigctl.devices.process_data import COMMAND, DRIVE_SPEED, DRIVE_STATUS, ProcessData, wanted
 
 LIMIT = 0.8

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from rigctl.devices import objects as od
 from rigctl.devices.objects import PdoLayout
 from rigctl.devices.process_data import DriveUnits
-from rigctl.telemetry.record import Quality
+from rigctl.ipc.record import Quality
 
 Data = bytes | bytearray
 

@@ -11,8 +11,8 @@ import struct
 from collections.abc import Callable
 from typing import Literal
 
-from rigctl.devices.plain import FLOAT_CODES, PlainMessage, PlainSignal
-from rigctl.telemetry.record import Quality
+from rigctl.config.plain import FLOAT_CODES, PlainMessage, PlainSignal
+from rigctl.ipc.record import Quality
 
 Data = bytes | bytearray
 Reader = Callable[[Data], float]

@@ -6,9 +6,9 @@ import logging
 
 import canopen
 
-from rigctl import input_file
-from rigctl.config import RigSettings
-from rigctl.one_line import printable
+from rigctl.config import input_file
+from rigctl.config.one_line import printable
+from rigctl.config.rig_file import RigSettings
 
 LARGEST_BYTES = 4 << 20
 

@@ -11,20 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-# -- CiA 301: pre-defined connection set ------------------------------------------------------------------------
-NMT_COB = 0x000
-SYNC_COB = 0x080
-EMCY_BASE = 0x080
-TPDO1_BASE = 0x180
-TPDO2_BASE = 0x280
-RPDO1_BASE = 0x200
-PDO_SPACING = 0x100  # COB-ID of the next PDO of the same kind
-PDOS = 4  # of each kind have a COB-ID of their own
-PDO_NOT_VALID = 1 << 31  # of a COB-ID: the PDO is switched off
-PDO_NO_RTR = 1 << 30  # of a COB-ID: no remote frame asks for it; some devices have it so for good
-SDO_TX_BASE = 0x580
-SDO_RX_BASE = 0x600
-HEARTBEAT_BASE = 0x700
+from rigctl.config.canopen import *
 
 # -- CiA 301: objects -------------------------------------------------------------------------------------------
 DEVICE_TYPE = 0x1000
@@ -104,8 +91,6 @@ FAULT_REACTION_OPTION = 0x605E
 MODE_OF_OPERATION = 0x6060
 MODE_DISPLAY = 0x6061
 POSITION_ACTUAL = 0x6064  # INTEGER32, um or the drive's own unit
-VELOCITY_ACTUAL = 0x606C  # INTEGER32, um/s or the drive's own unit
-VELOCITY_ACTUAL_16 = 0x2044  # manufacturer: INTEGER16, 10 um/s, so that status, position and speed share a frame
 DRIVE_TEMPERATURE = 0x2045  # manufacturer: INTEGER16, 0.1 deg C
 MOTOR_RATED_CURRENT = 0x6075  # UNSIGNED32, mA
 CURRENT_ACTUAL = 0x6078  # INTEGER16, per mille of the rated current
@@ -206,7 +191,6 @@ class EmcyCode(IntEnum):
 
 
 # -- simulator node: not a device of the rig --------------------------------------------------------------------
-SIMULATOR_NODE = 112
 SIM_MOTION_START = 0x2000  # UNSIGNED8: 1 starts the move of the rig file's demo section
 SIM_MOTION_STATE = 0x2001  # UNSIGNED8: 1 while the mechanism moves
 SIM_E_STOP = 0x2002  # UNSIGNED8: 1 = the emergency stop is pressed: both of its contacts open
@@ -322,11 +306,6 @@ ENCODER_TPDO = PdoLayout(TPDO1_BASE, ((ENCODER_POSITION, 0, "I"),))
 DRIVE_TPDO = PdoLayout(TPDO1_BASE, ((STATUSWORD, 0, "H"), (POSITION_ACTUAL, 0, "i"), (VELOCITY_ACTUAL_16, 0, "h")))
 DRIVE_TPDO2 = PdoLayout(TPDO2_BASE, ((CURRENT_ACTUAL, 0, "h"), (DRIVE_TEMPERATURE, 0, "h"), (DIGITAL_INPUTS, 0, "I")))
 DRIVE_RPDO = PdoLayout(RPDO1_BASE, ((CONTROLWORD, 0, "H"), (TARGET_VELOCITY, 0, "i")))
-
-
-def tpdo_base(number: int) -> int:
-    """COB-ID base of the TPDO of this number, from 1 on."""
-    return TPDO1_BASE + (number - 1) * PDO_SPACING
 
 
 def inputs_tpdo(block: int) -> PdoLayout:

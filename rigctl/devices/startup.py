@@ -15,8 +15,8 @@ from typing import Any
 import can
 import canopen
 
-from rigctl.config import RigSettings
-from rigctl.config_io import INPUTS_PER_BLOCK, IoSettings
+from rigctl.config.io_section import INPUTS_PER_BLOCK, IoSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.devices import busload
 from rigctl.devices import objects as od
 from rigctl.devices.objects import DEVICE_HEARTBEAT_MS

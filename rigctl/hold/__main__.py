@@ -3,7 +3,7 @@
 import signal
 import sys
 
-from rigctl.termination import Termination
+from rigctl.ipc.termination import Termination
 
 stop = Termination(signal.SIGTERM, signal.SIGHUP)  # before the other imports: a daemon may end within them
 

@@ -24,11 +24,11 @@ import msgspec
 
 from rigctl.control.modes import Mode, Verb
 from rigctl.control.realtime import die_with_parent
-from rigctl.telemetry.record import COMMAND_LIFETIME_NS, HOLD_ID
-from rigctl.telemetry.request import Request, RequestError, answer, parse, refused, sight_of, silent
-from rigctl.telemetry.ring import RingError
-from rigctl.telemetry.runtime import Runtime
-from rigctl.termination import Termination
+from rigctl.ipc.record import COMMAND_LIFETIME_NS, HOLD_ID
+from rigctl.ipc.ring import RingError
+from rigctl.ipc.runtime_folder import Runtime
+from rigctl.ipc.termination import Termination
+from rigctl.wire.command_request import Request, RequestError, answer, parse, refused, sight_of, silent
 
 PRIORITY = 1  # SCHED_FIFO: below every loop, before a gateway that is flooded
 POLL_S = 0.001  # while a hold waits for the loop

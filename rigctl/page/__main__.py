@@ -12,12 +12,12 @@ import time
 import msgspec
 from pydantic import ValidationError
 
-from rigctl.config import RigSettings
+from rigctl.config.page_address import Address, CannotListenError
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.realtime import die_with_parent
-from rigctl.page.address import Address, CannotListenError
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.page.guard import Guard
 from rigctl.page.serve import serve
-from rigctl.telemetry.runtime import ACTIVE, Runtime
 
 NICENESS = 10  # a page is what can wait
 RETRY_S = 2.0

@@ -14,9 +14,9 @@ from typing import Any
 
 from rigctl.client import local_hold
 from rigctl.client.connection import ChoiceError, Client, NoDaemonError
-from rigctl.operator.figures import number
 from rigctl.page.picture import Picture
-from rigctl.telemetry.lease import Denial
+from rigctl.wire.lease import Denial
+from rigctl.wire.state_words import number
 
 CONFIRM_S = 15.0
 VERBS = ("arm", "tension", "hold", "release", "disarm", "reset", "target")

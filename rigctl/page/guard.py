@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from starlette.datastructures import Headers
 
-from rigctl.page.address import Address
+from rigctl.config.page_address import Address
 
 TOKEN_HEADER = "x-rigctl-token"
 HEADERS = {

@@ -6,8 +6,8 @@ import math
 import time
 from typing import Any
 
-from rigctl.operator import figures
 from rigctl.page.picture import SILENT_S, Picture
+from rigctl.wire import state_words as figures
 
 _NUMBERS = (
     "vertical_n", "tension_n", "target_n", "error_n", "error_pct", "stroke_mm", "speed_mm_s", "tangential_deg",

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.operator.passed_limits import PassedLimits
 from rigctl.page.history import History, Ids
 from rigctl.page.lateness import Lateness
 from rigctl.page.signals import values_of
+from rigctl.wire.passed_limits import PassedLimits
 
 EVENTS_HELD = 200
 SILENT_S = 1.0

@@ -13,13 +13,13 @@ from typing import NoReturn
 
 import uvicorn
 
+from rigctl.ipc.termination import ENDING, heeded
 from rigctl.page.connections import BACKLOG, HEADER_BYTES, protocol
 from rigctl.page.desk import Desk
 from rigctl.page.guard import Guard
 from rigctl.page.picture import Picture
 from rigctl.page.server import Page
 from rigctl.page.source import Source
-from rigctl.termination import ENDING, heeded
 
 CLOSE_S = 1  # for browsers to let go
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.control.modes import Mode
-from rigctl.telemetry.record import Quality
+from rigctl.ipc.record import Quality
 
 Values = npt.NDArray[np.float64]
 _NOT_SEEN = int(Quality.STALE | Quality.INVALID | Quality.NEVER)

@@ -17,7 +17,7 @@ from rigctl.client.fast import FastReader
 from rigctl.client.ordering import block as block_of
 from rigctl.page.picture import EVENTS_HELD, Picture
 from rigctl.page.signals import FIELDS
-from rigctl.telemetry.block import Block
+from rigctl.wire.block import Block
 
 PERIOD_S = 0.033
 RETRY_S = 0.5

@@ -3,10 +3,10 @@
 import signal
 import sys
 
-from rigctl.termination import Termination
+from rigctl.ipc.termination import Termination
 
 stop = Termination(signal.SIGTERM, signal.SIGHUP)  # before the other imports: a daemon may end within them
 
-from rigctl.recorder.process import main  # noqa: E402
+from rigctl.recorder.recorder_process import main  # noqa: E402
 
 raise SystemExit(main(sys.argv[1:], stop))

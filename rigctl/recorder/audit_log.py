@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
-from rigctl import input_file
+from rigctl.config import input_file
 from rigctl.recorder.chain import ORIGIN, ChainError, Entry, line_of, read_line
 
 TAIL_BYTES = 1 << 16  # no line is longer

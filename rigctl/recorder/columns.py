@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from rigctl.ipc.record import NEVER_AGE_NS, Slot
 from rigctl.recorder.enums import Names, enum_of
 from rigctl.recorder.recording import SLOTS, Recording, Said
-from rigctl.telemetry.record import NEVER_AGE_NS, Slot
 
 _SEQ = ("", "sequence number, without gaps")
 _WALL = ("ns", "t_ns on the wall clock, since 1970 UTC")

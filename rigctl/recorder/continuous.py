@@ -18,8 +18,11 @@ from typing import Any
 
 import msgspec
 
-from rigctl import __version__, input_file
-from rigctl.config import RigSettings
+from rigctl import __version__
+from rigctl.config import input_file
+from rigctl.config.rig_file import RigSettings
+from rigctl.ipc.ring import RingReader
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder import parts
 from rigctl.recorder.appender import Appender
 from rigctl.recorder.audit_log import Item
@@ -27,9 +30,7 @@ from rigctl.recorder.chain import ChainError, read_line
 from rigctl.recorder.part_file import PartFile
 from rigctl.recorder.part_reader import RecordingError, progress_of
 from rigctl.recorder.sources import Rings
-from rigctl.telemetry.ring import RingReader
-from rigctl.telemetry.runtime import ACTIVE, Runtime
-from rigctl.telemetry.schema import schema
+from rigctl.wire.schema import schema
 
 BATCH_NS = 400_000_000  # a chunk: 200 KB before compression at 1 kHz
 CHECK_NS = 1_000_000_000

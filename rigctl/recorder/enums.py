@@ -8,8 +8,8 @@ from enum import IntEnum
 from rigctl.control.gate import Verdict
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Fault
-from rigctl.telemetry.record import RECORD, Quality, Slot
-from rigctl.telemetry.state import quality_words
+from rigctl.ipc.record import RECORD, Quality, Slot
+from rigctl.wire.state_message import quality_words
 
 Names = Mapping[int, str]
 

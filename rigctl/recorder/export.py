@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.output_file import OutputError
+from rigctl.ipc.output_file import OutputError
 from rigctl.recorder.columns import Column, tables
 from rigctl.recorder.contents import figures
 from rigctl.recorder.enums import Names

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 
+from rigctl.ipc.record import FRAME
 from rigctl.recorder.protobuf import WIRE_64, WIRE_BYTES, tag
-from rigctl.telemetry.record import FRAME
 
 NAME = "rigctl.FrameBlock"
 BLOCK_FRAMES = 4096

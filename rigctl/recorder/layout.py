@@ -15,7 +15,8 @@ import numpy.typing as npt
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from google.protobuf.message import DecodeError
 
-from rigctl.quantity import count
+from rigctl.config.quantity import count
+from rigctl.ipc.record import Slot
 from rigctl.recorder.protobuf import (
     ENUM_BYTES,
     WIRE_32,
@@ -25,7 +26,6 @@ from rigctl.recorder.protobuf import (
     of_varints,
     tag,
 )
-from rigctl.telemetry.record import Slot
 
 _P = FieldDescriptorProto
 _KINDS = {

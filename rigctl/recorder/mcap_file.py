@@ -16,9 +16,9 @@ import numpy.typing as npt
 from mcap.writer import CompressionType, Writer
 
 from rigctl import __version__
+from rigctl.ipc.record import COMMAND, FRAME, HOLD, RECORD
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.protobuf import Encoding, numbers_of
-from rigctl.telemetry.record import COMMAND, FRAME, HOLD, RECORD
 
 CHUNK_BYTES = 1 << 18
 DUMPED = MappingProxyType({

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import zstandard
 
-from rigctl.quantity import count
+from rigctl.config.quantity import count
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 1, 2, 3, 4, 5, 6

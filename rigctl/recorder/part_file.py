@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl import __version__
+from rigctl.ipc.record import COMMAND, HOLD, RECORD
 from rigctl.recorder import frame_block
 from rigctl.recorder.appender import Appender
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.mcap_file import McapFile, Message
 from rigctl.recorder.protobuf import Encoding, numbers_of
-from rigctl.telemetry.record import COMMAND, HOLD, RECORD
 
 FORMAT = "1"
 SLOTS = {

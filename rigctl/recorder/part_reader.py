@@ -18,11 +18,11 @@ import numpy as np
 import numpy.typing as npt
 from mcap.data_stream import ReadDataStream
 
+from rigctl.ipc.record import COMMAND, FRAME, HOLD, RECORD, Slot
 from rigctl.recorder import frame_block, mcap_scan
 from rigctl.recorder.layout import HEAD, Layout, LayoutError
 from rigctl.recorder.mcap_scan import Buffer, DamageError, Scan, ScanError
 from rigctl.recorder.protobuf import numbers_of
-from rigctl.telemetry.record import COMMAND, FRAME, HOLD, RECORD, Slot
 
 SLOTS: dict[str, Slot] = {"records": RECORD, "frames": FRAME, "commands": COMMAND, "holds": numbers_of(HOLD)}
 RECORDER = "recorder"

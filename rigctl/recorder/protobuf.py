@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 
+from rigctl.ipc.record import FrameFlag, Slot
 from rigctl.recorder.enums import enum_of
-from rigctl.telemetry.record import FrameFlag, Slot
 
 WIRE_VARINT, WIRE_64, WIRE_BYTES, WIRE_32 = 0, 1, 2, 5
 ENUM = "enum"

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from rigctl.ipc.record import Slot
 from rigctl.recorder import parts
 from rigctl.recorder.part_reader import RECORDER, SLOTS, Attachment, File, Part, RecordingError, Said
-from rigctl.telemetry.record import Slot
 
 __all__ = [
     "RECORDER",

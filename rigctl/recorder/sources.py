@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 
+from rigctl.config.quantity import significant
+from rigctl.control.events import Kind, failed_checks
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.safety import Action, Fault
-from rigctl.quantity import significant
+from rigctl.ipc import supervision
+from rigctl.ipc.notes import note_message
+from rigctl.ipc.ring import RingReader
+from rigctl.ipc.runtime_folder import Runtime
 from rigctl.recorder.audit_log import Item
-from rigctl.telemetry import supervision
-from rigctl.telemetry.events import Kind, failed_checks
-from rigctl.telemetry.messages import event_message
-from rigctl.telemetry.notes import note_message
-from rigctl.telemetry.ring import RingReader
-from rigctl.telemetry.runtime import Runtime
+from rigctl.wire.event_message import event_message
 
 BATCH = 1000  # slots of a ring at once
 Words = tuple[str, str, str, dict[str, Any]]  # what, who, text, details

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from rigctl import quantity
+from rigctl.config import quantity
 from rigctl.recorder.audit_log import Item
 
 WINDOW_NS = 10_000_000_000

@@ -18,17 +18,17 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl import __version__
-from rigctl.commission import ledger
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.events import Kind
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Fault
+from rigctl.ipc import ledger
+from rigctl.ipc.ring import RingReader
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder.audit_log import moment
 from rigctl.recorder.mcap_file import McapFile
 from rigctl.recorder.sources import Rings
-from rigctl.telemetry.events import Kind
-from rigctl.telemetry.ring import RingReader
-from rigctl.telemetry.runtime import ACTIVE, Runtime
-from rigctl.telemetry.schema import schema
+from rigctl.wire.schema import schema
 
 BEFORE_NS, AFTER_NS = 10_000_000_000, 2_000_000_000
 _ATTACHED = (ACTIVE, "control.json", "calibration.json")  # of the runtime folder; lease.json holds a secret

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,11 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.control.modes import Mode
-from rigctl.progress import Advance
+from rigctl.ipc.record import RECORD
 from rigctl.replay.feed import Slots
 from rigctl.replay.play import Batch
-from rigctl.telemetry.record import RECORD
 
+Advance = Callable[[float, str], None]
+"""Told how much has been compared since the last call, and of what."""
 NOT_COMPARED = ("seq", "command_seq", "hold_seq")
 """Numbers of slots: the replay has rings of its own."""
 EXACT = frozenset({"command_mm_s"} | {row.name for row in RECORD.fields if row.code != "d"})

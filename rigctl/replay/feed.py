@@ -11,7 +11,7 @@ import can
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.telemetry.record import Flag, FrameFlag
+from rigctl.ipc.record import Flag, FrameFlag
 
 Slots = npt.NDArray[np.void]
 BATCH_TICKS = 1000

@@ -20,7 +20,7 @@ def draw(found: Against, file: pathlib.Path) -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    from rigctl import output_file
+    from rigctl.ipc import output_file
 
     t_ns = np.concatenate(found.t_ns)
     then, now = np.concatenate(found.then_mm_s), np.concatenate(found.now_mm_s)

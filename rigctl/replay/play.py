@@ -12,10 +12,10 @@ import msgspec
 import numpy as np
 from pydantic import ValidationError
 
-from rigctl.commission.ledger import IN_FORCE, Standing
-from rigctl.config import RigSettings
-from rigctl.config_wording import Wording
-from rigctl.control.correction import Correction
+from rigctl.config.rig_file import RigSettings
+from rigctl.config.strict_yaml import Document
+from rigctl.config.wording import Wording
+from rigctl.control.events import Kind
 from rigctl.control.homed import LastStroke
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
@@ -23,12 +23,12 @@ from rigctl.control.safety import Check
 from rigctl.control.tension import Gains
 from rigctl.devices.process_data import ProcessData
 from rigctl.devices.sdo import Watched
+from rigctl.ipc.correction import Correction
+from rigctl.ipc.ledger import IN_FORCE, Standing
+from rigctl.ipc.record import RECORD
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder.recording import Recording
 from rigctl.replay.feed import BATCH_TICKS, RecordedBus, RecordedClock, Slots, Tick, ticks
-from rigctl.strict_yaml import Document
-from rigctl.telemetry.events import Kind
-from rigctl.telemetry.record import RECORD
-from rigctl.telemetry.runtime import ACTIVE, Runtime
 
 
 class ReplayError(ValueError):

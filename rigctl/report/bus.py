@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.devices import busload
-from rigctl.report import metrics
-from rigctl.report.timing import grown
+from rigctl.metrics import tension_error as metrics
+from rigctl.metrics.timing import grown
 
 Array = npt.NDArray[Any]
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
+from rigctl.metrics.phases import Phase
 from rigctl.report.drawing import (
     BAND,
     BLUE,
@@ -27,7 +28,6 @@ from rigctl.report.drawing import (
     unit_of_time,
 )
 from rigctl.report.findings import Findings
-from rigctl.report.phases import Phase
 from rigctl.report.trace import trace
 from rigctl.report.verdict import REQUIREMENT_PCT
 

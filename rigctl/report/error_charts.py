@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import norm
 
+from rigctl.metrics.error_statistics import error_n
+from rigctl.metrics.phases import Phase
 from rigctl.report import sensor_budget
 from rigctl.report.drawing import (
     BLUE,
@@ -23,9 +25,7 @@ from rigctl.report.drawing import (
     legend,
     unit_of_time,
 )
-from rigctl.report.error_statistics import error_n
 from rigctl.report.findings import Findings
-from rigctl.report.phases import Phase
 from rigctl.report.trace import trace
 
 POINTS, BINS = 3000, 121

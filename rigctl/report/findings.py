@@ -11,16 +11,17 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
-from rigctl.commission import ledger
-from rigctl.commission.ledger import IN_FORCE, Standing
-from rigctl.config import RigSettings
+from rigctl.config.quantity import count
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.tension import Gains
-from rigctl.quantity import count
+from rigctl.ipc import ledger
+from rigctl.ipc.ledger import IN_FORCE, Standing
+from rigctl.ipc.runtime_folder import ACTIVE
+from rigctl.metrics import timing
+from rigctl.metrics.error_statistics import ErrorStatistics, error_n, statistics
+from rigctl.metrics.phases import SETTLE_S, Phase, phases
 from rigctl.recorder.recording import Recording
-from rigctl.report import bus, happenings, sensor_budget, spectrum, timing, verdict
-from rigctl.report.error_statistics import ErrorStatistics, error_n, statistics
-from rigctl.report.phases import SETTLE_S, Phase, phases
-from rigctl.telemetry.runtime import ACTIVE
+from rigctl.report import bus, happenings, sensor_budget, spectrum, verdict
 
 NEEDED = (
     "seq", "t_ns", "tick", "skipped", "lateness_ns", "work_ns", "mode", "fault", "tension_n", "tension_quality",

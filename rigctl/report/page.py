@@ -8,10 +8,10 @@ import pathlib
 import jinja2
 
 from rigctl import __version__
+from rigctl.metrics.phases import SETTLE_S
 from rigctl.report import charts, error_charts, tables
 from rigctl.report.drawing import Chart, style
 from rigctl.report.findings import ADVICE, Findings
-from rigctl.report.phases import SETTLE_S
 from rigctl.report.sensor_budget import combined_n
 from rigctl.report.verdict import REQUIREMENT_PCT
 

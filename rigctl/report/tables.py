@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from rigctl.config_wording import unit_of
+from rigctl.config.wording import unit_of
+from rigctl.metrics.error_statistics import ErrorStatistics
+from rigctl.metrics.tension_error import PERCENTILES
 from rigctl.report import sensor_budget
-from rigctl.report.error_statistics import ErrorStatistics
 from rigctl.report.findings import Findings
-from rigctl.report.metrics import PERCENTILES
 
 KEY_SETTINGS = (
     "loop.rate_hz", "loop.priority", "can.interface", "can.bitrate_bit_s", "tension_cell.range_n",

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy.typing as npt
 
-from rigctl.config import RigSettings
-from rigctl.config_limits import LimitSettings
-from rigctl.report.error_statistics import ErrorStatistics, error_n, longest_beyond_s
-from rigctl.report.phases import Phase
+from rigctl.config.limits_section import LimitSettings
+from rigctl.config.rig_file import RigSettings
+from rigctl.metrics.error_statistics import ErrorStatistics, error_n, longest_beyond_s
+from rigctl.metrics.phases import Phase
 
 REQUIREMENT_PCT = 5.0
 """Unloading accuracy of 95 % or better, section 2.3 of the paper."""

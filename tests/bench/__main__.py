@@ -11,11 +11,11 @@ from typing import Any
 
 from rich.console import Console
 
-from rigctl import config
-from rigctl.bench import command as bench
 from rigctl.bench.loop import Rate, measure
+from rigctl.cli import bench
+from rigctl.cli.progress import progress
+from rigctl.config import rig_file as config
 from rigctl.demo.lockstep import play_lockstep
-from rigctl.progress import progress
 from tests import daemons
 from tests.bench import holds, plant, report, telemetry
 

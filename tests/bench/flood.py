@@ -23,8 +23,8 @@ import msgspec
 import zenoh
 
 from rigctl.control.realtime import die_with_parent
-from rigctl.telemetry.keys import Keys
-from rigctl.telemetry.session import SessionError, close, open_client
+from rigctl.wire.keys import Keys
+from rigctl.wire.session import SessionError, close, open_client
 from tests import daemons
 
 SECONDS_MAX = 120.0

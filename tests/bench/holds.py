@@ -30,7 +30,7 @@ from rich.table import Table
 
 from rigctl.client import local_hold
 from rigctl.client.connection import COMMAND_S, ChoiceError, Client, NoDaemonError
-from rigctl.telemetry.runtime import Runtime
+from rigctl.ipc.runtime_folder import Runtime
 from tests import daemons
 from tests.bench.flood import KINDS, flooding
 from tests.system.test_daemon import PATIENT
@@ -86,7 +86,7 @@ class Subject:
         return int(record["hold_seq"]) if record is not None else 0
 
     def gateway(self) -> int:
-        return daemons.process_with("rigctl.telemetry.gateway", f"rigctl-{self.rig}")
+        return daemons.process_with("rigctl.gateway.gateway_process", f"rigctl-{self.rig}")
 
     def gateway_mib(self) -> float:
         for line in pathlib.Path(f"/proc/{self.gateway()}/status").read_text().splitlines():

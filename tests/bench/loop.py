@@ -7,9 +7,9 @@ import pathlib
 import tempfile
 from typing import Any
 
-from rigctl import config
 from rigctl.bench import loop
-from rigctl.rehearsal import rehearse
+from rigctl.config import rig_file as config
+from rigctl.demo.test_rig import rehearse
 from tests import daemons
 
 

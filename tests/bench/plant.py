@@ -8,7 +8,7 @@ import time
 from hil.plant import Plant
 from hil.plant.layout import MECHANISM
 from hil.plant.moves import out_and_back
-from rigctl import config
+from rigctl.config import rig_file as config
 from tests import daemons
 
 STEP_US = 100

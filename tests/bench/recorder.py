@@ -23,10 +23,10 @@ from typing import Any
 
 import numpy as np
 
-from rigctl import config
-from rigctl.config import RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
+from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder import parts, recording
-from rigctl.telemetry.runtime import RECORDED, Runtime
 from tests import daemons
 
 LIMIT_MS = 1000.0

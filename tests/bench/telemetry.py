@@ -23,9 +23,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from rigctl import config
 from rigctl.bench.loop import figures
-from rigctl.report import metrics
+from rigctl.config import rig_file as config
+from rigctl.metrics import tension_error as metrics
 from tests import daemons
 from tests.bench.loop import BenchRig
 from tests.bench.subscriber import BIN_US, BINS
@@ -108,7 +108,7 @@ def measure_slice(rig: BenchRig, what: str, seconds: float, clients: int, stalle
     with contextlib.ExitStack() as stack:
         subscribers = Subscribers(rig.endpoint, clients, stalled, cpus, stack) if clients else None
         time.sleep(SETTLE_S)
-        gateway = daemons.process_with("rigctl.telemetry.gateway", f"rigctl-{rig.rig}")
+        gateway = daemons.process_with("rigctl.gateway.gateway_process", f"rigctl-{rig.rig}")
         used, start = _cpu_s(gateway), time.monotonic()
         records = rig.measure(seconds)
         pct = 100.0 * (_cpu_s(gateway) - used) / (time.monotonic() - start)

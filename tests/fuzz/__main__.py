@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.design.margins import design_and_check
 from tests.fuzz import commands, files, frames, replies, startup_files
 from tests.fuzz.judge import Tally

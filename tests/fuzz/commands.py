@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode, Verb
 from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
-from rigctl.telemetry.lease import ACTS
-from rigctl.telemetry.lease_request import parse_lease
-from rigctl.telemetry.request import Request, RequestError, parse, verb_of
-from rigctl.telemetry.ring import RingReader
+from rigctl.ipc.ring import RingReader
+from rigctl.wire.command_request import Request, RequestError, parse, verb_of
+from rigctl.wire.lease import ACTS
+from rigctl.wire.lease_request import parse_lease
 from tests.fuzz import mutate
 from tests.fuzz.frames import ONWARD
 from tests.fuzz.judge import Tally

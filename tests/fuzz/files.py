@@ -24,20 +24,21 @@ import yaml
 from hil.lockstep import lockstep
 from hil.scenario import case
 from hil.scenario.errors import ScenarioError
-from rigctl import config, strict_yaml
-from rigctl.commission import ledger
-from rigctl.config import ConfigError, RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config import strict_yaml
+from rigctl.config.rig_file import ConfigError, RigSettings
 from rigctl.control.tension import Gains
 from rigctl.design import gain_file
 from rigctl.design.gains import DesignError
 from rigctl.design.margins import design_and_check
 from rigctl.devices.remote_node import StartupError
+from rigctl.gateway import lease_service as lease_keeper
+from rigctl.ipc import ledger
+from rigctl.ipc.record import RECORD
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder import audit_log, chain, mcap_scan, recording
 from rigctl.recorder.contents import figures
 from rigctl.recorder.continuous import Continuous
-from rigctl.telemetry import lease_keeper
-from rigctl.telemetry.record import RECORD
-from rigctl.telemetry.runtime import ACTIVE, Runtime
 from tests.fuzz import mutate
 from tests.fuzz.judge import Tally
 

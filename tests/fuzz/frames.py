@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import can
 
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.clock import SimulatedClock
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
@@ -21,7 +21,7 @@ from rigctl.control.modes import Mode, Setting, Verb
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.devices.objects import Controlword, NmtState
-from rigctl.telemetry.runtime import Runtime
+from rigctl.ipc.runtime_folder import Runtime
 
 FRAMES_PER_TICK = 24
 EPISODE_TICKS = 6_000

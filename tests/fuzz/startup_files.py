@@ -21,27 +21,29 @@ from datetime import UTC, datetime
 
 import msgspec
 
-from rigctl import config
-from rigctl.commission import last_stroke, ledger, preflight
-from rigctl.commission.ledger import Standing, in_force
-from rigctl.config import ConfigError, RigSettings
+from rigctl.cli.lease_file import LeaseFile
+from rigctl.commission import preflight
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import ConfigError, RigSettings
+from rigctl.control import last_stroke
 from rigctl.control.homed import LastStroke
 from rigctl.design import gain_file
 from rigctl.design.gain_file import GainFileError
 from rigctl.design.margins import design_and_check
 from rigctl.devices import eds_file
-from rigctl.operator.lease_file import LeaseFile
+from rigctl.gateway import lease_service as lease_keeper
+from rigctl.gateway.active import Active
+from rigctl.gateway.lease_service import Keeper
+from rigctl.gateway.published_position import Cursor
+from rigctl.ipc import ledger
+from rigctl.ipc.ledger import Standing, in_force
+from rigctl.ipc.ring import RingError
+from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, Runtime, daemons
 from rigctl.recorder import audit_log
 from rigctl.recorder.part_reader import RecordingError, progress_of
-from rigctl.recorder.process import Recorder
-from rigctl.supervisor import Supervisor
-from rigctl.telemetry import lease_keeper
-from rigctl.telemetry.active import Active
-from rigctl.telemetry.cursor import Cursor
-from rigctl.telemetry.lease_keeper import Keeper
-from rigctl.telemetry.ring import RingError
-from rigctl.telemetry.runtime import ACTIVE, RECORDED, Runtime, daemons
-from rigctl.telemetry.state import design_of, kept_of, warnings_of
+from rigctl.recorder.recorder_process import Recorder
+from rigctl.supervisor.daemon import Supervisor
+from rigctl.wire.state_message import design_of, kept_of, warnings_of
 from tests.fuzz import files, mutate
 from tests.fuzz.judge import Tally
 
@@ -99,7 +101,7 @@ class File:
         if len(seal) != 64:
             return mutate.raw(whole, chance)
         with contextlib.suppress(RecursionError, UnicodeEncodeError, ValueError):
-            from rigctl.telemetry.runtime import _digest
+            from rigctl.ipc.runtime_folder import _digest
 
             data = json.dumps(mutate.data(json.loads(text), chance)).encode()
             return data + b"\n" + _digest(data) + b"\n"

@@ -12,16 +12,16 @@ from hil.bus import InProcessBus
 from hil.hub import Hub, Port
 from hil.rig import SimulatedRig
 from hil.wire import FRAME
-from rigctl import config
-from rigctl.config import ConfigError, RigSettings
-from rigctl.config_io import IoSettings
+from rigctl.config import rig_file as config
+from rigctl.config.io_section import IoSettings
+from rigctl.config.rig_file import ConfigError, RigSettings
 from rigctl.control.modes import Mode, Verb
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
 from rigctl.devices import objects as od
 from rigctl.devices import startup
 from rigctl.devices.remote_node import StartupError
-from rigctl.telemetry.request import RequestError, parse
+from rigctl.wire.command_request import RequestError, parse
 from tests.fuzz import commands, files, frames, mutate, replies, startup_files
 from tests.fuzz.judge import Tally
 

@@ -16,7 +16,7 @@ from hil.compare import study
 from hil.compare.rivals import CONTROLLERS
 from hil.compare.scenarios import QUICK, scenarios
 from hil.compare.study import settling_s
-from rigctl import config
+from rigctl.config import rig_file as config
 
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 ROOT = pathlib.Path(__file__).parents[2]

@@ -13,8 +13,8 @@ from hil.faults.expected import ARMED, Fault, Reaction
 from hil.faults.judge import Row
 from hil.faults.run import Bench
 from hil.scenario.errors import ScenarioError
-from rigctl import config
-from rigctl.config import RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
 from rigctl.control import modes, safety
 from rigctl.control.escalation import Escalator
 from rigctl.control.modes import Mode

@@ -15,7 +15,7 @@ from hil.faults import in_device, in_plant, on_bus, stand, wall_clock
 from hil.faults.stand import Injector, Stand
 from hil.hub import Hub
 from hil.lockstep import Lockstep, lockstep
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.control.modes import Mode
 from rigctl.design.margins import design_and_check
 

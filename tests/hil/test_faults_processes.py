@@ -14,9 +14,9 @@ from hil.faults.live import live
 from hil.faults.processes import Seen, judged
 from hil.faults.run import changed
 from hil.truth import TRUTH_DTYPE
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.control.modes import Mode
-from rigctl.telemetry.record import RECORD
+from rigctl.ipc.record import RECORD
 
 RIG = pathlib.Path(__file__).parents[2] / "config/paper_rig.yaml"
 # The machine is shared with other tests: patience with it, none with the drive's own stop.

@@ -8,7 +8,7 @@ from typing import Any
 import canopen
 import pytest
 
-from rigctl.config_io import IoSettings
+from rigctl.config.io_section import IoSettings
 from rigctl.devices import codecs, objects
 
 pytestmark = pytest.mark.real_time

@@ -18,7 +18,7 @@ from hil.plant.inputs import Track
 from hil.scenario.case import load
 from hil.scenario.figures import LOOP_FIGURES, TRUTH_FIGURES, figures, first_peak
 from hil.scenario.play import play
-from rigctl import config
+from rigctl.config import rig_file as config
 
 ROOT = pathlib.Path(__file__).parents[2]
 SCENARIOS = ROOT / "config/scenarios"

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
-from rigctl import config
-from rigctl.config import RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check

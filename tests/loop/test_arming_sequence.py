@@ -8,13 +8,13 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import Phase
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control import arming
+from rigctl.control.events import CHECK_TEXT, Kind, worded
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action, Check, Fault, Trip
 from rigctl.control.tension import Gains
 from rigctl.devices.objects import Controlword, DriveState
-from rigctl.telemetry.events import CHECK_TEXT, Kind, worded
 
 Enter = Callable[[Mode], None]
 MS = 1_000_000

@@ -8,9 +8,9 @@ import can
 import pytest
 
 from hil.lockstep import Lockstep
+from rigctl.control.events import Kind, worded
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Fault
-from rigctl.telemetry.events import Kind, worded
 
 
 def pull_down(rig: Lockstep, patch: pytest.MonkeyPatch) -> None:

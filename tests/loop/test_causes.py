@@ -10,19 +10,20 @@ import pytest
 
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
-from rigctl.commission.ledger import Standing
+from rigctl.cli import status
 from rigctl.commission.preflight import Verdict
+from rigctl.control.events import Kind, worded
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Fault
 from rigctl.devices import objects
-from rigctl.operator import figures, status
+from rigctl.gateway.active import Active
+from rigctl.gateway.gateway_process import StateView
+from rigctl.gateway.published_position import Cursor
+from rigctl.ipc.ledger import Standing
 from rigctl.page.panel import state_message
-from rigctl.telemetry.active import Active
-from rigctl.telemetry.cursor import Cursor
-from rigctl.telemetry.events import Kind, worded
-from rigctl.telemetry.gateway import StateView
-from rigctl.telemetry.request import Request, Sight, answer
-from rigctl.telemetry.state import Causes
+from rigctl.wire import state_words as figures
+from rigctl.wire.command_request import Request, Sight, answer
+from rigctl.wire.state_message import Causes
 
 CELL = 0x182
 

@@ -9,8 +9,8 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import Phase
-from rigctl.config import RigSettings
-from rigctl.config_limits import OF_STATUS
+from rigctl.config.limits_section import OF_STATUS
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.safety import HOST_CHECKS, STATUS_PERIODS, Action, Check, Fault, Trip
 from rigctl.control.tension import Gains

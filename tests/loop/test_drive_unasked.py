@@ -10,10 +10,10 @@ from hil.lockstep import Lockstep
 from hil.nodes.cylinder_drive import ServiceTool
 from hil.nodes.power_stage import Phase
 from hil.wire import FRAME
+from rigctl.control.events import Kind, worded
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action, Check, Fault
 from rigctl.devices import objects
-from rigctl.telemetry.events import Kind, worded
 
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
 DEVICES = {2: "tension cell", 3: "inclinometer", 4: "cylinder drive"}

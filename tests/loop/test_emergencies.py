@@ -9,10 +9,10 @@ import pytest
 
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
+from rigctl.control.events import Kind, worded
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Fault
 from rigctl.devices import objects
-from rigctl.telemetry.events import Kind, worded
 
 CELL, DRIVE = 2, 4
 Enter = Callable[[Mode], None]

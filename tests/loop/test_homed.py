@@ -8,13 +8,13 @@ import pytest
 
 from hil.faults.in_device import STROKE
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.events import Kind, worded
 from rigctl.control.homed import TOLERANCE_MM, LastStroke
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action, Check, Fault
 from rigctl.control.tension import Gains
-from rigctl.telemetry.events import Kind, worded
-from rigctl.telemetry.record import Flag
+from rigctl.ipc.record import Flag
 
 Enter = Callable[[Mode], None]
 JUMP_UM = 52_000

@@ -11,14 +11,14 @@ from hil.nodes import io_node
 from hil.nodes.io_node import IoNode
 from hil.nodes.power_stage import Phase
 from hil.wire import FRAME
-from rigctl.config import RigSettings
-from rigctl.config_io import IoSettings
-from rigctl.config_limits import OF_STATUS
+from rigctl.config.io_section import IoSettings
+from rigctl.config.limits_section import OF_STATUS
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.events import Kind
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action, Check, EStop, Fault
 from rigctl.control.tension import Gains
 from rigctl.devices import objects, startup
-from rigctl.telemetry.events import Kind
 
 IO = IoSettings(e_stop_input=9)
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.events import Kind, worded
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.tension import Gains
-from rigctl.telemetry.events import Kind, worded
-from rigctl.telemetry.record import HOLD_ID
+from rigctl.ipc.record import HOLD_ID
 
 
 def tensioning(rig: Lockstep) -> None:

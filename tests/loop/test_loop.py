@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.events import Kind
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
-from rigctl.report import metrics
-from rigctl.telemetry.events import Kind
-from rigctl.telemetry.record import Quality
+from rigctl.ipc.record import Quality
+from rigctl.metrics import tension_error as metrics
 
 Enter = Callable[[Mode], None]
 ACTIVE = [Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING]

@@ -10,13 +10,13 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.plain_sensors import PlainSensor
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
 from rigctl.devices.startup import Device, PlainDevice
-from rigctl.report import metrics
-from rigctl.telemetry.record import Quality
+from rigctl.ipc.record import Quality
+from rigctl.metrics import tension_error as metrics
 
 Enter = Callable[[Mode], None]
 PLAIN = config.load(pathlib.Path(__file__).parents[2] / "config/plain_rig.yaml")

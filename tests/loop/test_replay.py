@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
-from rigctl.commission.ledger import IN_FORCE, Standing
-from rigctl.config import RigSettings
-from rigctl.control.correction import Correction
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.safety import Check
 from rigctl.control.tension import Gains
+from rigctl.ipc.correction import Correction
+from rigctl.ipc.ledger import IN_FORCE, Standing
+from rigctl.ipc.record import Flag
+from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.recorder.continuous import Continuous
 from rigctl.recorder.recording import Recording, parts_of, read
 from rigctl.replay.compare import Against, first_difference
 from rigctl.replay.play import ReplayError, Span, play, spans
-from rigctl.telemetry.record import Flag
-from rigctl.telemetry.runtime import ACTIVE
 
 STOP_S = 3.0
 

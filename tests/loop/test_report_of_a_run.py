@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from hil.lockstep import lockstep
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
+from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.recorder.continuous import Continuous
 from rigctl.recorder.recording import parts_of, read
 from rigctl.report.findings import Findings, find
 from rigctl.report.page import render
-from rigctl.telemetry.runtime import ACTIVE
 
 SETTLED_S, BATCH_S = 6.0, 0.5
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.events import Kind
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Fault
 from rigctl.control.signs import SLOPE_N
 from rigctl.control.tension import RAMP_EASE_S, Gains
 from rigctl.design.margins import design_and_check
 from rigctl.devices.objects import MM_PER_POSITION_UNIT
-from rigctl.telemetry.events import Kind
 from tests.loop.test_trials import cell_reads
 
 Enter = Callable[[Mode], None]

@@ -8,10 +8,10 @@ import pytest
 
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
+from rigctl.control.events import Kind
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import STATUS_PERIODS, Action, Check, Fault
 from rigctl.devices import objects
-from rigctl.telemetry.events import Kind
 
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
 Enter = Callable[[Mode], None]

@@ -8,7 +8,7 @@ import pytest
 
 from hil.lockstep import Lockstep
 from hil.nodes.power_stage import Phase
-from rigctl.config_bounds import Stop
+from rigctl.config.bounds import Stop
 from rigctl.control.modes import Mode, Refusal, Verb
 
 DEAD_TICKS = 500

@@ -12,12 +12,12 @@ from hil.faults import in_device, stand
 from hil.faults.in_device import SPEED, STROKE, both, creeps, reads
 from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.events import Kind, worded
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action, Fault, Trip
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, SAID_MM
 from rigctl.control.tension import Gains
-from rigctl.telemetry.events import Kind, worded
 
 Floats = npt.NDArray[np.float64]
 HELD_MM = 1.0

@@ -9,12 +9,12 @@ import pytest
 
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.events import worded
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action, Check, Fault
 from rigctl.devices import busload, sdo
 from rigctl.devices import objects as od
-from rigctl.telemetry.events import worded
 
 Enter = Callable[[Mode], None]
 WRITES = (  # those of the issue: index, sub-index, size

@@ -8,13 +8,13 @@ from collections.abc import Callable
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config import RigSettings
-from rigctl.control.correction import Correction
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.events import Kind
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.safety import Check, Fault
 from rigctl.control.tension import Gains
 from rigctl.devices.objects import AiStatus
-from rigctl.telemetry.events import Kind
+from rigctl.ipc.correction import Correction
 
 Enter = Callable[[Mode], None]
 OFFSET_N = 3.0

@@ -17,18 +17,18 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from hil.lockstep import Lockstep, lockstep
 from hil.wire import FRAME
-from rigctl.config import AuditSettings, RigSettings
-from rigctl.config_recording import RecordingSettings
+from rigctl.config.recording_section import RecordingSettings
+from rigctl.config.rig_file import AuditSettings, RigSettings
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.safety import Check
 from rigctl.control.tension import Gains
+from rigctl.ipc.record import RECORD
+from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.recorder import chain
 from rigctl.recorder import recording as recordings
-from rigctl.recorder.process import Recorder
+from rigctl.recorder.recorder_process import Recorder
 from rigctl.replay.compare import first_difference
 from rigctl.replay.play import play, spans
-from rigctl.telemetry.record import RECORD
-from rigctl.telemetry.runtime import ACTIVE
 from tests.loop.test_loop import nmt, stop_node
 
 WALL_OFFSET_NS = 1_700_000_000_000_000_000

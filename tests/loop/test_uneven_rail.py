@@ -12,12 +12,12 @@ from hil.plant.layout import MECHANISM, RUN_OUT
 from hil.scenario import disturbances, kinds
 from hil.scenario.play import play
 from hil.wire import FRAME
-from rigctl.config import RailEncoderSettings, RigSettings, RunOutSettings
+from rigctl.config.rig_file import RailEncoderSettings, RigSettings, RunOutSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
 from rigctl.devices import busload, objects, startup
-from rigctl.telemetry.record import Quality
+from rigctl.ipc.record import Quality
 from tests.unit.hil.rig_bench import changed
 
 ENCODER = RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=1000)

@@ -22,7 +22,7 @@ from tests.mutation.mutants import Mutant, Workshop
 
 LIMIT_CPU_S = 60  # far above all tests of a module: a mutant that takes longer hangs
 PARTS = ("rigctl", "hil", "tests", "config", "docs", "pyproject.toml")
-_HEAVY = ("numpy", "yaml", "msgspec", "can", "hypothesis.strategies", "rigctl.config", "rigctl.telemetry.record")
+_HEAVY = ("numpy", "yaml", "msgspec", "can", "hypothesis.strategies", "rigctl.config.rig_file", "rigctl.ipc.record")
 SURVIVED, KILLED, SAME = "survived", "killed", "the same program"
 _SAME_CODE = 77
 

@@ -182,7 +182,7 @@ def test_the_daemons_own_page_is_read_only_and_comes_back(chromium: Browser, run
     before, lost = daemons.state(running.file), daemons.frames_lost(running.file)
     os.kill(own_page(running), signal.SIGKILL)
     seen.until("!rigctl.stale && rigctl.link.opened > 1")  # it may be back before the page has called itself stale
-    os.kill(daemons.process_with("rigctl.telemetry.gateway", daemons.name_of(running.file)), signal.SIGKILL)
+    os.kill(daemons.process_with("rigctl.gateway.gateway_process", daemons.name_of(running.file)), signal.SIGKILL)
     newest = seen.run("rigctl.store.newestMs")
     seen.until(f"!rigctl.stale && rigctl.store.newestMs > {newest} + 3000")
     seen.page.close()

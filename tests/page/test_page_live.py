@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser
 
+from rigctl.ipc.record import RECORD
 from rigctl.page.history import WINDOWS_S
-from rigctl.telemetry.record import RECORD
 from tests.page.pages import Server, Sight, look, serving
 from tests.telemetry.miniature import Daemon, free_port, running
 

@@ -14,8 +14,8 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from rigctl import config
-from rigctl.page.address import Address, AddressError
+from rigctl.config import rig_file as config
+from rigctl.config.page_address import Address, AddressError
 from rigctl.page.guard import HEADERS, Guard
 from tests import daemons
 from tests.page.pages import Server, serving

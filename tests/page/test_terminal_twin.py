@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from rigctl.cli.watch import View
+from rigctl.cli.watch_screen import Screen
+from rigctl.control.events import Kind, worded
 from rigctl.control.safety import Action, Fault
-from rigctl.operator.passed_limits import PassedLimits
-from rigctl.operator.screen import Screen
-from rigctl.operator.watch import View
 from rigctl.page.panel import state_message
 from rigctl.page.picture import Picture
-from rigctl.telemetry.events import Kind, worded
+from rigctl.wire.passed_limits import PassedLimits
 from tests.telemetry.miniature import Daemon
 
 

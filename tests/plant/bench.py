@@ -11,9 +11,9 @@ import numpy as np
 from hil.plant import Plant
 from hil.plant.inputs import Track
 from hil.truth import Truth
-from rigctl import config
-from rigctl.config import RigSettings
-from rigctl.config_bounds import as_study
+from rigctl.config import rig_file as config
+from rigctl.config.bounds import as_study
+from rigctl.config.rig_file import RigSettings
 
 REPOSITORY = pathlib.Path(__file__).parents[2]
 _FRICTION: dict[str, Any] = {

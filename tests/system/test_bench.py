@@ -10,11 +10,11 @@ import pytest
 import yaml
 
 from rigctl.bench import cyclictest
-from rigctl.bench.command import judged
 from rigctl.bench.loop import Rate, rehearsed
-from rigctl.config import load
-from rigctl.demo.command import own_settings
-from rigctl.telemetry import runtime
+from rigctl.cli.bench import judged
+from rigctl.cli.demo import own_settings
+from rigctl.config.rig_file import load
+from rigctl.ipc import runtime_folder as runtime
 from tests import daemons
 from tests.system.test_daemon import PATIENT
 

@@ -15,11 +15,11 @@ from typing import Any
 import msgspec
 import pytest
 
-from rigctl import config
 from rigctl.client.connection import Client
-from rigctl.commission import ledger
-from rigctl.commission.ledger import Entry
-from rigctl.telemetry.runtime import Runtime
+from rigctl.config import rig_file as config
+from rigctl.ipc import ledger
+from rigctl.ipc.ledger import Entry
+from rigctl.ipc.runtime_folder import Runtime
 from tests import daemons
 from tests.system.test_daemon import PATIENT, Running
 
@@ -163,7 +163,9 @@ def test_a_tare_on_record_whose_gateway_was_killed_is_put_in_force_by_the_next(r
             settings, "tare", "kim", time.time_ns(), before=before, after={"zero_n": 1.5, "scale": 1.0}, figures={}
         ),
     )
-    subprocess.run(["kill", "-9", str(daemons.process_with("rigctl.telemetry.gateway", settings.rig))], check=True)
+    subprocess.run(
+        ["kill", "-9", str(daemons.process_with("rigctl.gateway.gateway_process", settings.rig))], check=True
+    )
     daemons.wait_for(lambda: "the tare by kim" in running.log.read_text(), log=running.log)
     assert "left over from before, is in force" in running.log.read_text()
     daemons.wait_for(lambda: daemons.state(running.file)["calibration"]["zero_n"] == 1.5)

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from rigctl.devices import objects as od
-from rigctl.telemetry.runtime import Runtime
+from rigctl.ipc.runtime_folder import Runtime
 from tests import daemons
 
 # The rig PC is shared with other tests here: patience in time, not in function.
@@ -191,7 +191,8 @@ def test_the_gateway_is_killed_and_comes_back_and_the_loop_does_not_notice(runni
 
     for _ in range(2):
         os.kill(
-            daemons.process_with("rigctl.telemetry.gateway", f"rigctl-{daemons.name_of(running.file)}"), signal.SIGKILL
+            daemons.process_with("rigctl.gateway.gateway_process", f"rigctl-{daemons.name_of(running.file)}"),
+            signal.SIGKILL,
         )
         daemons.wait_for(compensates, log=running.log)
     slots = np.concatenate([*parts, records.read()])

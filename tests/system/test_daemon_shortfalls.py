@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from rigctl.telemetry.runtime import Runtime
+from rigctl.ipc.runtime_folder import Runtime
 from tests import daemons
 from tests.system.test_daemon import PATIENT, Running
 
@@ -53,7 +53,7 @@ def test_a_runtime_folder_that_is_deleted_ends_the_daemon_with_the_stroke_held(r
     before = tensioned(running)
     runtime = Runtime.of(daemons.name_of(running.file))
     if killed:
-        module = {"gateway": "rigctl.telemetry.gateway", "control": "rigctl.control"}[killed]
+        module = {"gateway": "rigctl.gateway.gateway_process", "control": "rigctl.control"}[killed]
         os.kill(daemons.process_with(module, str(runtime.directory)), signal.SIGKILL)
     shutil.rmtree(runtime.directory)
     said = ended(running, 1, before)
@@ -77,7 +77,7 @@ def test_sighup_ends_it_like_sigterm(running: Running) -> None:
 def test_a_lease_file_with_a_wrong_byte_costs_the_lease_and_nothing_else(running: Running) -> None:
     running.do("arm")
     runtime = Runtime.of(daemons.name_of(running.file))
-    gateway = daemons.process_with("rigctl.telemetry.gateway", str(runtime.directory))
+    gateway = daemons.process_with("rigctl.gateway.gateway_process", str(runtime.directory))
     file = runtime.directory / "lease.json"
     whole = file.read_bytes()
     file.write_bytes(whole[:20] + b"\xff" + whole[21:])
@@ -93,7 +93,7 @@ def test_a_damaged_active_json_is_written_anew_for_a_process_that_comes_back(run
     before = runtime.read_json("active.json")
     file = runtime.directory / "active.json"
     file.write_bytes(file.read_bytes().replace(b'"k_tension":', b'"k_tension":9', 1))
-    os.kill(daemons.process_with("rigctl.telemetry.gateway", str(runtime.directory)), signal.SIGKILL)
+    os.kill(daemons.process_with("rigctl.gateway.gateway_process", str(runtime.directory)), signal.SIGKILL)
     daemons.wait_for(lambda: daemons.state(running.file), log=running.log)
     assert "active.json in the runtime folder was damaged" in running.log.read_text()
     assert runtime.read_json("active.json") == before
@@ -101,7 +101,7 @@ def test_a_damaged_active_json_is_written_anew_for_a_process_that_comes_back(run
 
 def test_the_loop_is_the_last_that_the_kernel_ends_for_want_of_memory(running: Running) -> None:
     folder = str(Runtime.of(daemons.name_of(running.file)).directory)
-    modules = ("rigctl.page", "rigctl.telemetry.gateway", "rigctl.recorder", "rigctl.control")
+    modules = ("rigctl.page", "rigctl.gateway.gateway_process", "rigctl.recorder", "rigctl.control")
     pids = [daemons.process_with(module, folder) for module in modules]
     scores = [int(pathlib.Path(f"/proc/{pid}/oom_score_adj").read_text()) for pid in (*pids, running.daemon.pid)]
     *beside, control, supervisor = scores

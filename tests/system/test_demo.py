@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from rigctl.control.modes import Mode, Verb
+from rigctl.ipc.runtime_folder import Runtime
 from rigctl.recorder import recording
-from rigctl.telemetry.runtime import Runtime
 from tests import daemons
 from tests.system.test_daemon import PATIENT
 

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import pytest
 import yaml
 
-from rigctl import config
-from rigctl.commission import ledger
-from rigctl.telemetry.runtime import ACTIVE, Runtime
+from rigctl.config import rig_file as config
+from rigctl.ipc import ledger
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from tests import daemons
 from tests.system.test_daemon import PATIENT, Running
 

@@ -12,7 +12,7 @@ import pytest
 
 from rigctl.client import local_hold
 from rigctl.control.modes import Mode
-from rigctl.telemetry.runtime import Runtime
+from rigctl.ipc.runtime_folder import Runtime
 from tests import daemons
 from tests.bench.flood import KINDS, flooding
 from tests.bench.holds import Subject, hung

@@ -15,9 +15,9 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from rigctl import config
+from rigctl.config import rig_file as config
+from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder import chain
-from rigctl.telemetry.runtime import RECORDED, Runtime
 from tests import daemons
 from tests.system.test_daemon import PATIENT, Running
 

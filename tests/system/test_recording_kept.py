@@ -16,10 +16,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.control.modes import Mode
+from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder import recording
-from rigctl.telemetry.runtime import RECORDED, Runtime
 from tests import daemons
 from tests.bench.recorder import PATIENT, judged, strike
 

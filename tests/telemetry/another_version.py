@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from rigctl.telemetry import record
-from rigctl.telemetry.record import Field, Slot
+from rigctl.ipc import record
+from rigctl.ipc.record import Field, Slot
 
 
 class Newer(Slot):
@@ -32,9 +32,10 @@ def main() -> None:
     fields[at:at] = [Field("gusts_mm_s", "d", "mm/s", "new in that version"), Field("tag", "8s", "", "new too")]
     record.RECORD = Newer("record", tuple(fields))
 
-    from rigctl.config import RigSettings
-    from rigctl.telemetry import gateway, schema
-    from rigctl.telemetry.runtime import Runtime
+    from rigctl.config.rig_file import RigSettings
+    from rigctl.gateway import gateway_process as gateway
+    from rigctl.ipc.runtime_folder import Runtime
+    from rigctl.wire import schema
 
     runtime = Runtime(pathlib.Path(sys.argv[1]))
     if len(sys.argv) > 2:

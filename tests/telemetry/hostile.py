@@ -9,9 +9,9 @@ from typing import Any
 
 import zenoh
 
-from rigctl.telemetry import block
-from rigctl.telemetry.keys import Keys
-from rigctl.telemetry.session import close, finish, open_client
+from rigctl.wire import block
+from rigctl.wire.keys import Keys
+from rigctl.wire.session import close, finish, open_client
 
 ESCAPES = "\x1b]0;owned\x07\x1b[2J\x1b[31mOWNED\x9b2J\r\n\u202eDENWO"
 NOT_JSON: dict[str, bytes] = {

@@ -15,10 +15,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import IO, Any
 
-from rigctl import config
 from rigctl.client import Rig, connect
 from rigctl.client.connection import Client
-from rigctl.telemetry.runtime import Runtime
+from rigctl.config import rig_file as config
+from rigctl.ipc.runtime_folder import Runtime
 
 ROOT = pathlib.Path(__file__).parents[2]
 PATIENCE_S = 40.0  # far above anything expected, on a busy machine too: only a hang fails
@@ -88,7 +88,7 @@ class Daemon:
         return loop
 
     def start_gateway(self) -> None:
-        self.gateway = self.spawn("-m", "rigctl.telemetry.gateway", str(self.runtime.directory))
+        self.gateway = self.spawn("-m", "rigctl.gateway.gateway_process", str(self.runtime.directory))
 
     def kill_gateway(self) -> None:
         assert self.gateway is not None
@@ -140,7 +140,7 @@ class Daemon:
 
     def cli(self, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [sys.executable, "-m", "rigctl.cli", *arguments],
+            [sys.executable, "-m", "rigctl.cli.app", *arguments],
             cwd=ROOT,
             env=self.environment(**environment),
             capture_output=True,

@@ -13,6 +13,7 @@ import sys
 import time
 from typing import Any
 
+from rigctl.control.events import Kind
 from rigctl.control.modes import (
     TRANSITIONS,
     Decision,
@@ -26,9 +27,8 @@ from rigctl.control.modes import (
     next_mode,
 )
 from rigctl.control.safety import Action, Check, Fault
-from rigctl.telemetry.events import Kind
-from rigctl.telemetry.record import RECORD
-from rigctl.telemetry.runtime import Runtime
+from rigctl.ipc.record import RECORD
+from rigctl.ipc.runtime_folder import Runtime
 
 PERIOD_NS = 1_000_000
 ARM_NS = 300_000_000

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import rigctl.client
-from rigctl.commission.ledger import IN_FORCE, Standing
-from rigctl.telemetry.record import RECORD
+from rigctl.ipc.ledger import IN_FORCE, Standing
+from rigctl.ipc.record import RECORD
 from tests.telemetry.miniature import PATIENCE_S, ROOT, Daemon, free_port, until
 
 

@@ -15,8 +15,8 @@ import pytest
 import zenoh
 
 from rigctl.client.fast import FastReader
-from rigctl.telemetry.record import RECORD
-from rigctl.telemetry.session import close, open_client
+from rigctl.ipc.record import RECORD
+from rigctl.wire.session import close, open_client
 from tests.telemetry.miniature import DESIGN, ROOT, Daemon, free_port, until
 
 
@@ -143,7 +143,7 @@ def test_it_ends_with_its_parent() -> None:
     try:
         daemon.start_loop()
         parent = "import subprocess, sys; p = subprocess.Popen(sys.argv[1:]); print(p.pid, flush=True); p.wait()"
-        gateway = [sys.executable, "-m", "rigctl.telemetry.gateway", str(daemon.runtime.directory)]
+        gateway = [sys.executable, "-m", "rigctl.gateway.gateway_process", str(daemon.runtime.directory)]
         process = daemon.spawn("-c", parent, *gateway)
         daemon.client().close()
         process.kill()
@@ -185,7 +185,7 @@ def test_endpoint_it_cannot_have_is_one_line(listen: str, why: str) -> None:
 
 
 def run_gateway(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "rigctl.telemetry.gateway", *arguments]
+    command = [sys.executable, "-m", "rigctl.gateway.gateway_process", *arguments]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=30, check=False)
 
 

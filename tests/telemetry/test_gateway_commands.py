@@ -11,9 +11,9 @@ import msgspec
 import pytest
 
 from rigctl.client.connection import Client, NoDaemonError
+from rigctl.control.events import CHECK_TEXT
 from rigctl.control.modes import Setting, Verb
 from rigctl.control.safety import Check
-from rigctl.telemetry.events import CHECK_TEXT
 from tests.telemetry.miniature import RUN_ID, Daemon, running, until
 
 

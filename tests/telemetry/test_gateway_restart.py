@@ -12,8 +12,8 @@ import zenoh
 
 from rigctl.client.fast import FastReader
 from rigctl.control.modes import Verb
-from rigctl.telemetry.block import decode
-from rigctl.telemetry.record import RECORD
+from rigctl.ipc.record import RECORD
+from rigctl.wire.block import decode
 from tests.telemetry.miniature import Daemon, until
 
 
@@ -108,7 +108,7 @@ def test_records_overwritten_before_they_were_published_are_counted() -> None:
 
 def test_counter_process_counts_everything(own: Daemon) -> None:
     own.client().close()
-    counter = own.spawn("-m", "rigctl.telemetry.counter", "--connect", own.endpoint)
+    counter = own.spawn("-m", "rigctl.client.counter", "--connect", own.endpoint)
     assert counter.stdout is not None
     assert json.loads(counter.stdout.readline())["ready"] is True
     own.kill_gateway()
@@ -128,7 +128,7 @@ def test_counter_without_a_daemon_is_one_line(own: Daemon) -> None:
 
     own.client().close()
     own.kill_gateway()
-    counter = own.spawn("-m", "rigctl.telemetry.counter", "--connect", own.endpoint, stderr=subprocess.PIPE)
+    counter = own.spawn("-m", "rigctl.client.counter", "--connect", own.endpoint, stderr=subprocess.PIPE)
     _, complaint = counter.communicate(timeout=15)
     assert counter.returncode == 1
     assert complaint == f"no daemon answers at {own.endpoint} (absent, or not allowed)\n"

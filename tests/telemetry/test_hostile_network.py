@@ -55,7 +55,7 @@ class Watch:
     def __init__(self, daemon: Daemon, *, terminal: bool) -> None:
         self._read, write = pty.openpty() if terminal else os.pipe()
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "rigctl.cli", "watch"], cwd=ROOT, stdout=write, stderr=subprocess.PIPE,
+            [sys.executable, "-m", "rigctl.cli.app", "watch"], cwd=ROOT, stdout=write, stderr=subprocess.PIPE,
             env=daemon.environment(TERM="xterm", COLUMNS="100", LINES="40"),
         )  # fmt: skip
         os.close(write)

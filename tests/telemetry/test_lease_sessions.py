@@ -17,7 +17,7 @@ import pytest
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.client.messages import Feed
 from rigctl.control.modes import Verb
-from rigctl.telemetry.lease_keeper import IN_FORCE
+from rigctl.gateway.lease_service import IN_FORCE
 from tests.telemetry.miniature import ROOT, Daemon, until
 
 HOW = "to take it over: rigctl lease take --reason TEXT"
@@ -160,14 +160,14 @@ def test_a_lapse_is_told_and_moves_nothing(own: Daemon) -> None:
 
 def test_a_dead_terminal_leaves_the_rig_as_it_is_and_the_lease_to_the_next(own: Daemon) -> None:
     with own.client() as client:
-        command = [sys.executable, "-m", "rigctl.cli", "target", "111", "--operator", "anna"]
+        command = [sys.executable, "-m", "rigctl.cli.app", "target", "111", "--operator", "anna"]
         waiting = subprocess.Popen(command, cwd=ROOT, env=own.environment())  # the loop does not answer this one
         given_to_loop = own.runtime.command_reader(from_start=True)
         until(lambda: 111.0 in given_to_loop.read()["value"], "the lease to be taken, kept, and the command given")
         waiting.kill()
         waiting.wait()
         assert own.cli("arm", "--operator", "anna").returncode == 0
-        command = [sys.executable, "-m", "rigctl.cli", "tension", "--wait", "--operator", "anna"]
+        command = [sys.executable, "-m", "rigctl.cli.app", "tension", "--wait", "--operator", "anna"]
         waiting = subprocess.Popen(command, cwd=ROOT, env=own.environment(), stdout=subprocess.PIPE)
         assert waiting.stdout is not None
         assert b"ramping" in waiting.stdout.readline()

@@ -54,7 +54,7 @@ def test_a_session_typed(own: Daemon) -> None:
 def test_wait_ends_when_the_rig_trips(slow: Daemon) -> None:
     slow.client().close()
     slow.cli("arm")
-    waiting = slow.spawn("-m", "rigctl.cli", "tension", "--wait", stderr=subprocess.PIPE, env=slow.environment())
+    waiting = slow.spawn("-m", "rigctl.cli.app", "tension", "--wait", stderr=subprocess.PIPE, env=slow.environment())
     assert waiting.stdout is not None
     assert waiting.stdout.readline() == "TENSION: ramping to 300 N, TENSIONING\n"
     slow.cli("target", "222")  # the stand-in trips
@@ -123,7 +123,7 @@ def test_status_fits_a_small_screen(shared: Daemon) -> None:
 
 def test_watch_prints_lines_through_a_restart(own: Daemon) -> None:
     own.client().close()
-    command = [sys.executable, "-m", "rigctl.cli", "watch", "--connect", own.endpoint]
+    command = [sys.executable, "-m", "rigctl.cli.app", "watch", "--connect", own.endpoint]
     watching = subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert watching.stdout is not None
     assert "DISARMED" in watching.stdout.readline()
@@ -139,7 +139,7 @@ def test_watch_prints_lines_through_a_restart(own: Daemon) -> None:
 @pytest.mark.parametrize("options", [(), ("--json",)])
 def test_watch_waits_for_a_daemon(options: tuple[str, ...]) -> None:
     late = Daemon()
-    command = [sys.executable, "-m", "rigctl.cli", "watch", *options, "--connect", late.endpoint]
+    command = [sys.executable, "-m", "rigctl.cli.app", "watch", *options, "--connect", late.endpoint]
     watching = subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     try:
         assert watching.stdout is not None
@@ -159,7 +159,7 @@ def test_watch_waits_for_a_daemon(options: tuple[str, ...]) -> None:
 
 def test_watch_stops_waiting_at_ctrl_c() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    command = [sys.executable, "-m", "rigctl.cli", "watch", "--connect", endpoint]
+    command = [sys.executable, "-m", "rigctl.cli.app", "watch", "--connect", endpoint]
     watching = subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     try:
         assert watching.stderr is not None
@@ -176,7 +176,7 @@ def test_watch_stops_waiting_at_ctrl_c() -> None:
 
 def test_watch_json_is_one_state_per_line(shared: Daemon) -> None:
     shared.client().close()
-    command = [sys.executable, "-m", "rigctl.cli", "watch", "--json", "--connect", shared.endpoint]
+    command = [sys.executable, "-m", "rigctl.cli.app", "watch", "--json", "--connect", shared.endpoint]
     watching = subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert watching.stdout is not None
     ticks = [json.loads(watching.stdout.readline())["tick"] for _ in range(10)]
@@ -188,7 +188,7 @@ def test_watch_json_is_one_state_per_line(shared: Daemon) -> None:
 def test_watch_screen_survives_a_restart_and_ends_with_ctrl_c(own: Daemon) -> None:
     own.client().close()
     master, slave = pty.openpty()
-    command = [sys.executable, "-m", "rigctl.cli", "watch", "--connect", own.endpoint]
+    command = [sys.executable, "-m", "rigctl.cli.app", "watch", "--connect", own.endpoint]
     environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"}
     watching = subprocess.Popen(command, cwd=ROOT, env=environment, stdin=slave, stdout=slave, stderr=slave)
     os.close(slave)

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from rigctl.telemetry.schema import schema
+from rigctl.wire.schema import schema
 from tests.telemetry.miniature import PATIENCE_S, ROOT, Daemon
 
 

@@ -11,12 +11,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from rigctl.config import AuditSettings
-from rigctl.config_recording import RecordingSettings
+from rigctl.config.recording_section import RecordingSettings
+from rigctl.config.rig_file import AuditSettings
+from rigctl.control.events import Kind
+from rigctl.ipc.runtime_folder import ACTIVE, RECORDED
+from rigctl.ipc.supervision import Doing, Supervision
 from rigctl.recorder import chain
-from rigctl.telemetry.events import Kind
-from rigctl.telemetry.runtime import ACTIVE, RECORDED
-from rigctl.telemetry.supervision import Doing, Supervision
 from tests.telemetry.miniature import Daemon, until
 
 KILLS = 10

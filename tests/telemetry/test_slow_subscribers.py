@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from rigctl.telemetry.record import RECORD
-from rigctl.telemetry.ring import RingReader
+from rigctl.ipc.record import RECORD
+from rigctl.ipc.ring import RingReader
 from tests.telemetry.miniature import PATIENCE_S, Daemon, stop, until
 
 HEALTHY = 3
@@ -69,7 +69,7 @@ def filling(daemon: Daemon) -> Iterator[RingReader]:
 
 
 def counters(daemon: Daemon, number: int) -> list[subprocess.Popen[str]]:
-    processes = [daemon.spawn("-m", "rigctl.telemetry.counter", "--connect", daemon.endpoint) for _ in range(number)]
+    processes = [daemon.spawn("-m", "rigctl.client.counter", "--connect", daemon.endpoint) for _ in range(number)]
     for process in processes:
         assert process.stdout is not None
         assert json.loads(process.stdout.readline())["ready"] is True

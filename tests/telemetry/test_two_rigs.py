@@ -168,7 +168,7 @@ def test_a_namesake_behind_the_joined_router_is_refused(two: tuple[Daemon, Daemo
     with answering_late(first.endpoint, late_s) as way:
         twin = Daemon("north_rig", join=[way])
         try:
-            command = [sys.executable, "-m", "rigctl.telemetry.gateway", str(twin.runtime.directory)]
+            command = [sys.executable, "-m", "rigctl.gateway.gateway_process", str(twin.runtime.directory)]
             done = subprocess.run(
                 command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S * 2, check=False
             )

@@ -10,7 +10,7 @@ import pytest
 import typer
 
 import rigctl
-from rigctl.cli import app
+from rigctl.cli.app import app
 from tests.conftest import Command
 
 VERBS = sorted(typer.main.get_group(app).commands)
@@ -32,6 +32,6 @@ def test_help_has_a_short_name_everywhere(in_process: Command, verb: str) -> Non
 
 def test_a_shell_completes_the_verbs() -> None:
     asked = {"_RIGCTL_COMPLETE": "complete_bash", "COMP_WORDS": "rigctl ta", "COMP_CWORD": "1"}
-    command = [sys.executable, "-c", "import sys; sys.argv[0] = 'rigctl'; from rigctl.cli import main; main()"]
+    command = [sys.executable, "-c", "import sys; sys.argv[0] = 'rigctl'; from rigctl.cli.app import main; main()"]
     done = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout.split() == ["tare", "target"]

@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl import config, config_wording, strict_yaml
+from rigctl.config import rig_file as config
+from rigctl.config import strict_yaml
+from rigctl.config import wording as config_wording
 
 ROOT = pathlib.Path(__file__).parents[2]
 PAPER = (ROOT / "config/paper_rig.yaml").read_text()

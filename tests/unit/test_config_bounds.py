@@ -9,11 +9,13 @@ from typing import Any
 import pytest
 import yaml
 
-from rigctl import check, config, config_bounds
-from rigctl.config import RigSettings
-from rigctl.config_bounds import BOUNDS, Bound, Stop, findings
-from rigctl.config_io import IoSettings
-from rigctl.config_limits import LimitSettings
+from rigctl.cli import check
+from rigctl.config import bounds as config_bounds
+from rigctl.config import rig_file as config
+from rigctl.config.bounds import BOUNDS, Bound, Stop, findings
+from rigctl.config.io_section import IoSettings
+from rigctl.config.limits_section import LimitSettings
+from rigctl.config.rig_file import RigSettings
 
 ROOT = pathlib.Path(__file__).parents[2]
 PAPER = ROOT / "config/paper_rig.yaml"
@@ -174,7 +176,7 @@ def test_figures_taken_from_the_loop_are_the_loops() -> None:
 def test_the_page_is_what_the_table_gives() -> None:
     page = (ROOT / "docs/bounds.md").read_text()
     assert page == config_bounds.document(config.load(PAPER)), (
-        "run `python -m rigctl.config_bounds config/paper_rig.yaml > docs/bounds.md`"
+        "run `python -m rigctl.config.bounds config/paper_rig.yaml > docs/bounds.md`"
     )
 
 

@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as run_with
 from hypothesis import strategies as st
 
-from rigctl import config
-from rigctl.config import RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
 from rigctl.devices import busload
 
 CONFIG = pathlib.Path(__file__).parents[2] / "config"
@@ -95,7 +95,7 @@ def test_a_rig_without_dbc_sections_does_not_import_cantools() -> None:
 
 def test_the_control_process_never_imports_cantools() -> None:
     code = (
-        "import sys; from rigctl.control import process; from rigctl.config import RigSettings; import json\n"
+        "import sys; from rigctl.control import process; from rigctl.config.rig_file import RigSettings; import json\n"
         "from rigctl.control.inbox import Inbox\n"
         "Inbox(None, RigSettings.model_validate(json.loads(sys.stdin.read())))\n"
         "sys.exit('cantools' in sys.modules)"

@@ -6,9 +6,9 @@ import pathlib
 
 import pytest
 
-from rigctl import config
+from rigctl.config import rig_file as config
+from rigctl.demo.test_rig import rig_file
 from rigctl.devices import busload
-from rigctl.rehearsal import rig_file
 from tests.unit.hil.test_parameter_sets import with_set
 
 ROOT = pathlib.Path(__file__).parents[2]

@@ -8,11 +8,12 @@ import pathlib
 import pytest
 from rich.console import Console
 
-from rigctl import check, config
-from rigctl.config import RailEncoderSettings
-from rigctl.config_io import IoSettings
+from rigctl.cli import check
+from rigctl.config import rig_file as config
+from rigctl.config.io_section import IoSettings
+from rigctl.config.rig_file import RailEncoderSettings
+from rigctl.demo.test_rig import rig_file
 from rigctl.devices import busload
-from rigctl.rehearsal import rig_file
 
 ROOT = pathlib.Path(__file__).parents[2]
 REAL = (ROOT / "config/rig.yaml").read_text()

@@ -11,9 +11,10 @@ import pytest
 
 from hil.scenario.command import check_outputs
 from hil.scenario.errors import ScenarioError
-from rigctl import output_file, strict_yaml
-from rigctl.output_file import OutputError
-from rigctl.strict_yaml import FileError
+from rigctl.config import strict_yaml
+from rigctl.config.strict_yaml import FileError
+from rigctl.ipc import output_file
+from rigctl.ipc.output_file import OutputError
 
 ALIASES = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"{name}: &{name} [{', '.join([f'*{chr(ord(name) - 1)}'] * 10)}]\n" for name in "bcdefghi"

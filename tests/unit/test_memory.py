@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from rigctl import memory, supervisor
+from rigctl.supervisor import daemon as supervisor
+from rigctl.supervisor import memory
 
 
 def test_every_process_has_a_share() -> None:

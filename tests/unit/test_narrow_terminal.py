@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from rigctl import check, config
+from rigctl.cli import check
+from rigctl.cli.watch_screen import Screen
+from rigctl.config import rig_file as config
 from rigctl.devices import busload
-from rigctl.operator import figures
-from rigctl.operator.screen import Screen
+from rigctl.wire import state_words as figures
 from tests.unit.telemetry.test_hostile_messages import EVENT, STATE, view_of
 
 RIG = config.load(pathlib.Path(__file__).parents[2] / "config/paper_rig.yaml")

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.config_limits import SIGNALS
+from rigctl.config.limits_section import SIGNALS
+from rigctl.config.quantity import Number, count, number, significant
 from rigctl.control.escalation import Symptom
+from rigctl.control.events import Kind, fault_text, worded
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action, Fault
-from rigctl.operator import figures
-from rigctl.quantity import Number, count, number, significant
-from rigctl.telemetry.events import Kind, fault_text, worded
+from rigctl.wire import state_words as figures
 
 VALUES = st.floats(allow_nan=True, allow_infinity=True) | st.sampled_from([-0.0, -1e-9, 37090.0, 1e17, 3.4e38, -0.004])
 EXPONENT = re.compile(r"\d[eE][+-]?\d")

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from rigctl.standard_output import Outlet
+from rigctl.cli.standard_output import Outlet
 
 ROOT = pathlib.Path(__file__).parents[2]
 GOES_ON = """
@@ -48,7 +48,7 @@ def test_a_run_goes_on_and_knows(where: str, said: str) -> None:
 
 
 def test_a_closed_descriptor_is_not_given_to_the_next_file() -> None:
-    program = "import rigctl.standard_output as s; s.guard(); import os, sys; print(1); sys.exit(os.dup(0))"
+    program = "import rigctl.cli.standard_output as s; s.guard(); import os, sys; print(1); sys.exit(os.dup(0))"
     assert shell(f'"$PYTHON" -c "{program}" <&- >&- 2>&-').returncode == 3
 
 

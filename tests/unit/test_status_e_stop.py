@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from rigctl.control.events import CHECK_TEXT
 from rigctl.control.safety import Check
-from rigctl.operator import figures
-from rigctl.telemetry.events import CHECK_TEXT
+from rigctl.wire import state_words as figures
 
 
 def state(mode: str | None, checks: Check) -> dict[str, Any]:

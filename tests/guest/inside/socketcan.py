@@ -6,8 +6,8 @@ import pathlib
 
 import pytest
 
-from rigctl import config
-from rigctl.control.process import open_bus
+from rigctl.config import rig_file as config
+from rigctl.control.control_process import open_bus
 from rigctl.devices.startup import StartupError, refuse_rival
 from tests.guest.inside.guest_rig import TARGET_N, GuestRig, link, rig_file
 

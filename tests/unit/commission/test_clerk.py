@@ -12,16 +12,17 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from rigctl import config
-from rigctl.commission import findings, ledger
-from rigctl.commission.clerk import Clerk, Filed
-from rigctl.commission.ledger import IN_FORCE, Standing, in_force
-from rigctl.config import RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.events import Kind
 from rigctl.control.modes import Setting, Verb
-from rigctl.telemetry.events import Kind
-from rigctl.telemetry.record import RECORD
-from rigctl.telemetry.request import Request
-from rigctl.telemetry.runtime import Runtime
+from rigctl.gateway import calibration_findings as findings
+from rigctl.gateway.calibration_service import Clerk, Filed
+from rigctl.ipc import ledger
+from rigctl.ipc.ledger import IN_FORCE, Standing, in_force
+from rigctl.ipc.record import RECORD
+from rigctl.ipc.runtime_folder import Runtime
+from rigctl.wire.command_request import Request
 
 PAPER = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
 assert PAPER.calibration is not None

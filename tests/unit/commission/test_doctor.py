@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
-from rigctl import config
-from rigctl.commission import doctor, doctor_can, doctor_daemon, doctor_host
-from rigctl.commission.doctor_host import Finding, Severity
-from rigctl.config import CanSettings
+from rigctl.cli import doctor, doctor_can, doctor_daemon, doctor_host
+from rigctl.cli.doctor_host import Finding, Severity
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import CanSettings
+from rigctl.control import events
 from rigctl.control.safety import Check
-from rigctl.telemetry import events
-from rigctl.telemetry.runtime import Runtime
+from rigctl.ipc.runtime_folder import Runtime
 from tests.conftest import Command
 
 ROOT = pathlib.Path(__file__).parents[3]

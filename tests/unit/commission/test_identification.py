@@ -14,7 +14,7 @@ from rigctl.commission import identification as ident
 from rigctl.commission import motion
 from rigctl.commission.identification import IdentificationError, Signals
 from rigctl.commission.proposal import LAG_SHARE, rounded, signals_of
-from rigctl.telemetry.record import RECORD
+from rigctl.ipc.record import RECORD
 
 SETTLING_S = 0.05  # a slower drive is far from its speed when the step is over, and what is stated of it grows
 STEPS = 50  # per tick: the reference is integrated with 20 us

@@ -7,9 +7,9 @@ import random
 
 import pytest
 
-from rigctl import config
-from rigctl.commission import last_stroke
-from rigctl.config import RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
+from rigctl.control import last_stroke
 from rigctl.control.homed import LastStroke
 
 WALL_NS = 1_800_000_000_000_000_000

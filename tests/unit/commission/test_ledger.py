@@ -9,13 +9,14 @@ from typing import Any
 
 import pytest
 
-from rigctl import config
-from rigctl.commission import findings, ledger
-from rigctl.commission.findings import FindingError, Measured
-from rigctl.commission.ledger import LedgerError, Standing
-from rigctl.config import RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Setting, Verb
-from rigctl.telemetry.request import Request
+from rigctl.gateway import calibration_findings as findings
+from rigctl.gateway.calibration_findings import FindingError, Measured
+from rigctl.ipc import ledger
+from rigctl.ipc.ledger import LedgerError, Standing
+from rigctl.wire.command_request import Request
 
 PAPER = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
 assert PAPER.calibration is not None

@@ -13,13 +13,14 @@ from typing import Any
 
 import pytest
 
-from rigctl import config
-from rigctl.commission import ledger, preflight
-from rigctl.commission.ledger import Standing
+from rigctl.commission import preflight
 from rigctl.commission.preflight import Folder, Preflight, Verdict, judge
-from rigctl.config import RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
 from rigctl.control.safety import HOST_CHECKS, Check
-from rigctl.telemetry.runtime import Runtime
+from rigctl.ipc import ledger
+from rigctl.ipc.ledger import Standing
+from rigctl.ipc.runtime_folder import Runtime
 
 PAPER = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
 assert PAPER.calibration is not None

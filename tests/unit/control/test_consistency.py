@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.control.estimator import Array, FilterModel, TensionFilter, filter_model
 
 SEEDS = 60

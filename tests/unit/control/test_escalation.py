@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.control.escalation import STEPS, Bounds, Escalation, Escalator, Step, Symptom
+from rigctl.control.events import Kind, worded
 from rigctl.control.safety import Action, Fault, Sight
-from rigctl.telemetry.events import Kind, worded
 
 SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
 MS = 1_000_000

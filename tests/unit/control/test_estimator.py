@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.control.estimator import FilterModel, TensionFilter, filter_model
 
 SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")

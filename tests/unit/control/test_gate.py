@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.gate import Gate, Verdict
 

@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.devices import objects as od
 from tests.unit.control.test_plain_inbox import CONFIG, Bench
 

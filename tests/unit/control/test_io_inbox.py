@@ -7,13 +7,13 @@ import struct
 import can
 import pytest
 
-from rigctl import config
-from rigctl.config_io import IoSettings
-from rigctl.control.process import receive_filters
+from rigctl.config import rig_file as config
+from rigctl.config.io_section import IoSettings
+from rigctl.control.control_process import receive_filters
+from rigctl.control.events import fault_text
 from rigctl.control.safety import EStop, Fault
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import wanted
-from rigctl.telemetry.events import fault_text
 from tests.unit.control.test_plain_inbox import CONFIG, Bench
 
 PAPER = config.load(CONFIG / "paper_rig.yaml")

@@ -8,9 +8,9 @@ from dataclasses import FrozenInstanceError
 
 import pytest
 
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.control.tension import Estimate, Gains, TensionLaw
-from rigctl.telemetry.record import Flag
+from rigctl.ipc.record import Flag
 
 SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
 GAINS = Gains(k_tension=1.5, k_speed=0.5, k_integral=2.0)

@@ -10,12 +10,12 @@ from typing import Any, get_args
 import pytest
 from pydantic import ValidationError
 
-from rigctl import config
-from rigctl.config_limits import SIGNALS, LimitSettings, SignalName
+from rigctl.config import rig_file as config
+from rigctl.config.limits_section import SIGNALS, LimitSettings, SignalName
 from rigctl.control import limits
+from rigctl.control.events import fault_text
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action, Fault, Row, Sight, Watch
-from rigctl.telemetry.events import fault_text
 
 SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
 MS = 1_000_000

@@ -10,14 +10,14 @@ from collections import deque
 import can
 import pytest
 
-from rigctl import config
-from rigctl.config import RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config.plain import PlainSignal
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.control_process import receive_filters
 from rigctl.control.inbox import Inbox
-from rigctl.control.process import receive_filters
 from rigctl.devices import objects as od
-from rigctl.devices.plain import PlainSignal
 from rigctl.devices.process_data import wanted
-from rigctl.telemetry.record import Quality
+from rigctl.ipc.record import Quality
 
 CONFIG = pathlib.Path(__file__).parents[3] / "config"
 PLAIN = config.load(CONFIG / "plain_rig.yaml")

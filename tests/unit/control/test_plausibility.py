@@ -10,7 +10,7 @@ from collections.abc import Callable
 import can
 import pytest
 
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.control.inbox import Inbox
 from rigctl.control.plausibility import STRETCH_MEMORY_S, Plausibility
 from rigctl.control.safety import Sight

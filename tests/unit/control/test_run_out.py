@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from rigctl.config import RailEncoderSettings, RunOutSettings
+from rigctl.config.rig_file import RailEncoderSettings, RunOutSettings
 from rigctl.control.run_out import STOPPED_S, RunOutTable, stale_ns
 from tests.unit.hil.rig_bench import SETTINGS
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from rigctl import config
-from rigctl.config_io import IoSettings
-from rigctl.config_limits import LimitSettings
+from rigctl.config import rig_file as config
+from rigctl.config.io_section import IoSettings
+from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action, Check, EStop, Fault, Row, Sight, Watch, preflight, table

@@ -10,9 +10,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from rigctl import config
-from rigctl.config_io import IoSettings
-from rigctl.config_limits import LimitSettings
+from rigctl.config import rig_file as config
+from rigctl.config.io_section import IoSettings
+from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.machine import ARM_LIMIT_NS, Machine
 from rigctl.control.modes import Event, Mode, Refusal, Situation, Verb

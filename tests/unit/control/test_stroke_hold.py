@@ -6,7 +6,7 @@ import pathlib
 
 import pytest
 
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.control.safety import Sight
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, DEAD_ZONE_MM, SAID_MM, StrokeHold
 

@@ -8,9 +8,9 @@ from enum import IntEnum, IntFlag
 
 import pytest
 
-from rigctl import config
-from rigctl.config_io import IoSettings
-from rigctl.config_limits import LimitSettings
+from rigctl.config import rig_file as config
+from rigctl.config.io_section import IoSettings
+from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.modes import (
     FILED,

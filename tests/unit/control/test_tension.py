@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.control.tension import RAMP_EASE_S, Estimate, Gains, TensionLaw
-from rigctl.telemetry.record import Flag
+from rigctl.ipc.record import Flag
 
 SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
 GAINS = Gains(k_tension=1.0, k_speed=0.5, k_integral=2.0)

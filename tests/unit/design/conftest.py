@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from rigctl.config import RigSettings, load
+from rigctl.config.rig_file import RigSettings, load
 
 CONFIG = Path(__file__).parents[3] / "config"
 Rig = Callable[..., RigSettings]

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from rigctl import strict_yaml
-from rigctl.config import RigSettings
-from rigctl.config_base import Settings
+from rigctl.config import strict_yaml
+from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings_base import Settings
 from rigctl.design import gain_file
 from rigctl.design.gain_file import GainFileError, design_in_use, inputs, provenance, read, read_for, sha256, write
 from rigctl.design.margins import design_and_check

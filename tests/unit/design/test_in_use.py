@@ -13,7 +13,7 @@ import pytest
 from hil.scenario.errors import ScenarioError
 from hil.scenario.play import design
 from rigctl.client.connection import Client
-from rigctl.config import load
+from rigctl.config.rig_file import load
 from tests import daemons
 
 pytestmark = pytest.mark.real_time
@@ -113,8 +113,7 @@ def test_edited_gains_that_are_not_robust_do_not_run(tmp_path: pathlib.Path) -> 
 
 
 def test_the_control_process_imports_neither_design_nor_drawing() -> None:
-    look = (
-        "import sys, rigctl.control.process; print(sorted({'control', 'matplotlib', 'rigctl.design'} & {*sys.modules}))"
-    )
+    unwanted = "{'control', 'matplotlib', 'rigctl.design'}"
+    look = f"import sys, rigctl.control.control_process; print(sorted({unwanted} & {{*sys.modules}}))"
     answer = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, cwd=daemons.ROOT)
     assert answer.stdout == "[]\n"

@@ -13,7 +13,7 @@ import control
 import numpy as np
 import pytest
 
-from rigctl.config import RigSettings, load
+from rigctl.config.rig_file import RigSettings, load
 from rigctl.control.estimator import filter_model
 from rigctl.control.tension import Gains
 from rigctl.design import plant_family

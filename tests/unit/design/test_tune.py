@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import pytest
 
-from rigctl.config import RigSettings
+from rigctl.config.rig_file import RigSettings
 from rigctl.design import picture, table
 from rigctl.design.margins import design_and_check
 from tests import daemons

@@ -17,7 +17,7 @@ from rigctl.devices import objects as od
 from rigctl.devices.drive import Power, next_controlword
 from rigctl.devices.objects import Controlword, DriveState, PdoLayout
 from rigctl.devices.process_data import DriveUnits
-from rigctl.telemetry.record import Quality
+from rigctl.ipc.record import Quality
 
 EDS = pathlib.Path(__file__).parents[3] / "config/eds"
 

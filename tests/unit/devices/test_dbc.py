@@ -15,9 +15,10 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.devices import dbc, dbc_file
-from rigctl.devices.plain import FLOAT_CODES, PlainMessage, PlainSignal
-from rigctl.telemetry.record import Quality
+from rigctl.config import dbc_file
+from rigctl.config.plain import FLOAT_CODES, PlainMessage, PlainSignal
+from rigctl.devices import dbc
+from rigctl.ipc.record import Quality
 
 KEY = ("tension_cell", "dbc", "tension")
 

@@ -11,8 +11,8 @@ from pydantic import BaseModel
 from hil.hub import Hub
 from hil.rig import SimulatedRig
 from hil.wire import FRAME
-from rigctl import config
-from rigctl.config import RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import Controlword, DriveState, drive_state
 

@@ -8,7 +8,7 @@ import struct
 import pytest
 
 from hil.nodes.clock import DeviceClock
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.devices import objects
 from rigctl.devices.objects import EmcyCode
 from tests.unit.hil.rig_bench import MS, REPOSITORY, SAME_CLOCKS, SETTINGS, RigBench, changed

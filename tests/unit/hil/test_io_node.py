@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hil.nodes.dictionary import Abort
-from rigctl.config_io import IoSettings
+from rigctl.config.io_section import IoSettings
 from rigctl.devices import objects
 from tests.unit.hil.rig_bench import SETTINGS, RigBench
 

@@ -11,8 +11,9 @@ import pytest
 from hil.plant import Plant
 from hil.plant.layout import MECHANISM
 from hil.plant.moves import out_and_back
-from rigctl import config, strict_yaml
-from rigctl.config import RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config import strict_yaml
+from rigctl.config.rig_file import RigSettings
 from rigctl.devices import objects
 from tests.unit.hil.rig_bench import MS, REPOSITORY, RigBench
 

@@ -9,8 +9,8 @@ from typing import Any
 import cantools
 import pytest
 
-from rigctl import config
-from rigctl.config import RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
 from rigctl.devices import objects
 from tests.unit.hil.rig_bench import REPOSITORY, SAME_CLOCKS, RigBench, changed
 

@@ -9,7 +9,7 @@ import pytest
 from hil.plant import Plant
 from hil.plant.layout import MECHANISM
 from hil.plant.moves import out_and_back
-from rigctl import config
+from rigctl.config import rig_file as config
 from tests.plant.bench import MS, REPOSITORY, SETTINGS, S, build, loaded, look
 
 BEYOND_MM = 5.0

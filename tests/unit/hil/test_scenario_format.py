@@ -19,7 +19,7 @@ from hil.scenario.figures import LOOP_FIGURES, TRUTH_FIGURES
 from hil.scenario.format import Scenario, Window, read
 from hil.scenario.kinds import Disturbances, LevelPoint
 from hil.scenario.rig import settings_of
-from rigctl.config_wording import Slot, unit_of
+from rigctl.config.wording import Slot, unit_of
 
 ROOT = pathlib.Path(__file__).parents[3]
 PAGE = (ROOT / "docs/scenario.md").read_text()

@@ -13,15 +13,15 @@ from typing import Any
 import msgspec
 import pytest
 
-from rigctl import config
 from rigctl.client import local_hold
+from rigctl.config import rig_file as config
 from rigctl.control.modes import Mode, Refusal
 from rigctl.hold import service
 from rigctl.hold.service import CONNECTIONS_MAX, HoldService
-from rigctl.telemetry import runtime as folders
-from rigctl.telemetry.record import RECORD
-from rigctl.telemetry.ring import RingReader
-from rigctl.telemetry.runtime import ACTIVE, Runtime
+from rigctl.ipc import runtime_folder as folders
+from rigctl.ipc.record import RECORD
+from rigctl.ipc.ring import RingReader
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from tests import daemons
 
 ENDPOINT = "tcp/127.0.0.1:7447"

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rigctl import config
-from rigctl.config import RigSettings
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
+from rigctl.ipc.record import COMMAND, FRAME, RECORD
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder.continuous import BATCH_NS, Continuous
-from rigctl.telemetry.record import COMMAND, FRAME, RECORD
-from rigctl.telemetry.runtime import ACTIVE, Runtime
 
 ROOT = pathlib.Path(__file__).parents[3]
 TICK_NS = 1_000_000

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.recorder import audit_log, chain
 from rigctl.recorder.audit_log import AuditError, AuditLog, Item
 

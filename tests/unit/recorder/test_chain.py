@@ -230,7 +230,7 @@ def test_wrong_usage_is_one_line(in_process: Command, words: tuple[str, ...], sa
 def test_without_a_name_it_is_the_running_daemons_and_of_a_rig_file_its_own(
     in_process: Command, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from rigctl.telemetry import runtime
+    from rigctl.ipc import runtime_folder as runtime
 
     monkeypatch.setattr(runtime, "BASE", tmp_path)
     none = in_process("rigctl", "audit", "verify")

@@ -15,12 +15,12 @@ import pytest
 from pyarrow import csv
 from scipy.io import loadmat
 
-from rigctl.output_file import OutputError
+from rigctl.ipc.output_file import OutputError
+from rigctl.ipc.record import RECORD
 from rigctl.recorder import export
 from rigctl.recorder.columns import Column, tables
 from rigctl.recorder.enums import enum_of
 from rigctl.recorder.recording import Recording, read
-from rigctl.telemetry.record import RECORD
 from tests.conftest import Command
 from tests.unit.recorder.tape import OFFSET_NS, ROOT, Tape
 
@@ -155,7 +155,7 @@ def test_an_export_that_fails_leaves_nothing(path: pathlib.Path, tmp_path: pathl
 
     answer = subprocess.run(
         [sys.executable, "-c",
-         "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); from rigctl.cli import main; main()",
+         "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); from rigctl.cli.app import main; main()",
          "export", str(path), "--to", kind, "-o", str(folder / "out")],
         capture_output=True, text=True, cwd=ROOT, check=False, preexec_fn=small_files,
     )  # fmt: skip

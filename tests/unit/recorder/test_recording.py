@@ -17,10 +17,10 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
+from rigctl.ipc.record import COMMAND, FRAME, RECORD
 from rigctl.recorder import frame_block, recording
 from rigctl.recorder.audit_log import AuditLog, Item
 from rigctl.recorder.recording import RecordingError
-from rigctl.telemetry.record import COMMAND, FRAME, RECORD
 from tests.unit.recorder.tape import OFFSET_NS, Tape, as_recorded, same
 
 

@@ -13,22 +13,22 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl import config
-from rigctl.config import AuditSettings, RigSettings
-from rigctl.config_recording import RecordingSettings
+from rigctl.config import rig_file as config
+from rigctl.config.recording_section import RecordingSettings
+from rigctl.config.rig_file import AuditSettings, RigSettings
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Fault
+from rigctl.ipc.notes import DeskBook
+from rigctl.ipc.record import FRAME, RECORD, FrameFlag, Slot
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.ipc.supervision import Doing, Supervision
 from rigctl.recorder import chain, protobuf
 from rigctl.recorder.layout import Layout
-from rigctl.recorder.process import Recorder
 from rigctl.recorder.protobuf import Encoding
+from rigctl.recorder.recorder_process import Recorder
 from rigctl.recorder.sources import SOURCES, Rings
-from rigctl.telemetry.notes import DeskBook
-from rigctl.telemetry.record import FRAME, RECORD, FrameFlag, Slot
-from rigctl.telemetry.runtime import ACTIVE, Runtime
-from rigctl.telemetry.state import RECORDER_SILENT_NS, kept_of
-from rigctl.telemetry.supervision import Doing, Supervision
+from rigctl.wire.state_message import RECORDER_SILENT_NS, kept_of
 
 
 @pytest.fixture
@@ -140,8 +140,8 @@ def test_the_inbox_keeps_every_frame_with_its_flags(runtime: Runtime, settings: 
 @pytest.mark.parametrize("source", SOURCES, ids=lambda source: source.name)
 @given(data=st.data())
 def test_a_slot_of_any_bits_makes_an_entry(source: object, data: st.DataObject) -> None:
+    from rigctl.ipc import record
     from rigctl.recorder.sources import Source
-    from rigctl.telemetry import record
 
     assert isinstance(source, Source)
     dtype = {
@@ -250,7 +250,10 @@ def test_the_state_says_what_is_kept_and_whether_the_recorder_runs() -> None:
 
 
 def test_the_recorder_needs_no_network_and_the_loop_no_recorder() -> None:
-    unwanted = {"rigctl.recorder": ("zenoh", "control", "hil"), "rigctl.control.process": ("rigctl.recorder", "mcap")}
+    unwanted = {
+        "rigctl.recorder": ("zenoh", "control", "hil"),
+        "rigctl.control.control_process": ("rigctl.recorder", "mcap"),
+    }
     for module, others in unwanted.items():
         name = f"{module}.process" if module == "rigctl.recorder" else module
         code = f"import sys, {name}; print([m for m in {others!r} if m in sys.modules])"

@@ -10,12 +10,12 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from rigctl import config
+from rigctl.config import rig_file as config
 from rigctl.control.modes import Mode
+from rigctl.ipc.record import COMMAND, FRAME, HOLD, RECORD
 from rigctl.recorder.appender import Appender
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.part_file import PartFile
-from rigctl.telemetry.record import COMMAND, FRAME, HOLD, RECORD
 from tests import daemons
 
 RATE_HZ = 1000

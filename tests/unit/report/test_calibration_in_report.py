@@ -6,8 +6,8 @@ import pathlib
 
 import pytest
 
-from rigctl.commission.ledger import Entry, Standing
 from rigctl.control.modes import Mode
+from rigctl.ipc.ledger import Entry, Standing
 from rigctl.recorder.recording import read
 from rigctl.report import tables
 from rigctl.report.findings import Findings, find

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from rigctl.control.modes import Mode
-from rigctl.report import metrics
-from rigctl.telemetry.record import RECORD
+from rigctl.ipc.record import RECORD
+from rigctl.metrics import tension_error as metrics
 
 
 def test_percentiles_are_in_microseconds() -> None:

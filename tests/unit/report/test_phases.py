@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rigctl.control.modes import Mode
-from rigctl.report.phases import phases
+from rigctl.metrics.phases import phases
 from tests.unit.report.synthetic import RATE_HZ, run, stay
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rigctl.client.event_order import EventSource
 from rigctl.client.mailbox import Mailbox
 from rigctl.client.source import Question
-from rigctl.telemetry.keys import Keys
+from rigctl.wire.keys import Keys
 
 KEYS = Keys("paper_rig")
 

@@ -8,12 +8,12 @@ from typing import Any, cast
 import msgspec
 import pytest
 
-from rigctl import config
-from rigctl.telemetry.cursor import Cursor
-from rigctl.telemetry.events import Kind
-from rigctl.telemetry.keys import SEVERITIES
-from rigctl.telemetry.runtime import Runtime
-from rigctl.telemetry.streams import UNRECORDED_NS, EventStream
+from rigctl.config import rig_file as config
+from rigctl.control.events import Kind
+from rigctl.gateway.published_position import Cursor
+from rigctl.gateway.streams import UNRECORDED_NS, EventStream
+from rigctl.ipc.runtime_folder import Runtime
+from rigctl.wire.keys import SEVERITIES
 
 MS = 1_000_000
 

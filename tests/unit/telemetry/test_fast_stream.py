@@ -17,10 +17,10 @@ from rigctl.client.connection import Client, NoDaemonError
 from rigctl.client.enquiry import AGAIN_S
 from rigctl.client.fast import FastReader
 from rigctl.client.shapes import Refusals
-from rigctl.telemetry import block
-from rigctl.telemetry.keys import Keys
-from rigctl.telemetry.record import RECORD
-from rigctl.telemetry.schema import schema
+from rigctl.ipc.record import RECORD
+from rigctl.wire import block
+from rigctl.wire.keys import Keys
+from rigctl.wire.schema import schema
 
 
 def made(first: int, last: int, stream: int = 1, head: int | None = None) -> bytes:

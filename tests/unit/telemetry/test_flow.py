@@ -2,15 +2,7 @@
 
 from __future__ import annotations
 
-from rigctl.telemetry.flow import (
-    ALL_BURST,
-    ALL_HZ,
-    NAMES_MAX,
-    PER_OPERATOR_BURST,
-    PER_OPERATOR_HZ,
-    TOLD_NS,
-    Flow,
-)
+from rigctl.gateway.command_rate import ALL_BURST, ALL_HZ, NAMES_MAX, PER_OPERATOR_BURST, PER_OPERATOR_HZ, TOLD_NS, Flow
 
 S = 1_000_000_000
 

@@ -13,19 +13,19 @@ import msgspec
 import pytest
 from rich.console import Console
 
-from rigctl import config
+from rigctl.cli import status, watch
+from rigctl.cli.watch_screen import Screen
 from rigctl.client import shapes
 from rigctl.client.decoding import SchemaError, layout_of, usable_schema
 from rigctl.client.ordering import block
 from rigctl.client.shapes import MessageRefusedError, Refusals
+from rigctl.config import rig_file as config
 from rigctl.control.modes import Mode
-from rigctl.operator import status, watch
-from rigctl.operator.screen import Screen
+from rigctl.ipc.record import RECORD
 from rigctl.page.panel import events_message, settings_message, state_message
 from rigctl.page.picture import Picture
-from rigctl.telemetry.messages import event_message
-from rigctl.telemetry.record import RECORD
-from rigctl.telemetry.schema import schema
+from rigctl.wire.event_message import event_message
+from rigctl.wire.schema import schema
 from tests.telemetry.hostile import ESCAPES, NOT_JSON, blocks, schemas, wronged
 from tests.unit.telemetry.test_state_message import event, record, state
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from rigctl import config
+from rigctl.config import rig_file as config
 from tests.daemons import rig_file
 
 

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.telemetry.lease import ACTS, ID_BYTES, Act, Book, Change, Denial, Lease, Turn, is_id
-from rigctl.telemetry.lease_keeper import believed, why_not
-from rigctl.telemetry.lease_request import LeaseRequest, parse_lease
-from rigctl.telemetry.request import RequestError
+from rigctl.gateway.lease_service import believed, why_not
+from rigctl.wire.command_request import RequestError
+from rigctl.wire.lease import ACTS, ID_BYTES, Act, Book, Change, Denial, Lease, Turn, is_id
+from rigctl.wire.lease_request import LeaseRequest, parse_lease
 
 S = 1_000_000_000
 TERM = 300 * S

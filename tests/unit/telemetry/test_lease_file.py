@@ -7,7 +7,7 @@ import pathlib
 
 import pytest
 
-from rigctl.operator.lease_file import LeaseFile, folder
+from rigctl.cli.lease_file import LeaseFile, folder
 
 ID, OTHER = "0" * 32, "1" * 32
 ENDPOINT = "tcp/127.0.0.1:7447"

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigctl.control.events import CHECK_TEXT
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Check, Fault
-from rigctl.telemetry.events import CHECK_TEXT
-from rigctl.telemetry.request import Request, RequestError, Sight, answer, parse, verb_of
+from rigctl.wire.command_request import Request, RequestError, Sight, answer, parse, verb_of
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),

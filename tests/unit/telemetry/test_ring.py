@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.telemetry.record import COMMAND, EVENT, RECORD, REPLY, Slot
-from rigctl.telemetry.ring import RingError, RingReader, RingWriter, create
+from rigctl.ipc.record import COMMAND, EVENT, RECORD, REPLY, Slot
+from rigctl.ipc.ring import RingError, RingReader, RingWriter, create
 
 DTYPE = np.dtype([("seq", "<u8"), ("a", "<u8"), ("b", "<u8")])
 LAYOUT = struct.Struct("<QQ")

@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import pytest
 
-from rigctl import config
-from rigctl.telemetry.runtime import AlreadyRunningError, FolderError, Runtime, daemons, is_free, recorded
+from rigctl.config import rig_file as config
+from rigctl.ipc.runtime_folder import AlreadyRunningError, FolderError, Runtime, daemons, is_free, recorded
 
 ROOT = pathlib.Path(__file__).parents[3]
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")

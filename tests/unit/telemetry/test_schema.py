@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from rigctl.client.decoding import KNOWN_VERSIONS, SchemaError, layout_of
+from rigctl.control.events import Kind
 from rigctl.control.modes import Verb
-from rigctl.telemetry import request
-from rigctl.telemetry.block import decode, encode
-from rigctl.telemetry.events import Kind
-from rigctl.telemetry.lease import Act
-from rigctl.telemetry.lease_request import parse_lease
-from rigctl.telemetry.messages import event_message
-from rigctl.telemetry.notes import Note, note_message
-from rigctl.telemetry.record import EVENT, NOTE, RECORD
-from rigctl.telemetry.schema import VERSION, schema
+from rigctl.ipc.notes import Note, note_message
+from rigctl.ipc.record import EVENT, NOTE, RECORD
+from rigctl.wire import command_request as request
+from rigctl.wire.block import decode, encode
+from rigctl.wire.event_message import event_message
+from rigctl.wire.lease import Act
+from rigctl.wire.lease_request import parse_lease
+from rigctl.wire.schema import VERSION, schema
 
 SCHEMA: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(schema("paper_rig")))
 UNITS = {"n": "N", "mm": "mm", "mm_s": "mm/s", "rad": "rad", "rad_s": "rad/s", "deg": "deg", "ns": "ns", "ms": "ms",

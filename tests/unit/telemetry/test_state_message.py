@@ -13,21 +13,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl import config
-from rigctl.commission.ledger import Standing
 from rigctl.commission.preflight import Verdict
+from rigctl.config import rig_file as config
+from rigctl.control.events import Kind
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action, Fault
-from rigctl.telemetry.active import Active
-from rigctl.telemetry.cursor import Cursor
-from rigctl.telemetry.events import Kind
-from rigctl.telemetry.gateway import StateView
-from rigctl.telemetry.messages import event_message
-from rigctl.telemetry.record import EVENT, RECORD, Flag, Quality
-from rigctl.telemetry.ring import RingReader, create
-from rigctl.telemetry.runtime import Runtime
-from rigctl.telemetry.state import ALIVE_NS, Recent, Trip, percentiles_us, quality_words, state_of, warnings_of
-from rigctl.telemetry.streams import BLOCK_RECORDS, blocks_of
+from rigctl.gateway.active import Active
+from rigctl.gateway.gateway_process import StateView
+from rigctl.gateway.published_position import Cursor
+from rigctl.gateway.streams import BLOCK_RECORDS, blocks_of
+from rigctl.ipc.ledger import Standing
+from rigctl.ipc.record import EVENT, RECORD, Flag, Quality
+from rigctl.ipc.ring import RingReader, create
+from rigctl.ipc.runtime_folder import Runtime
+from rigctl.wire.event_message import event_message
+from rigctl.wire.state_message import ALIVE_NS, Recent, Trip, percentiles_us, quality_words, state_of, warnings_of
 
 ROOT = pathlib.Path(__file__).parents[3]
 NOW, WALL = 10_000_000_000, 1_700_000_000_000_000_000
@@ -181,7 +181,7 @@ def test_every_event_slot_becomes_a_message(kind: int, a: int, b: int, value: fl
 
 @given(st.sets(st.integers(1, 2000), max_size=1500))
 def test_blocks_hold_every_record_and_break_at_gaps(tmp_path_factory: pytest.TempPathFactory, seqs: set[int]) -> None:
-    from rigctl.telemetry.block import decode
+    from rigctl.wire.block import decode
 
     path = tmp_path_factory.mktemp("ring") / "records"
     create(path, RECORD.dtype, 4)

@@ -1,0 +1,1 @@
+"""Every command of ``rigctl``: its options and what it prints."""

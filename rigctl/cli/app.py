@@ -1,0 +1,110 @@
+"""The ``rigctl`` command: registers the commands, and turns wrong usage into one line."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from typing import Annotated, cast
+
+import typer
+
+from rigctl import __version__
+from rigctl.cli import (
+    audit,
+    bench,
+    commission,
+    descriptors,
+    doctor,
+    lease,
+    page,
+    recordings,
+    replay,
+    report,
+    standard_output,
+    status,
+    verbs,
+    watch,
+)
+from rigctl.cli import run as daemon
+from rigctl.cli import tune as design
+from rigctl.ipc.termination import on_signals
+
+app = typer.Typer(
+    name="rigctl",
+    help="Active suspension rig: run it, watch it, command it.",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    no_args_is_help=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        sys.stdout.write(f"rigctl {__version__}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and end.")
+    ] = False,
+) -> None:
+    pass
+
+
+for command in (daemon.run, daemon.demo, daemon.check):
+    app.command()(command)
+app.command()(design.tune)
+app.command()(status.status)
+app.command()(watch.watch)
+app.command()(page.page)
+app.command()(lease.lease)
+app.command()(doctor.doctor)
+app.command()(bench.bench)
+app.command()(audit.audit)
+app.command()(replay.replay)
+app.command()(report.report)
+for of_recording in (recordings.info, recordings.export):
+    app.command()(of_recording)
+for verb in (verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset):
+    app.command()(verb)
+for trial in (commission.tare, commission.calibrate, commission.identify, commission.gains):
+    app.command()(trial)
+# A negative number is a number here, not an option.
+app.command(context_settings={"ignore_unknown_options": True})(verbs.target)
+app.command(context_settings={"ignore_unknown_options": True})(verbs.confirm_stroke)
+
+# click's own class, wherever this version of typer keeps its click.
+_UsageError = cast("type[typer.BadParameter]", typer.BadParameter.__bases__[0])
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one command and exit: 0 done, 1 refused or no daemon, 2 wrong usage or an output that cannot be written."""
+    standard_output.guard()
+    on_signals(signal.default_int_handler, signal.SIGTERM, signal.SIGHUP)  # in order, as by Ctrl-C
+    if lacking := descriptors.shortage():
+        sys.stderr.write(f"rigctl: {lacking}\n")
+        raise SystemExit(1)
+    try:
+        code = app(args=arguments, standalone_mode=False)
+    except _UsageError as error:
+        text = " ".join(error.format_message().split()).rstrip(".")
+        sys.stderr.write(f"rigctl: {text} (see rigctl --help)\n")
+        code = 2
+    except (KeyboardInterrupt, typer.Abort):
+        sys.stderr.write("rigctl: interrupted; the rig goes on by itself\n")
+        code = 1
+    except OSError as error:  # a full or read-only disk, no memory, no folder for temporary files: nothing of ours
+        where = f"{error.filename}: " if error.filename is not None else ""
+        sys.stderr.write(f"rigctl: {where}{error.strerror or error}\n")
+        code = 1
+    if unsaid := standard_output.complaint():
+        sys.stderr.write(f"rigctl: {unsaid}\n")
+        code = 2
+    raise SystemExit(code)
+
+
+if __name__ == "__main__":
+    main()

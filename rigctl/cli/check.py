@@ -1,0 +1,134 @@
+"""``rigctl check FILE``: the rig as the daemon would see it, and the worst-case load of its bus."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from rigctl.config import wording as config_wording
+from rigctl.config.bounds import Stop, findings
+from rigctl.config.limits_section import SIGNALS
+from rigctl.config.quantity import count, significant
+from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings_base import Settings
+from rigctl.control import limits, safety
+from rigctl.control.modes import Mode
+from rigctl.devices import busload
+
+NARROW = 72
+"""Columns below which meaning and unit are left out, as the key ends in its unit: else it is the values that go."""
+NARROWEST_VALUE = 8
+NARROWEST_FRAME = 11  # "inclination" and "heartbeats," whole
+_OF_CANOPEN = ("node", "eds")  # keys without a meaning for a device with plain frames
+
+
+def as_dict(settings: RigSettings) -> dict[str, Any]:
+    """Resolved rig and bus load, for JSON."""
+    load, stop = busload.bus_load(settings), Stop.of(settings)
+    return {
+        "rig": settings.model_dump(mode="json", exclude={"directory", "plain"}),
+        "bus_load_pct": None if load is None else round(load * 100, 2),
+        "bus_load_limit_pct": busload.LIMIT * 100,
+        "accepted": accepted(settings),
+        "stop_distance_mm": round(stop.distance_mm, 3),
+        "stop_n": round(stop.newtons, 2),
+        "waived_bounds": [f"{key}: found {found}, expected {allowed}" for key, found, allowed in findings(settings)],
+    }
+
+
+def accepted(settings: RigSettings) -> bool:
+    """The bus can carry it."""
+    load = busload.bus_load(settings)
+    return load is None or load <= busload.LIMIT
+
+
+def verdict(settings: RigSettings) -> str:
+    """Bus load in one line."""
+    load = busload.bus_load(settings)
+    if load is None:
+        return "bus load: not judged, this bus has no bit rate"
+    words = "within" if load <= busload.LIMIT else "REFUSED: above"
+    return (
+        f"bus load: {load:.1%} of {settings.can.bitrate_bit_s} bit/s at worst, {words} the limit of {busload.LIMIT:.0%}"
+    )
+
+
+def show(settings: RigSettings, console: Console) -> None:
+    """Print the resolved rig, then the frames that load its bus."""
+    rig = Table(title=f"rig {settings.rig}", title_justify="left", box=None)
+    narrow = console.width < NARROW
+    rig.add_column("key", overflow="fold", max_width=max(NARROWEST_VALUE, console.width - NARROWEST_VALUE - 4))
+    rig.add_column("value", overflow="fold", min_width=NARROWEST_VALUE)
+    if not narrow:
+        rig.add_column("unit", no_wrap=True)
+        rig.add_column("meaning")
+    for section in type(settings).model_fields:
+        value = getattr(settings, section)
+        if section == "plain":
+            continue
+        if isinstance(value, Settings):
+            _add_section(rig, section, value, narrow)
+        elif value is None:
+            rig.add_row(f"[bold]{section}[/]", "not in the file")
+    console.print(rig)
+    for device, message in settings.plain_messages.items():
+        console.print(
+            f"{device}: {message.name}, id 0x{message.can_id:03X}, {count(message.size, 'byte')}, in N and rad",
+            highlight=False,
+        )
+        for signal in message.signals.values():
+            console.print(f"  {signal}", highlight=False)
+    console.print(_watched(settings))
+    console.print(
+        "limits may watch: " + ", ".join(f"{name} ({signal.meaning})" for name, signal in SIGNALS.items()),
+        highlight=False,
+    )
+    frames = Table(title="bus", title_justify="left", box=None)
+    frames.add_column("frame", overflow="fold", min_width=NARROWEST_FRAME)
+    for column in ("bytes", "per second", "bit/s at worst"):
+        frames.add_column(column)
+    for item in busload.traffic(settings):
+        frames.add_row(item.name, str(item.size), significant(item.rate_hz), f"{item.bit_s:.0f}")
+    console.print(frames)
+    console.print(verdict(settings), highlight=False)
+    console.print(Stop.of(settings).in_words(settings), highlight=False)
+    for key, found, allowed in findings(settings):
+        console.print(
+            f"WAIVED ({settings.safety.waiver}): {key}: found {found}, expected {allowed}",
+            highlight=False,
+            markup=False,
+        )
+
+
+def _watched(settings: RigSettings) -> Table:
+    """The safety table: the built-in rows, then the rig file's limits."""
+    table = Table(title="watched (modes by their first letters)", title_justify="left", box=None)
+    table.add_column("what", overflow="fold")
+    for column in ("beyond", "for ms", "action"):
+        table.add_column(column, overflow="fold")
+    table.add_column("modes", min_width=len(Mode))
+    for row in (*safety.table(settings), *limits.rows(settings)):
+        nanoseconds = row.unit == "ns"
+        limit = row.sign * row.limit * (1e-6 if nanoseconds else 1.0)
+        beyond = significant(limit, "ms" if nanoseconds else row.unit) if limit or row.unit else "-"
+        modes = "".join(mode.name[0] if mode in row.modes else "." for mode in Mode)
+        action = row.action.name.lower().replace("_", " ")
+        what = row.text if row.fault is safety.Fault.LIMIT else f"{row.fault.name} {row.text}".strip()
+        table.add_row(what, beyond, f"{row.persistence_ns // 1_000_000}", action, modes)
+    return table
+
+
+def _add_section(table: Table, section: str, settings: Settings, narrow: bool) -> None:
+    table.add_row(f"[bold]{section}[/]")
+    unused = _OF_CANOPEN if getattr(settings, "dbc", None) else ()
+    for key, info in type(settings).model_fields.items():
+        if key in unused:
+            continue
+        found = getattr(settings, key)
+        if isinstance(found, Settings):
+            _add_section(table, f"  {section}.{key}", found, narrow)
+            continue
+        text = "-" if found is None else significant(found) if isinstance(found, float) else str(found)
+        table.add_row(f"  {key}", text, *(() if narrow else (config_wording.unit_of(key), info.description or "")))

@@ -1,0 +1,85 @@
+"""What ``rigctl demo`` prints: a line a second for a person, then the summary."""
+
+from __future__ import annotations
+
+import pathlib
+
+from rich.console import Console
+from rich.table import Table
+
+from rigctl.config.rig_file import DemoSettings, RigSettings
+from rigctl.control.modes import Mode
+from rigctl.demo.script import Moment
+from rigctl.demo.summary import Summary, rows
+from rigctl.demo.test_rig import own
+from rigctl.ipc.runtime_folder import daemons
+
+GIVES_WAY = 20
+"""Priorities below a daemon's loop; the simulated rig runs 10 below the loop it serves."""
+
+
+def run(
+    settings: RigSettings, demo: DemoSettings, console: Console, recordings: pathlib.Path, *, lockstep: bool
+) -> Summary:
+    """Play the demo and print it. ``recordings``: the folder its recording is left in.
+
+    Raises:
+        DemoError: it could not be played to its end.
+    """
+    shown = settings.rig
+    settings = own_settings(settings, recordings)
+    how = "simulated time" if lockstep else "real time"
+    console.print(
+        f"[bold]{shown}[/]: arm, tension to {settings.tension.target_n:g} N, {demo.angle_deg:g} deg out and "
+        f"back at {demo.speed_deg_s:g} deg/s, release, disarm ({how})",
+        highlight=False,
+    )
+
+    if not lockstep:
+        where = f"rigctl watch --connect {settings.telemetry.listen}"
+        console.print(f"its own daemon is {settings.rig}: {where}", highlight=False, soft_wrap=True)
+
+    def show(moment: Moment, step: str) -> None:
+        console.print(_line(moment, step), highlight=False, soft_wrap=True)
+
+    if lockstep:
+        from rigctl.demo.lockstep import play_lockstep as play
+    else:
+        from rigctl.demo.live import play_live as play
+    summary = play(settings, demo, show)
+    _print_summary(summary, demo, console)
+    return summary
+
+
+def own_settings(settings: RigSettings, recordings: pathlib.Path) -> RigSettings:
+    """The demo's own settings, see `rigctl.demo.test_rig.own`; its recording goes to ``recordings``.
+
+    Beside a daemon that runs on this computer, whose loop may hold a load, the demo's loop gives way.
+    """
+    played = own(settings, "demo")
+    changes: dict[str, object] = {"recording": played.recording.model_copy(update={"folder": str(recordings)})}
+    if daemons() and played.loop.priority:
+        priority = max(1, played.loop.priority - GIVES_WAY)
+        changes["loop"] = played.loop.model_copy(update={"priority": priority})
+    return played.model_copy(update=changes)
+
+
+def _line(moment: Moment, step: str) -> str:
+    error = (moment.vertical_n - moment.target_n) / moment.target_n * 100.0
+    shown = f"{error:+8.4f} %" if moment.mode is Mode.COMPENSATING else "         -"
+    late = f"  late p99 {moment.lateness_p99_us:4.0f} us" if moment.lateness_p99_us else ""
+    return (
+        f"{moment.t_s:6.1f} s  {moment.mode.name:<12}  {moment.vertical_n:7.2f} N  {shown}  "
+        f"stroke {moment.stroke_mm:6.2f} mm  lag {moment.tangential_deg:+5.2f} deg{late}  {step}"
+    )
+
+
+def _print_summary(summary: Summary, demo: DemoSettings, console: Console) -> None:
+    table = Table("", "measured", "limit", "", title=f"demo, {summary.duration_s:g} s", title_justify="left", box=None)
+    for name, measured, limit, met in rows(summary, demo):
+        mark = "" if met is None else "[green]met[/]" if met else "[bold red]NOT MET[/]"
+        table.add_row(name, measured, limit, mark)
+    console.print(table, highlight=False)
+    if summary.recording is not None:
+        console.print(f"recording: {summary.recording}", highlight=False, markup=False, soft_wrap=True)
+    console.print("[bold green]passed[/]" if summary.passed else "[bold red]FAILED[/]")

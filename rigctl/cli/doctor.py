@@ -1,0 +1,123 @@
+"""``rigctl doctor``: everything arming asks for, and what the computer gives, without touching the rig."""
+
+from __future__ import annotations
+
+import pathlib
+import shutil
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rigctl.cli.options import BAD, DONE, USAGE, Connect, Json, Rig, end, say, say_json
+
+if TYPE_CHECKING:
+    from rigctl.cli.doctor_host import Finding
+    from rigctl.config.rig_file import RigSettings
+
+File = Annotated[pathlib.Path | None, typer.Argument(metavar="[FILE]", help="Rig file [the running daemon's].")]
+_WIDEST = 100
+_INDENT = 9
+
+
+def doctor(file: File = None, json: Json = False, connect: Connect = None, rig: Rig = None) -> None:
+    """Run the preflight without arming, and look at the computer: ok, warning or fails, and what to do.
+
+    Exit code 0 if nothing fails, 1 if something does.
+    """
+    from rigctl.cli.doctor_host import Severity
+
+    settings = _load(file) if file is not None else None
+    findings = examine(settings, connect, rig)
+    if json:
+        say_json([finding.as_dict() for finding in findings])
+    else:
+        width = min(shutil.get_terminal_size((80, 24)).columns, _WIDEST)
+        for finding in findings:
+            for line in lines(finding, width):
+                say(line)
+        say(summary(findings))
+    end(BAD if any(finding.severity is Severity.FAILS for finding in findings) else DONE)
+
+
+def examine(settings: RigSettings | None, connect: str | None, rig: str | None) -> list[Finding]:
+    """Every finding; the daemon's settings are gone by where no rig file is given."""
+    from rigctl.cli import doctor_can, doctor_daemon, doctor_host
+    from rigctl.ipc.runtime_folder import BASE
+
+    state, active, why = _ask(settings, connect, rig)
+    own = settings if settings is not None else _settings_of(active)
+    findings = doctor_host.host(own)
+    findings.append(doctor_host.other_daemons(own, BASE))
+    if own is not None:
+        findings += doctor_can.link(own.can)
+    if active is not None and state is not None:
+        return findings + doctor_daemon.running(state, active, settings)
+    lacks = doctor_host.fails if connect is not None else doctor_host.warning
+    part = "no preflight" if own is None else "only what needs no daemon of the preflight"
+    findings.append(lacks("daemon", f"{why}; {part}", "one that answers", "rigctl run FILE"))
+    return findings + (doctor_daemon.without(own) if own is not None else [])
+
+
+def lines(finding: Finding, width: int) -> list[str]:
+    """A finding for people, no line longer than ``width``."""
+    mark = finding.severity.value
+    text = f"{finding.name} - {finding.found}"
+    if finding.wanted and mark != "ok":
+        text += f" (wanted: {finding.wanted})"
+    head = f"{mark if mark == 'ok' else mark.upper():<{_INDENT}}"
+    pad = " " * _INDENT
+    found = textwrap.wrap(text, width, initial_indent=head, subsequent_indent=pad, break_on_hyphens=False)
+    if finding.fix:
+        found += textwrap.wrap(
+            finding.fix, width, initial_indent=f"{pad}-> ", subsequent_indent=pad + "   ", break_on_hyphens=False
+        )
+    return found
+
+
+def summary(findings: Sequence[Finding]) -> str:
+    """One line: how many of each."""
+    counted = {"ok": 0, "warning": 0, "fails": 0}
+    for finding in findings:
+        counted[finding.severity.value] += 1
+    warnings = f"{counted['warning']} warning{'s' if counted['warning'] != 1 else ''}"
+    return f"{counted['ok']} ok, {warnings}, {counted['fails']} failing"
+
+
+def _load(file: pathlib.Path) -> RigSettings:
+    from rigctl.config import rig_file as config
+
+    try:
+        return config.load(file)
+    except config.ConfigError as error:
+        end(USAGE, "\nrigctl: ".join(error.findings))
+
+
+def _ask(
+    settings: RigSettings | None, connect: str | None, rig: str | None
+) -> tuple[dict[str, Any] | None, dict[str, Any] | None, str]:
+    """State and resolved configuration of the daemon, or why there are none."""
+    from rigctl.client.connection import ChoiceError, Client, NoDaemonError
+
+    if settings is not None:
+        connect, rig = connect or settings.telemetry.listen, rig or settings.rig
+    try:
+        with Client(connect, rig) as client:
+            return client.state(), client.active(), ""
+    except NoDaemonError as error:
+        return None, None, str(error)
+    except ChoiceError as error:
+        end(USAGE, str(error))
+
+
+def _settings_of(active: dict[str, Any] | None) -> RigSettings | None:
+    """The daemon's settings; None where another version's are not understood."""
+    from pydantic import ValidationError
+
+    from rigctl.config.rig_file import RigSettings
+
+    try:
+        return RigSettings.model_validate(active["settings"]) if active is not None else None
+    except (ValidationError, KeyError):
+        return None

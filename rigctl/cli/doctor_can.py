@@ -1,0 +1,117 @@
+"""What ``rigctl doctor`` finds out about the CAN link, as `ip -details -json link` shows it."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import subprocess
+from typing import Any
+
+from rigctl.cli.doctor_host import Finding, fails, good, warning
+from rigctl.config.rig_file import CanSettings
+
+LIMIT_S = 5.0
+QUEUE = 10
+"""Frames, the kernel's default: five ticks of SYNC and command. A frame that waits longer reaches the drive as a stale
+command; a send that finds the queue full is counted and said at once, and the drive's own deadline stops it."""
+STATES = ("ERROR-ACTIVE", "ERROR-WARNING")
+
+
+def link(can: CanSettings) -> list[Finding]:
+    """The link the rig file names."""
+    if can.interface != "socketcan":
+        return [_without_kernel(can)]
+    command = ["ip", "-details", "-json", "link", "show", "dev", can.channel]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return [warning("can link", f"ip cannot be asked: {error}", "ip of iproute2", "install iproute2")]
+    return judge(can, answer.stdout) if answer.returncode == 0 else [_missing(can)]
+
+
+def judge(can: CanSettings, shown: str) -> list[Finding]:
+    """Findings from what `ip` has shown."""
+    try:
+        found: dict[str, Any] = json.loads(shown)[0]
+    except (ValueError, IndexError, KeyError, TypeError):
+        return [_missing(can)]
+    about = found.get("linkinfo", {})
+    kind, data = about.get("info_kind"), about.get("info_data", {})
+    if found.get("link_type") != "can":
+        return [fails("can link", f"{can.channel} is no CAN interface", "one", "check can.channel")]
+    up = "UP" in found.get("flags", [])
+    findings = [good("can link", f"{can.channel} is up") if up else _down(can)]
+    if kind == "vcan":
+        findings.append(warning("can bit rate", "a virtual interface has none", "a real one"))
+    else:
+        findings += [_bit_rate(can, data), *_state(can, data, up=up), _restart(can, data)]
+        findings.append(_counters(about.get("info_xstats", {})))
+    findings.append(_queue(can, found.get("txqlen", 0)))
+    return findings
+
+
+def _without_kernel(can: CanSettings) -> Finding:
+    if can.interface != "rigsim":
+        return good("can link", f"no kernel CAN: {can.interface}:{can.channel}")
+    if pathlib.Path(can.channel).is_socket():
+        return good("can link", f"no kernel CAN: simulated rig at {can.channel}")
+    return warning("can link", f"no kernel CAN, and no simulated rig at {can.channel}", "one", "python -m hil serve")
+
+
+def _missing(can: CanSettings) -> Finding:
+    return fails("can link", f"no interface {can.channel}", "one", "plug in the adapter, load its driver (ip link)")
+
+
+def _down(can: CanSettings) -> Finding:
+    return fails("can link", f"{can.channel} is down", "up", f"ip link set {can.channel} up")
+
+
+def _bit_rate(can: CanSettings, data: dict[str, Any]) -> Finding:
+    rate = data.get("bittiming", {}).get("bitrate") or data.get("bittiming_bitrate")
+    wanted = f"{can.bitrate_bit_s} bit/s"
+    if not rate:
+        return warning("can bit rate", "not shown by the driver", wanted)
+    if rate == can.bitrate_bit_s:
+        return good("can bit rate", wanted)
+    channel = can.channel
+    fix = f"ip link set {channel} down; ip link set {channel} up type can bitrate {can.bitrate_bit_s}"
+    return fails("can bit rate", f"{rate} bit/s", wanted, fix)
+
+
+def _state(can: CanSettings, data: dict[str, Any], *, up: bool) -> list[Finding]:
+    state, errors = data.get("state"), data.get("berr_counter") or {}
+    if state is None or not up:
+        return []
+    found = f"{state}, errors sent {errors.get('tx', '?')}, received {errors.get('rx', '?')}"
+    if state == STATES[0]:
+        return [good("can state", found)]
+    if state in STATES:
+        return [warning("can state", found, STATES[0], "check cable, termination and bit rate")]
+    again = f"check cable, termination and bit rate; then ip link set {can.channel} down, and up"
+    return [fails("can state", found, STATES[0], again)]
+
+
+def _restart(can: CanSettings, data: dict[str, Any]) -> Finding:
+    """A bus that comes back by itself comes back to a rig nobody has looked at."""
+    restart = data.get("restart_ms")
+    if not restart:
+        return good("can restart-ms", "0: after a bus-off an operator decides")
+    fix = f"ip link set {can.channel} down; ip link set {can.channel} up type can restart-ms 0"
+    return warning("can restart-ms", f"{restart}", "0, so that after a bus-off an operator decides", fix)
+
+
+def _counters(counted: dict[str, Any]) -> Finding:
+    names = ("bus_error", "error_warning", "error_passive", "bus_off", "restarts", "arbitration_lost")
+    figures = {name: int(counted.get(name, 0)) for name in names}
+    found = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in figures.items())
+    bad = [name for name in names[:-1] if figures[name]]
+    if not bad:
+        return good("can counters", found)
+    return warning("can counters", found, "0 since the link came up", "check cable, termination and bit rate")
+
+
+def _queue(can: CanSettings, length: int) -> Finding:
+    if length == QUEUE:
+        return good("can queue", f"txqueuelen {length}")
+    wanted = f"{QUEUE}: frames that wait in a longer one reach the drive late"
+    return warning("can queue", f"txqueuelen {length}", wanted, f"ip link set {can.channel} txqueuelen {QUEUE}")

@@ -1,0 +1,112 @@
+"""``rigctl lease``, and how every command of the command line goes on with the operator's lease."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rigctl.cli.lease_file import LeaseFile
+from rigctl.cli.options import BAD, DONE, USAGE, Connect, Json, Operator, Rig, daemon, end, operator_name, say, say_json
+from rigctl.wire import state_words as figures
+from rigctl.wire.lease import Denial
+
+if TYPE_CHECKING:
+    from rigctl.client.connection import Client
+
+
+class Act(Enum):
+    """What to do about the lease."""
+
+    SHOW = "show"
+    TAKE = "take"
+    RETURN = "return"
+
+
+What = Annotated[Act, typer.Argument(metavar="show|take|return", help="What to do about it.")]
+Reason = Annotated[str | None, typer.Option(metavar="TEXT", help="Why it is taken over from who holds it; on record.")]
+
+
+def lease(
+    act: What = Act.SHOW,
+    reason: Reason = None,
+    json: Json = False,
+    connect: Connect = None,
+    rig: Rig = None,
+    operator: Operator = None,
+) -> None:
+    """Show who may command the rig; take that over, or give it back.
+
+    One operator commands at a time. The first command takes the lease, every further one renews it for
+    telemetry.lease_s; meanwhile others are refused. Taking it from who holds it needs --reason. A lapse, a takeover or
+    a terminal that dies never moves the rig. HOLD is accepted from anyone, always; watching needs no lease.
+    """
+    if reason is not None and act is not Act.TAKE:
+        end(USAGE, "found --reason, expected with take alone")
+    with daemon(connect, rig) as client:
+        if act is Act.SHOW:
+            state = client.state()
+            if json:
+                say_json(state.get("lease"))
+            else:
+                say(f"lease: {figures.lease(state)}")
+            end(DONE)
+        why = (reason or "").encode(errors="replace").decode()
+        answer = _ask(client, act, operator_name(operator), why)
+    accepted = bool(answer.get("accepted"))
+    if json:
+        say_json(answer)
+    elif accepted:
+        say(str(answer["text"]))
+    end(DONE if accepted else BAD, None if accepted or json else str(answer.get("text", answer)))
+
+
+def _ask(client: Client, act: Act, operator: str, reason: str) -> dict[str, Any]:
+    kept = _show(client, operator)
+    if act is Act.TAKE:
+        answer = client.take_lease(operator, reason)
+        _keep(client, operator, kept)
+    else:
+        answer = client.return_lease(operator)
+        if answer.get("accepted"):
+            kept.forget()
+    return answer
+
+
+def give(client: Client, verb: str, operator: str, value: float | None = None, **options: bool | str) -> dict[str, Any]:
+    """Give a command under the lease this operator's commands on this machine share; the answer.
+
+    A lease nobody holds is taken, and kept, before the command is given: a terminal that dies while the rig works
+    leaves the next one the lease. So is one that has lapsed meanwhile, because who types a command looks at the rig.
+    """
+    kept = _show(client, operator)
+    if verb != "hold" and operator not in client.leases:
+        _take(client, operator, kept)
+    answer = client.command(verb, operator, value, **options)
+    if answer.get("reason") == Denial.LAPSED.value:
+        del client.leases[operator]
+        _take(client, operator, kept)
+        answer = client.command(verb, operator, value, **options)
+    _keep(client, operator, kept)
+    return answer
+
+
+def _take(client: Client, operator: str, kept: LeaseFile) -> None:
+    """Take the lease if nobody holds it; if a terminal beside this one just has, go on with that one's."""
+    if client.take_lease(operator).get("accepted"):
+        _keep(client, operator, kept)
+    elif (id_ := kept.read()) is not None:
+        client.leases[operator] = id_
+
+
+def _show(client: Client, operator: str) -> LeaseFile:
+    kept = LeaseFile(client.rig, client.endpoint, operator)
+    if (id_ := kept.read()) is not None:
+        client.leases[operator] = id_
+    return kept
+
+
+def _keep(client: Client, operator: str, kept: LeaseFile) -> None:
+    if (id_ := client.leases.get(operator)) is not None and id_ != kept.read():
+        kept.write(id_)

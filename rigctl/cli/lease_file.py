@@ -1,0 +1,65 @@
+"""Where the command line keeps a lease's id, so that an operator's next command goes on with it.
+
+One small file for each rig, endpoint and operator's name, in the user's runtime folder: the terminals of one user on
+one machine share it, those of others cannot read it. It is a convenience: unreadable, it is as if there were none.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import pathlib
+import stat
+import tempfile
+
+from rigctl.wire.lease import is_id
+
+_LONGEST = 64
+
+
+def folder() -> pathlib.Path:
+    """``$XDG_RUNTIME_DIR/rigctl``, or where there is none ``/tmp/rigctl-UID``."""
+    given = os.environ.get("XDG_RUNTIME_DIR")
+    if given and pathlib.Path(given).is_absolute():
+        return pathlib.Path(given) / "rigctl"
+    return pathlib.Path(tempfile.gettempdir()) / f"rigctl-{os.getuid()}"
+
+
+class LeaseFile:
+    """The id kept for one operator of one rig."""
+
+    def __init__(self, rig: str, endpoint: str, operator: str) -> None:
+        digest = hashlib.sha256(f"{endpoint}\n{operator}".encode()).hexdigest()[:16]
+        self.path = folder() / f"{rig}-{digest}"
+
+    def read(self) -> str | None:
+        """The id; None where there is none, or another user could have put it there."""
+        with contextlib.suppress(OSError):
+            if self._is_ours():
+                fd = os.open(self.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+                with os.fdopen(fd, "rb") as file:
+                    id_ = file.read(_LONGEST).decode(errors="replace").strip()
+                    return id_ if is_id(id_) else None
+        return None
+
+    def write(self, id_: str) -> None:
+        """Keep ``id_``; where that is not possible the next command has no lease to go on with."""
+        part = self.path.with_name(f"{self.path.name}.{os.getpid()}")
+        with contextlib.suppress(OSError):
+            self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if self._is_ours():
+                fd = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+                with os.fdopen(fd, "w") as file:
+                    file.write(id_ + "\n")
+                part.rename(self.path)
+
+    def forget(self) -> None:
+        """Keep nothing."""
+        with contextlib.suppress(OSError):
+            self.path.unlink()
+
+    def _is_ours(self) -> bool:
+        """Whether the folder is ours alone: in ``/tmp`` anyone may have made it."""
+        found = self.path.parent.lstat()
+        return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077

@@ -1,0 +1,99 @@
+"""``rigctl report``: a test report from a recording, one HTML page."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, say, say_json
+from rigctl.ipc import output_file
+
+if TYPE_CHECKING:
+    from rigctl.recorder.recording import Recording
+    from rigctl.report.findings import Findings
+
+SUFFIXES = (".html", ".htm")
+
+
+def report(
+    file: Annotated[
+        pathlib.Path,
+        typer.Argument(
+            metavar="FILE", help="A part of a recording (the run's others beside it are taken too), or a trip dump."
+        ),
+    ],
+    output: Annotated[
+        pathlib.Path | None, typer.Option("-o", "--output", metavar="HTML", help="Where the page goes [NAME.html].")
+    ] = None,
+    part: Annotated[bool, typer.Option("--part", help="Report of FILE alone, not of the whole run.")] = False,
+    json: Json = False,
+) -> None:
+    """Write a test report of a recording: verdict, charts, provenance. Exit code 1 if the verdict is not "passed"."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    page = output if output is not None or json else pathlib.Path(f"{file.stem}.html")
+    if page is not None:
+        if page.suffix.lower() not in SUFFIXES:
+            end(USAGE, f"--output: found {page}, expected a name ending in {', '.join(SUFFIXES)}")
+        check_output("--output", page)
+    recording = _read(file, alone=part)
+    if page is not None and any(_same(page, own.path) for own in recording.files):
+        end(USAGE, f"--output: {page} is the recording, expected a file of its own")
+    found = _find(recording)
+    if page is not None:
+        _write(page, found)
+    if json:
+        from rigctl.report.findings import as_dict
+
+        say_json(as_dict(found))
+    else:
+        _say(found)
+        say(f"written: {page}")
+    end(DONE if found.verdict.passed else BAD, None if found.verdict.passed else f"{file}: {_complaint(found)}")
+
+
+def _read(file: pathlib.Path, *, alone: bool) -> Recording:
+    from rigctl.recorder.recording import RecordingError, parts_of, read
+
+    try:
+        return read(*([file] if alone else parts_of(file)), frames=False)
+    except RecordingError as error:
+        end(USAGE, str(error))
+
+
+def _find(recording: Recording) -> Findings:
+    from rigctl.report.findings import ReportError, find
+
+    try:
+        return find(recording)
+    except ReportError as error:
+        end(USAGE, str(error))
+
+
+def _write(page: pathlib.Path, found: Findings) -> None:
+    from rigctl.report.page import render
+
+    try:
+        output_file.replace(page, render(found))
+    except output_file.OutputError as error:
+        end(USAGE, str(error))
+
+
+def _same(one: pathlib.Path, other: pathlib.Path) -> bool:
+    return one.exists() and one.samefile(other)
+
+
+def _say(found: Findings) -> None:
+    for row in found.verdict.criteria:
+        mark = "not judged" if row.met is None else "met" if row.met else "NOT MET"
+        say(f"{row.name:38} {row.found:>18}  {row.limit:>8}  {mark}")
+    for remark in found.remarks:
+        say(f"note: {remark}")
+    say(found.verdict.word)
+
+
+def _complaint(found: Findings) -> str:
+    missed = [row.name for row in found.verdict.criteria if row.met is False]
+    return "not met: " + ", ".join(missed) if missed else "no compensating phase in it: nothing to judge"

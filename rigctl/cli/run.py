@@ -1,0 +1,169 @@
+"""The commands that take a rig file: ``run``, ``check``, ``demo``."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import time
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, say, say_json
+from rigctl.ipc import output_file
+
+if TYPE_CHECKING:
+    from rigctl.config.rig_file import RigSettings
+
+DEMO_FILE = pathlib.Path("config/paper_rig.yaml")
+DEMO_RECORDINGS = pathlib.Path("recordings")
+File = Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.")]
+
+
+def _load(file: pathlib.Path) -> RigSettings:
+    from rigctl.config import rig_file as config
+
+    try:
+        return config.load(file)
+    except config.ConfigError as error:
+        end(USAGE, "\nrigctl: ".join(error.findings))
+
+
+def _check_gain_file(settings: RigSettings) -> None:
+    """Before anything is started: a gain file that does not fit is a matter of the files."""
+    from rigctl.design import gain_file
+
+    try:
+        gain_file.read_for(settings)
+    except gain_file.GainFileError as error:
+        end(USAGE, str(error))
+
+
+def _check_eds(settings: RigSettings) -> None:
+    """The same of an EDS file that is none."""
+    from rigctl.devices import eds_file
+
+    try:
+        eds_file.check(settings)
+    except eds_file.EdsError as error:
+        end(USAGE, str(error))
+
+
+def _check_ledger(settings: RigSettings) -> None:
+    """The same of a calibration ledger that cannot be believed."""
+    from rigctl.ipc import ledger
+
+    try:
+        ledger.read(settings)
+    except ledger.LedgerError as error:
+        end(USAGE, str(error))
+
+
+def _check_audit_log(settings: RigSettings) -> None:
+    """The same of an audit log that cannot be continued."""
+    from rigctl.recorder import audit_log
+
+    try:
+        audit_log.check(settings.audit_log, settings.rig)
+    except audit_log.AuditError as error:
+        end(USAGE, str(error))
+
+
+def _with_page(settings: RigSettings, page: bool, listen: str | None) -> RigSettings:
+    """The settings with a page where an option asks for one."""
+    if listen is not None:
+        from rigctl.config.page_address import Address, AddressError
+        from rigctl.config.page_section import PageSettings
+
+        try:
+            Address.parse(listen)
+        except AddressError as error:
+            end(USAGE, f"--page-listen: {error}")
+        return settings.model_copy(update={"page": PageSettings(listen=listen)})
+    if page and settings.page is None:
+        from rigctl.config.page_section import PageSettings
+
+        return settings.model_copy(update={"page": PageSettings()})
+    return settings
+
+
+def check(file: File, json: Json = False) -> None:
+    """Validate a rig file; show the resolved rig and the worst-case load of its bus."""
+    settings = _load(file)
+    _check_eds(settings)
+    from rich.console import Console
+
+    from rigctl.cli import check as checking
+
+    if json:
+        say_json(checking.as_dict(settings))
+    else:
+        checking.show(settings, Console())
+    if not checking.accepted(settings):
+        end(BAD, f"{file}: {checking.verdict(settings)}")
+
+
+def run(
+    file: File,
+    page: Annotated[bool, typer.Option("--page", help="Serve the live page too, read-only.")] = False,
+    page_listen: Annotated[
+        str | None, typer.Option("--page-listen", metavar="HOST:PORT", help="The same, there [127.0.0.1:8080].")
+    ] = None,
+) -> None:
+    """Run the daemon until SIGTERM, SIGHUP or Ctrl-C; it ends with the stroke held."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    settings = _with_page(_load(file), page, page_listen)
+    from rigctl.cli.check import accepted, verdict
+    from rigctl.supervisor.daemon import CannotRunError, Supervisor
+
+    if not accepted(settings):
+        end(BAD, f"{file}: {verdict(settings)}")
+    _check_eds(settings)
+    if settings.design.gains_file is not None:
+        _check_gain_file(settings)
+    _check_ledger(settings)
+    _check_audit_log(settings)
+    try:
+        code = Supervisor(settings, lambda text: say(f"{time.strftime('%H:%M:%S')} {text}")).run()
+    except CannotRunError as error:
+        end(BAD, str(error))
+    raise typer.Exit(code)
+
+
+def demo(
+    file: File = DEMO_FILE,
+    json: Annotated[pathlib.Path | None, typer.Option(metavar="FILE", help="Write the figures here.")] = None,
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="Play in simulated time.")] = False,
+    recordings: Annotated[
+        pathlib.Path, typer.Option(metavar="FOLDER", help="Leave the recording here.")
+    ] = DEMO_RECORDINGS,
+) -> None:
+    """Play the paper's move on the simulated rig and judge it by the rig file's own limits."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    settings = _load(file)
+    for section in ("demo", "simulation"):
+        if getattr(settings, section) is None:
+            end(USAGE, f"{file}: {section}: found nothing, expected a section (the demo needs it)")
+    import msgspec
+    from rich.console import Console
+
+    from rigctl.cli.demo import run as play
+    from rigctl.demo.script import DemoError
+
+    assert settings.demo is not None
+    if json is not None and json.resolve() == file.resolve():
+        end(USAGE, f"--json: {json} is the rig file, expected a file of its own")
+    check_output("--json", json)
+    try:
+        summary = play(settings, settings.demo, Console(), recordings.resolve(), lockstep=lockstep)
+    except DemoError as error:
+        end(BAD, f"demo: {error}")
+    except KeyboardInterrupt:
+        end(BAD, "demo interrupted: its daemon held the stroke, and its processes are ended")
+    if json is not None:
+        text = msgspec.json.format(msgspec.json.encode(summary.as_dict()), indent=2).decode()
+        try:
+            output_file.write(json, text + "\n")
+        except output_file.OutputError as error:
+            end(USAGE, str(error))
+    raise typer.Exit(DONE if summary.passed else BAD)

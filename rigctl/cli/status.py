@@ -1,0 +1,69 @@
+"""``rigctl status``: how the rig is now, on one small screen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rigctl.cli.options import BAD, DONE, Connect, Json, Rig, daemon, end, say_json
+from rigctl.config.quantity import count
+from rigctl.wire import state_words as figures
+
+
+def status(json: Json = False, connect: Connect = None, rig: Rig = None) -> None:
+    """Show mode, tension, error, stroke, inclination and how well the loop keeps its time."""
+    with daemon(connect, rig) as client:
+        state = client.state()
+        endpoint = client.endpoint
+    if json:
+        say_json(state)
+    else:
+        _show(state, endpoint)
+    end(DONE if state["loop_alive"] else BAD)
+
+
+def rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Label, value and style, line by line."""
+    why = figures.why(state)
+    result = [("mode", f" {figures.mode(state)} ", figures.mode_style(state))]
+    if why:
+        result.append(("fault" if state.get("fault") else "loop", why, "bold red"))
+    result += [("stands", words, "bold red") for words in figures.causes(state)]
+    if why and state.get("fault") and state.get("trip_dump"):
+        result.append(("trip dump", state["trip_dump"], ""))
+    result += [("e-stop", words, "bold red") for words in figures.e_stop(state)]
+    if state.get("mode") is not None:
+        flaws, n = figures.flaws(state), figures.number
+        tension = f"{n(state['tension_n'], 2, 'N')} (vertical {n(state['vertical_n'], 2, 'N')})"
+        skipped = f"{state['skipped']} of {count(state['tick'], 'tick')}"
+        late = figures.percentiles(state["lateness_us"])
+        result += [
+            ("tension", tension, "bold"),
+            ("vertical error", figures.error(state), "bold"),
+            ("target", n(state["target_n"], 1, "N"), ""),
+            ("stroke", f"{n(state['stroke_mm'], 2, 'mm')}, {n(state['speed_mm_s'], 2, 'mm/s', sign=True)}", ""),
+            ("inclination", figures.inclination(state), ""),
+            ("calibration", *figures.calibration(state)),
+            *([("signals", flaws, "bold yellow")] if flaws else []),
+            ("lateness", late, ""),
+            ("work", figures.percentiles(state["work_us"]), ""),
+            ("skipped", skipped, "bold yellow" if state["skipped"] else ""),
+            ("bus", figures.counters(state), ""),
+            ("age", n(state["age_ms"], 1, "ms"), ""),
+            *([("design", state["design"], "")] if state.get("design") else []),
+        ]
+    result.append(("lease", figures.lease(state), ""))
+    return result + [("warning", text, "yellow") for text in state["warnings"]]
+
+
+def _show(state: dict[str, Any], endpoint: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column()
+    table.add_row("rig", Text(f"{state['rig']} at {endpoint}"))
+    for label, value, style in rows(state):
+        table.add_row(label, Text(value, style))
+    Console(highlight=False).print(table)

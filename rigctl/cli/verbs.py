@@ -1,0 +1,192 @@
+"""The commands that move the rig: one line each says what happened, or why not."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import time
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+from rigctl.cli.lease import give
+from rigctl.cli.options import BAD, DONE, Connect, Json, Operator, Rig, Wait, daemon, end, operator_name, say
+from rigctl.cli.options import say_json as put_json
+from rigctl.wire import state_words as figures
+
+if TYPE_CHECKING:
+    from rigctl.client.connection import Client
+    from rigctl.client.messages import Feed
+
+SILENCE_S = 5.0
+
+
+def newtons_of(text: str) -> float:
+    """A finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise typer.BadParameter(f"found {text!r}, expected a number of newtons")
+    return value
+
+
+Newtons = Annotated[float, typer.Argument(metavar="NEWTONS", parser=newtons_of, help="Vertical tension to hold.")]
+
+
+def millimetres_of(text: str) -> float:
+    """A finite number, with its sign."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise typer.BadParameter(f"found {text!r}, expected a number of millimetres")
+    return value
+
+
+Millimetres = Annotated[
+    float, typer.Argument(metavar="MM", parser=millimetres_of, help="Stroke, as measured at the cylinder.")
+]
+
+NearEnd = Annotated[
+    bool, typer.Option("--near-end", help="Arm at an end of the stroke, to drive away from it (tension, release).")
+]
+
+# Mode a command ends in, and the one it passes through on the way.
+_ENDS = {"tension": ("COMPENSATING", "TENSIONING"), "release": ("HOLD", "RELEASING")}
+
+
+def arm(
+    near_end: NearEnd = False,
+    json: Json = False,
+    connect: Connect = None,
+    rig: Rig = None,
+    operator: Operator = None,
+) -> None:
+    """Drive on, brake open, stroke held: DISARMED to HOLD. Refused with everything that stands against it."""
+    _give("arm", json, connect, rig, operator, near_end=near_end)
+
+
+def tension(
+    wait: Wait = False, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
+) -> None:
+    """Ramp to the target and hold it: TENSIONING, then COMPENSATING."""
+    _give("tension", json, connect, rig, operator, wait=wait)
+
+
+def release(
+    wait: Wait = False, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
+) -> None:
+    """Ramp to a slack rope, then HOLD."""
+    _give("release", json, connect, rig, operator, wait=wait)
+
+
+def hold(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
+    """Stop and hold the stroke where it is. Anyone may, always: it needs no lease and takes none.
+
+    To a daemon of this computer and user it goes past the network, on a socket of its own (FOLDER/hold.sock in memory),
+    and works while the gateway is flooded, hangs or is gone; to any other as every command.
+    """
+    from rigctl.client import local_hold
+    from rigctl.client.connection import ChoiceError, endpoint_of
+
+    answer = None
+    with contextlib.suppress(ChoiceError):  # said below, where every command says it
+        named = rig or os.environ.get("RIGCTL_RIG") or None
+        answer = local_hold.hold(endpoint_of(connect), named, operator_name(operator))
+    if answer is None:
+        _give("hold", json, connect, rig, operator)
+    else:
+        _tell(answer, json)
+
+
+def disarm(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
+    """Drive off, brake closed."""
+    _give("disarm", json, connect, rig, operator)
+
+
+def reset(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
+    """Acknowledge a fault whose cause is gone."""
+    _give("reset", json, connect, rig, operator)
+
+
+def target(
+    newtons: Newtons, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
+) -> None:
+    """Set the vertical tension to hold."""
+    _give("target", json, connect, rig, operator, newtons)
+
+
+def confirm_stroke(
+    millimetres: Millimetres,
+    json: Json = False,
+    connect: Connect = None,
+    rig: Rig = None,
+    operator: Operator = None,
+) -> None:
+    """Confirm the stroke after the drive's position was lost or differs from the last one known."""
+    _give("confirm_stroke", json, connect, rig, operator, millimetres)
+
+
+def _give(
+    verb: str,
+    json: bool,
+    connect: str | None,
+    rig: str | None,
+    operator: str | None,
+    value: float | None = None,
+    *,
+    wait: bool = False,
+    near_end: bool = False,
+) -> None:
+    with daemon(connect, rig) as client:
+        states = client.follow(client.keys.state) if wait else None
+        answer = give(client, verb, operator_name(operator), value, near_end=near_end)
+        if bool(answer.get("accepted")) and states is not None:
+            if not json:
+                say(str(answer["text"]))
+            answer = _finish(client, verb, answer, states)
+    _tell(answer, json)
+
+
+def _tell(answer: dict[str, Any], json: bool) -> NoReturn:
+    """Print the answer and end the command."""
+    accepted = bool(answer.get("accepted"))
+    if json:
+        put_json(answer)
+    elif accepted:
+        say(str(answer["text"]))
+    else:
+        end(BAD, str(answer.get("text", answer)))
+    end(DONE if accepted else BAD)
+
+
+def _standing(state: dict[str, Any]) -> str:
+    return f"tension {figures.number(state['tension_n'], 1, 'N')}, stroke {figures.number(state['stroke_mm'], 2, 'mm')}"
+
+
+def _finish(client: Client, verb: str, answer: dict[str, Any], states: Feed) -> dict[str, Any]:
+    """Follow the state until the command has ended, one way or the other."""
+    goal, passing = _ENDS[verb]
+    heard = time.monotonic()
+    while True:
+        state = states.wait(0.2)
+        if state is None:
+            if time.monotonic() - heard > SILENCE_S:
+                text = f"{verb.upper()}: no data for {SILENCE_S:.0f} s from {client.endpoint}, outcome unknown"
+                return {**answer, "accepted": False, "reason": "no_data", "text": text}
+            continue
+        heard = time.monotonic()
+        mode = state.get("mode")
+        if state.get("t_ns", 0) < answer.get("t_ns", 0) or mode in (passing, None):
+            continue
+        about = {"mode": mode, "value": state["tension_n"]}
+        if mode == goal:
+            text = f"{verb.upper()}: {goal}, {_standing(state)}"
+            return {**answer, **about, "text": text}
+        why = f" {state['fault']}: {state['fault_text']}" if mode == "FAULT" else ""
+        text = f"{verb.upper()} failed: ended in {mode}{why}"
+        return {**answer, **about, "accepted": False, "reason": "ended_otherwise", "text": text}

@@ -1,0 +1,161 @@
+"""The watch screen: what must be seen from a chair at three in the morning comes first and largest."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.text import Text
+
+from rigctl.config.quantity import count, significant
+from rigctl.wire import state_words as figures
+
+if TYPE_CHECKING:
+    from rigctl.cli.watch import View
+
+SPAN_PCT = 10.0  # the bar shows the target and so much either side
+NARROW = 72
+"""Columns below which a line goes on in the next one: else it is the values that are cut off."""
+_LABEL = 14
+_INDENT = 2
+_SEVERITY = {"error": "bold red", "warning": "yellow", "info": ""}
+
+
+def scale(width: int, value: float | None, low: float, high: float, marks: dict[float, str]) -> str:
+    """A ruler of ``width`` from ``low`` to ``high`` with ``marks`` and the value as a block; an arrow outside."""
+    cells = ["─"] * width
+
+    def cell(x: float) -> int:
+        return round((x - low) / (high - low) * (width - 1)) if high > low else 0
+
+    for x, mark in marks.items():
+        if low <= x <= high:
+            cells[cell(x)] = mark
+    if value is None or not math.isfinite(value):
+        return "".join(cells)
+    if value < low:
+        cells[0] = "◀"
+    elif value > high:
+        cells[-1] = "▶"
+    else:
+        cells[cell(value)] = "█"
+    return "".join(cells)
+
+
+def _row(label: str, value: str | Text, style: str = "") -> Text:
+    return Text.assemble((f"{label:<{_LABEL}}", "dim"), value if isinstance(value, Text) else (value, style))
+
+
+def tension_bar(state: dict[str, Any], width: int) -> list[Text]:
+    """Vertical tension against the target and its band."""
+    value, target = state["vertical_n"], state["target_n"] or 0.0
+    low, high = target * (1 - SPAN_PCT / 100), target * (1 + SPAN_PCT / 100)
+    band = (target * (1 - figures.BAND_PCT / 100), target * (1 + figures.BAND_PCT / 100))
+    inside = value is not None and band[0] <= value <= band[1]
+    active = state["mode"] in ("TENSIONING", "COMPENSATING")
+    colour = "green" if inside else "red" if state["mode"] == "COMPENSATING" else "yellow" if active else "dim"
+    bar = scale(width, value, low, high, {band[0]: "[", target: "┼", band[1]: "]"})
+    legend = f"{low:z.0f}".ljust(width // 2 - 8) + f"target {target:z.1f} N".center(16)
+    return [
+        _row("vertical", f"{figures.number(value, 2, 'N'):>10}  {figures.error(state)}", f"bold {colour}".strip()),
+        _row("", bar, colour),
+        _row("", legend + f"{high:z.0f}".rjust(width - len(legend)), "dim"),
+    ]
+
+
+def stroke_bar(state: dict[str, Any], limits: dict[str, Any], width: int) -> list[Text]:
+    """Stroke within its limits."""
+    stroke, low, high = state["stroke_mm"], limits.get("stroke_min_mm"), limits.get("stroke_max_mm")
+    speed = figures.number(state["speed_mm_s"], 2, "mm/s", sign=True)
+    first = _row("stroke", f"{figures.number(stroke, 2, 'mm'):>10}  {speed}")
+    if low is None or high is None:
+        return [first]
+    text = f"{significant(low)} ", f" {significant(high, 'mm')}"
+    near = stroke is not None and not low + 0.05 * (high - low) <= stroke <= high - 0.05 * (high - low)
+    bar = scale(width - len(text[0]) - len(text[1]), stroke, low, high, {low: "├", high: "┤"})
+    return [first, _row("", text[0] + bar + text[1], "yellow" if near else "")]
+
+
+def fitted(text: Text, width: int) -> list[Text]:
+    """A line as it is, or on a narrow terminal over several, those that go on indented."""
+    if width >= NARROW or text.cell_len <= width:
+        return [text]
+    first, *rest = text.wrap(Console(width=width), width - _INDENT)
+    return [first, *(Text.assemble(" " * _INDENT, more) for more in rest)]
+
+
+class Screen:
+    """A view as a full screen, whatever its size."""
+
+    def __init__(self, view: View) -> None:
+        self._view = view
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        width, height = options.max_width, options.height or console.height
+        lines = self.lines(width, height)
+        for number, text in enumerate(lines[:height]):
+            text.truncate(width, overflow="ellipsis")
+            yield Text.assemble(text, end="" if number == min(len(lines), height) - 1 else "\n")
+
+    def lines(self, width: int, height: int) -> list[Text]:
+        """Top to bottom; events fill what is left."""
+        view, state = self._view, self._view.state
+        head = [self._title(width)]
+        if view.silent_s or state is None:
+            silence = time.monotonic() - view.heard
+            head += self._banner(f"NO DATA FOR {silence:.0f} s", "bold white on red", width)
+            head.append(Text(f"reconnecting to {view.endpoint}; the values below are the last ones", "bold red"))
+        else:
+            head += self._banner(" ".join(figures.mode(state)), figures.mode_style(state), width)
+            head.append(Text(figures.why(state), "bold red"))
+            head += [_row("stands", words, "bold red") for words in figures.causes(state)]
+        if state is not None and state.get("mode") is not None:
+            head += self._values(state, width - _LABEL)
+        warnings = [*(state or {}).get("warnings", []), *([view.refused] if view.refused else [])]
+        head += [_row("warning", text, "yellow") for text in warnings]
+        head = [part for text in head for part in fitted(text, width)]
+        return head + self._events(width, max(0, height - len(head)))
+
+    def _title(self, width: int) -> Text:
+        left = f"{self._view.rig}  {self._view.endpoint}"
+        right = time.strftime("%Y-%m-%d %H:%M:%S") + "  Ctrl-C ends"
+        return Text(left + right.rjust(max(len(right) + 2, width - len(left))), "dim")
+
+    @staticmethod
+    def _banner(text: str, style: str, width: int) -> list[Text]:
+        blank = " " * width
+        return [Text(blank, style), Text(text.center(width), style), Text(blank, style)]
+
+    def _values(self, state: dict[str, Any], width: int) -> list[Text]:
+        skipped = f"{state['skipped']} of {count(state['tick'], 'tick')}"
+        flaws, slope = figures.flaws(state), state["quality"]["inclination"]
+        return [
+            *tension_bar(state, width),
+            *stroke_bar(state, self._view.settings.get("cylinder") or {}, width),
+            _row("inclination", figures.inclination(state), "" if slope == "good" else "yellow"),
+            *([_row("signals", flaws, "bold yellow")] if flaws else []),
+            _row("lateness", figures.percentiles(state["lateness_us"])),
+            _row("work", figures.percentiles(state["work_us"])),
+            _row("skipped", skipped, "bold yellow" if state["skipped"] else ""),
+            _row("bus", figures.counters(state)),
+            *([_row("flags", flags, "yellow")] if (flags := figures.flags(state)) else []),
+            *([_row("limits", "; ".join(passed), "yellow")] if (passed := self._view.limits.now) else []),
+            *(_row("before arming", words, style) for words, style in figures.checks(state)),
+            _row("calibration", *figures.calibration(state)),
+            _row("recorder", *figures.recorder(state)),
+            _row("lease", figures.lease(state)),
+        ]
+
+    def _events(self, width: int, room: int) -> list[Text]:
+        if room <= 1:
+            return []
+        rows = [
+            part
+            for event in self._view.events[-(room - 1) :]
+            for part in fitted(
+                Text(f"{figures.clock(event['wall_ns'])}  {event['text']}", _SEVERITY.get(event["severity"], "")), width
+            )
+        ]
+        return [Text("events", "dim"), *rows[-(room - 1) :]]

@@ -1,0 +1,162 @@
+"""The `simulation` section of a rig file: the rig as built, imperfections included. Read by `python -m hil` only."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from rigctl.config.settings_base import Settings, require
+
+
+class FrictionSettings(Settings):
+    """One friction pair: proportional to the rope's load, with stiction, Stribeck transition and a viscous part."""
+
+    friction_static: float = Field(ge=0, le=1, description="coefficient at rest; break-away at atan of it")
+    friction_dynamic: float = Field(ge=0, le=1, description="coefficient when sliding")
+    stribeck_mm_s: float = Field(gt=0, le=1000, description="speed of the transition from static to dynamic")
+    viscous_n_s_m: float = Field(ge=0, le=10_000, description="damping, as seen at the pulley")
+
+    @model_validator(mode="after")
+    def _falls(self) -> FrictionSettings:
+        low, high = self.friction_dynamic, self.friction_static
+        require(low <= high, "friction_dynamic", low, f"at most friction_static ({high:g})")
+        return self
+
+
+class RailSettings(FrictionSettings):
+    """The guide rail on its vertical shaft, and how it was mounted."""
+
+    mass_kg: float = Field(ge=0.1, le=1000, description="moment of inertia about the shaft / radius squared")
+    eccentricity_normal_mm: float = Field(
+        default=0.0, ge=-100, le=100, description="shaft from the mechanism's axis, along its normal at angle 0"
+    )
+    eccentricity_tangential_mm: float = Field(
+        default=0.0, ge=-100, le=100, description="shaft from the mechanism's axis, along its tangent at angle 0"
+    )
+    slope_mm_m: float = Field(default=0.0, ge=-50, le=50, description="level along the rail, rising outwards")
+
+
+class PulleySettings(FrictionSettings):
+    """The pulley on the rail, with what hangs from it above the spring."""
+
+    mass_kg: float = Field(ge=0.05, le=100, description="pulley, cylinder and sensors")
+    rest_share: float = Field(
+        default=0.0, ge=-1, le=1, description="place at first, outwards of plumb, of the farthest its friction holds"
+    )
+
+
+class RopeSettings(Settings):
+    """Rope and spring where `plant` does not say."""
+
+    damping_n_s_mm: float = Field(ge=0, le=100, description="spring and rope, axial")
+    slack_mm: float = Field(ge=0, le=500, description="rope left slack at stroke 0")
+    mass_kg: float = Field(default=0.0, ge=0, le=10, description="rope")
+    elements: int = Field(default=1, ge=1, le=32, description="1 = straight rope, more = it vibrates across its length")
+    node_damping_n_s_m: float = Field(default=0.0, ge=0, le=100, description="damping of that vibration, per node")
+
+    @model_validator(mode="after")
+    def _nodes_have_mass(self) -> RopeSettings:
+        require(self.elements == 1 or self.mass_kg > 0, "elements", self.elements, "1 for a rope without mass_kg")
+        return self
+
+
+class MechanismSettings(Settings):
+    """How the mechanism carries the payload, per axis; null = rigid: the motion is prescribed, as in the paper."""
+
+    tangential_n_mm: float | None = Field(default=None, gt=0, le=1e6, description="stiffness, null = rigid")
+    normal_n_mm: float | None = Field(default=None, gt=0, le=1e6, description="stiffness, null = rigid")
+    vertical_n_mm: float | None = Field(default=None, gt=0, le=1e6, description="stiffness, null = rigid")
+    damping_ratio: float = Field(default=0.02, ge=0, le=2, description="of the payload on each of these")
+
+
+class DriveSettings(Settings):
+    """Cylinder and drive."""
+
+    brake_ms: int = Field(ge=0, le=2000, description="time the brake takes to open or close")
+    acceleration_mm_s2: float = Field(gt=0, le=50_000, description="acceleration limit")
+    speed_mm_s: float = Field(default=100.0, gt=0, le=1000, description="speed limit")
+    dead_band_mm_s: float = Field(default=0.0, ge=0, le=5, description="slower commands do not move it")
+    ripple_mm: float = Field(default=0.0, ge=0, le=1, description="stroke error of the screw, amplitude per turn")
+    screw_lead_mm: float = Field(default=5.0, gt=0, le=100, description="stroke per turn of the screw")
+    backlash_mm: float = Field(default=0.0, ge=0, le=5, description="play of the nut")
+    seating_load_n: float = Field(
+        default=20.0, ge=0, le=1e6, description="tension above which the load closes the play"
+    )
+    stop_margin_mm: float = Field(default=5.0, ge=0, le=100, description="mechanical stops beyond the commanded stroke")
+    encoder_mm: float = Field(default=0.0, ge=0, le=1, description="resolution of the encoder as stroke, 0 = perfect")
+    clock_ppm: float = Field(default=0.0, ge=-1000, le=1000, description="its clock against the controller's")
+    force_n_a: float = Field(default=500.0, gt=0, le=1e6, description="rope force per ampere of motor current")
+    friction_n: float = Field(default=60.0, ge=0, le=1e5, description="of screw and seals against the motor, as force")
+    creep_n_s_mm: float = Field(
+        default=600.0, gt=0, le=1e6, description="rope force under which the motor without power gives way by 1 mm/s"
+    )
+    ambient_c: float = Field(default=25.0, ge=-40, le=80, description="temperature of the drive without current")
+    heating_c_a2: float = Field(default=8.0, ge=0, le=1000, description="what 1 A adds to it in the end, by I squared")
+    thermal_s: float = Field(default=600.0, gt=0, le=1e5, description="time constant of that")
+    increments_per_mm: float | None = Field(
+        default=None,
+        ge=100,
+        le=1e7,
+        description="it counts in increments, so many per mm; null = micrometres",
+    )
+
+
+class CellSettings(Settings):
+    """Tension cell and amplifier where `tension_cell` does not say."""
+
+    quantum_n: float = Field(gt=0, le=10, description="resolution")
+    filter_hz: float | None = Field(default=None, gt=0, le=10_000, description="low-pass, first order, null = none")
+    bias_n: float = Field(default=0.0, ge=-1000, le=1000, description="what the last tare left of the zero error")
+    gain_pct: float = Field(default=0.0, ge=-10, le=10, description="what the last calibration left of the gain error")
+    drift_n_h: float = Field(default=0.0, ge=-100, le=100, description="drift of zero per hour")
+    creep_pct: float = Field(default=0.0, ge=-1, le=1, description="of the load, reached after several creep_s")
+    creep_s: float = Field(default=600.0, gt=0, le=1e5, description="time constant of the creep")
+    clock_ppm: float = Field(default=0.0, ge=-1000, le=1000, description="its clock against the controller's")
+
+
+class SlopeSettings(Settings):
+    """Inclinometer where `inclinometer` does not say."""
+
+    kind: Literal["accelerometer", "gyro"] = Field(
+        default="gyro", description="accelerometer: reads the swing's acceleration too; gyro: compensated"
+    )
+    height_mm: float = Field(default=0.0, ge=0, le=20_000, description="distance below the pulley")
+    gyro_s: float = Field(default=2.0, gt=0, le=100, description="gyro: faster than this the rate gyro is believed")
+    filter_hz: float = Field(gt=0, le=1000, description="low-pass, first order")
+    quantum_deg: float = Field(gt=0, le=1, description="resolution")
+    noise_deg: float = Field(ge=0, le=1, description="noise, rms, after the filter")
+    clock_ppm: float = Field(default=0.0, ge=-1000, le=1000, description="its clock against the controller's")
+
+
+class DevicesSettings(Settings):
+    """What CANopen devices as they are sold do; each value that is not the default is a variant of the devices."""
+
+    rtr: bool = Field(default=True, description="false = bit 30 of a TPDO's COB-ID stays set, else abort 0609 0030")
+    fixed_mapping: bool = Field(default=False, description="PDO mappings are read only, else abort 0601 0002")
+    sdo_ms: int = Field(default=0, ge=0, le=5000, description="time to an SDO answer")
+    boot_s: float = Field(default=0.0, ge=0, le=60, description="time from power-on or reset to the boot-up message")
+
+    @property
+    def slow(self) -> bool:
+        """Their answers take time."""
+        return self.sdo_ms > 0 or self.boot_s > 0
+
+
+class SimulationSettings(Settings):
+    """The simulated rig where it is not what `plant` says."""
+
+    seed: int = Field(ge=0, le=2**31, description="of every noise source")
+    step_us: int = Field(default=100, ge=10, le=1000, description="integration step")
+    stiffness_scale: float = Field(default=1.0, gt=0.1, le=10, description="stiffness as built / as in `plant`")
+    lag_scale: float = Field(default=1.0, gt=0.1, le=10, description="cylinder lag as built / as in `plant`")
+    delay_scale: float = Field(default=1.0, ge=0, le=20, description="command delay as built / as in `plant`")
+    dead_load_n: float = Field(default=0.0, ge=0, le=10_000, description="load of both friction pairs beside the rope")
+    rail: RailSettings
+    pulley: PulleySettings
+    rope: RopeSettings
+    mechanism: MechanismSettings = Field(default_factory=MechanismSettings)
+    drive: DriveSettings
+    cell: CellSettings
+    inclinometer: SlopeSettings
+    devices: DevicesSettings = Field(default_factory=DevicesSettings)

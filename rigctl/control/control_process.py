@@ -1,0 +1,174 @@
+"""The control process: bring the devices up, take the gains, ask for real time, run the loop.
+
+Only numbers cross to it: settings from the runtime folder, gains as one line on standard input, rings for the rest.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from types import FrameType
+
+import can
+import msgspec
+from can.typechecking import CanFilters
+from pydantic import ValidationError
+
+from rigctl.config.rig_file import RigSettings
+from rigctl.control import last_stroke, realtime
+from rigctl.control.clock import GridClock, SimulatedClock
+from rigctl.control.inbox import rival_ids
+from rigctl.control.logbook import Rings
+from rigctl.control.loop import Loop
+from rigctl.control.safety import Check
+from rigctl.control.tension import Gains
+from rigctl.devices import objects as od
+from rigctl.devices import startup
+from rigctl.devices.process_data import COMMAND, ProcessData
+from rigctl.ipc.ledger import in_force
+from rigctl.ipc.runtime_folder import Runtime
+from rigctl.ipc.termination import on_signals
+
+WARM_UP_TICKS = 50
+# Elsewhere python-can filters by itself, and a refused frame ends a drain: old samples would pile up behind it.
+FILTERS_IN_FULL = ("socketcan", "rigsim")
+EXIT_CANNOT_START = 1
+
+
+def receive_filters(settings: RigSettings, process_data: ProcessData) -> CanFilters:
+    """Ids the loop reads; on interfaces that filter in the kernel nothing else wakes or fills the socket."""
+    bases = (od.EMCY_BASE, od.HEARTBEAT_BASE, od.SDO_TX_BASE, od.SDO_RX_BASE)
+    ids = [base + node for base in bases for node in settings.canopen_nodes.values()]
+    ids += list(process_data.can_ids(settings).values())
+    ids += rival_ids(settings)
+    ids += [message.can_id for message in settings.plain_messages.values()]
+    return [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in ids]
+
+
+def open_bus(settings: RigSettings) -> can.BusABC:
+    """The loop's bus.
+
+    Raises:
+        StartupError: one line.
+    """
+    where = f"{settings.can.interface}:{settings.can.channel}"
+    try:
+        return can.Bus(
+            interface=settings.can.interface, channel=settings.can.channel, bitrate=settings.can.bitrate_bit_s
+        )
+    except (can.CanError, OSError, ValueError, NotImplementedError) as error:
+        raise startup.StartupError(f"{where} cannot be opened: {' '.join(str(error).split())}") from None
+
+
+def warm_up(settings: RigSettings, gains: Gains, directory: Runtime, process_data: ProcessData) -> None:
+    """Run every path of the tick on a bus of its own, so that the first real tick meets nothing for the first time."""
+    runtime = Runtime(directory.directory / f"warm-up-{os.getpid()}")
+    runtime.directory.mkdir()
+    try:
+        runtime.make_rings(settings)
+        bus = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
+        other = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
+        clock = SimulatedClock(settings.loop.period_ns, lambda _t: _answer(other, settings, process_data))
+        loop = Loop(settings, gains, bus, clock, Rings.of(runtime), supervised=True, process_data=process_data)
+        for _ in range(WARM_UP_TICKS):
+            loop.tick()
+        bus.shutdown()
+        other.shutdown()
+    finally:
+        runtime.remove()
+
+
+def _answer(bus: can.BusABC, settings: RigSettings, process_data: ProcessData) -> None:
+    samples = {
+        od.AI_PROCESS_VALUE: 300_000, od.SLOPE_LONG: 10, od.STATUSWORD: 0x0237, od.POSITION_ACTUAL: 50_000,
+        od.VELOCITY_ACTUAL: 1, od.VELOCITY_ACTUAL_16: 1, od.CURRENT_ACTUAL: 100, od.DIGITAL_INPUTS: 0xFFFFFFFF,
+        od.INPUTS_8: od.EVERY_INPUT_8,
+    }  # fmt: skip
+    ids = process_data.can_ids(settings)
+    frames = {
+        ids[name]: layout.codec.pack(*(samples.get(index, 0) for index, _ in layout.objects))
+        for name, layout in process_data.frames.items()
+        if name != COMMAND
+    }
+    for message in settings.plain_messages.values():
+        frames[message.can_id] = message.payload({"tension": 300.0, "tangential": 1e-3, "normal": 0.0, "valid": 1.0})
+    for can_id, data in frames.items():
+        bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+    while bus.recv(0) is not None:
+        pass
+
+
+def _stop_on_signal(loop: Loop) -> Callable[[int, FrameType | None], None]:
+    def on_signal(_number: int, _frame: FrameType | None) -> None:
+        loop.stop_requested = True
+
+    return on_signal
+
+
+def _say(line: str) -> None:
+    sys.stderr.write(f"rigctl: {line}\n")
+    sys.stderr.flush()
+
+
+def run(directory: str) -> int:
+    """Body of the process; returns its exit code."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    realtime.die_with_parent(signal.SIGTERM)
+    runtime = Runtime(directory)
+    try:
+        settings = RigSettings.model_validate(runtime.read_json("active.json").get("settings"))
+    except (OSError, msgspec.MsgspecError, ValidationError):
+        sys.stderr.write("rigctl: control: active.json holds no valid settings\n")
+        return EXIT_CANNOT_START
+    try:
+        bus = open_bus(settings)
+        report = startup.bring_up(bus, settings, _say)
+    except startup.StartupError as error:
+        sys.stderr.write(f"rigctl: {error}\n")
+        return EXIT_CANNOT_START
+    line = sys.stdin.readline()
+    if not line:
+        return EXIT_CANNOT_START  # the supervisor has ended, or refused the design
+    gains = msgspec.json.decode(line, type=Gains)
+    warm_up(settings, gains, runtime, report.process_data)
+    if settings.can.interface in FILTERS_IN_FULL:
+        bus.set_filters(receive_filters(settings, report.process_data))
+    clock = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000)
+    correction, last = in_force(runtime).correction, last_stroke.in_force(runtime)
+    loop = Loop(
+        settings,
+        gains,
+        bus,
+        clock,
+        Rings.of(runtime),
+        supervised=report.supervised,
+        host_checks=Check.HOST,  # the gateway judges them before an operator can arm
+        correction=correction,
+        process_data=report.process_data,
+        watched=report.watched,
+        last_stroke=last,
+    )
+    on_signals(_stop_on_signal(loop), signal.SIGTERM, signal.SIGHUP)
+    frozen = realtime.freeze_garbage_collector()  # before real time: it takes 100 ms, which another loop must not wait
+    applied = [*realtime.apply(settings.loop), frozen]
+    runtime.write_json(
+        "control.json",
+        {
+            "pid": os.getpid(),
+            "host_checks": int(Check.HOST),  # those the loop began with: for a replay
+            "realtime": [asdict(setting) for setting in applied],
+            "last_stroke": asdict(last),  # the same
+            "warnings": [f"{setting.name}: {setting.warning}" for setting in applied if not setting.ok],
+            **report.as_json(),
+        },
+    )
+    loop.run()
+    if loop.drive_off:
+        bus.set_filters(None)
+        startup.release(bus, settings)
+    bus.shutdown()
+    realtime.leave()  # not before: the drive watches us until it is let go of
+    return 0

@@ -1,0 +1,445 @@
+"""Events: numbers in the loop, words for people. The loop writes ``EVENT`` slots; the gateway words them here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from types import MappingProxyType
+
+from rigctl.config.limits_section import SIGNALS
+from rigctl.config.quantity import Number, count, significant
+from rigctl.control.escalation import Symptom
+from rigctl.control.homed import TOLERANCE_MM
+from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
+from rigctl.control.safety import Action, Check, EStop, Fault
+from rigctl.devices import can_errors, emergency
+from rigctl.ipc.record import NEVER_AGE_NS
+
+
+class Kind(IntEnum):
+    """Kind of an event; ``a``, ``b``, ``value`` and ``limit`` mean what the comment says."""
+
+    MODE = 1  # a: from, b: to, value: event, limit: safe frames sent before it
+    TRIP = 2  # a: fault, b: action, value, limit, text: what is beyond its limit, for a limit of the rig file
+    RESET = 3  # a: fault acknowledged
+    EMERGENCY = 4  # a: node, b: emergency code | error register << 16 (CiA 301), text: manufacturer's bytes, hex
+    NODE_STATE = 5  # a: node, b: NMT state
+    EXCEPTION = 6  # text: exception and place
+    BUS_ERROR = 7  # a: error class bits of the frame's id, b: see rigctl.devices.can_errors.details
+    SEND_FAILED = 8  # text: why
+    STARTED = 9  # loop running; a, b: slots of the command ring and of the ring of holds from before it
+    STOPPED = 10  # loop ended, value: stroke, limit: tension
+    CLOCK = 11  # a: ticks skipped at once
+    CORRECTION = 12  # value: zero of the tension cell in N, limit: its scale
+    GAINS = 14  # text: K_T, K_v, K_i now in force
+    LIMIT = 15  # a: fault, b: action (LOG), value, limit, text: a limit of the rig file is passed ...
+    LIMIT_OVER = 16  # ... and is kept again
+    RECEIVE_FAILED = 17  # text: why
+    STROKE_LEFT = 40  # a: mode, value: stroke from where it was latched in mm, limit: what is told
+    DRIVE_CREEPS = 41  # value: speed in mm/s at which the drive creeps when told 0, limit: what is told
+    ESCALATION = 42  # a: fault, b: symptom, see rigctl.control.escalation, value, limit: its reaction did not help
+    CAUSE = 45  # as TRIP: a further cause stands, while a fault is latched ...
+    CAUSE_OVER = 46  # ... and it, or what tripped, is gone
+    FOREIGN_SDO = 50  # a: node, b: index << 8 | sub-index (0: not known), text: what another master does there
+    SETTING_LOST = 51  # a: node, b: index << 8 | sub-index, value: found (NaN: no value), limit: wanted, text: in words
+    READ_BACK = 52  # a: objects that were as wanted, value: how long it took in s
+    STROKE = 53  # a: 1 the drive's position is believed, 0 not, value: it in mm, limit: last known in mm, text: why
+    BRAKE_TEST = 55  # a: 1 held, 0 not possible on a slack rope, value: stroke moved in mm, limit: tension in N
+    LOCAL_HOLD = 65  # a: user, b: process it came from, text: operator; what came of it is in the reply
+    SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
+
+
+@dataclass(frozen=True)
+class Worded:
+    """An event for people: key ending (info, warning, error) and one line."""
+
+    severity: str
+    text: str
+
+
+FAULT_TEXT: dict[Fault, str] = {
+    Fault.NONE: "no fault",
+    Fault.TENSION_HIGH: "tension {value:.1f} N above {limit:.1f} N",
+    Fault.TENSION_LOW: "tension lost ({value:.1f} N, limit {limit:.1f} N)",
+    Fault.CELL_STALE: "no tension sample for {value:.0f} ms (limit {limit:.0f} ms)",
+    Fault.CELL_INVALID: "tension cell reports overload or no valid value (status {value:.0f})",
+    Fault.INCLINATION_STALE: "no inclination sample for {value:.0f} ms (limit {limit:.0f} ms)",
+    Fault.INCLINATION_INVALID: "inclinometer reports no valid value",
+    Fault.DRIVE_STALE: "no drive status for {value:.0f} ms (limit {limit:.0f} ms)",
+    Fault.DRIVE_FAULT: "drive reports a fault and holds by itself",
+    Fault.BUS_SILENT: "no frame on the bus for {value:.0f} ms (limit {limit:.0f} ms)",
+    Fault.OVERRUN: "{value:.0f} ticks skipped, loop cannot keep its rate (limit {limit:.0f} ticks)",
+    Fault.LOOP_EXCEPTION: "exception in the loop",
+    Fault.STROKE_END: "stroke limit reached before the tension was",
+    Fault.DRIVE_NOT_FOLLOWING: "drive does not do what it is told (enabled state or speed)",
+    Fault.INNOVATION: "tension or cylinder speed contradicts what the filter expects",
+    Fault.SIGN_DRIVE: "the stroke does not go where the drive is told: check the drive's sign and scale",
+    Fault.SIGN_CELL: "the tension does not follow the stroke as the plant says: check the signs of cell and drive",
+    Fault.LIMIT: "{text} {limit:.10g}{unit} ({value:.4g}{unit})",
+    Fault.CELL_STUCK: "tension cell has sent the very same value {value:.0f} times more",
+    Fault.DRIVE_CONTRADICTS: "drive's position and speed contradict each other by {value:.2f} mm "
+    "(limit {limit:.2f} mm)",
+    Fault.STROKE_MOVES: "the stroke moves though the drive is off ({value:.2f} mm/s): the brake does not hold; "
+    "reset, then arm: the motor carries",
+    Fault.BRAKE_SLIPS: "brake test: the stroke moved by {value:.2f} mm on the closed brake (limit {limit:.2f} mm), the "
+    "drive stays off; secure the load, or reset, then arm: the motor carries; have the brake repaired",
+    Fault.STRETCH_UNEXPLAINED: "tension and stroke contradict each other by {value:.1f} mm of stretch "
+    "(limit {limit:.1f} mm): rope, cell or payload",
+    Fault.STROKE_NOT_HELD: "the stroke has moved {value:.2f} mm from where it was latched (limit {limit:.2f} mm): "
+    "the drive creeps or the brake slips",
+    Fault.POSITION_DRIFTS: "holding the stroke has moved the load by {value:.2f} mm (limit {limit:.2f} mm): "
+    "the drive's position drifts, check its encoder",
+    Fault.E_STOP: "emergency stop pressed ({seen})",
+    Fault.E_STOP_UNSEEN: "the I/O node that mirrors the emergency stop has sent nothing for {value:.0f} ms "
+    "(limit {limit:.0f} ms)",
+    Fault.STATUS_STALE: "no current, temperature and inputs of the drive for {value:.0f} ms (limit {limit:.0f} ms): "
+    "neither its emergency stop's input nor its temperature is seen",
+    Fault.LIMIT_UNSEEN: "{text} is limited by the rig file and does not come: no sample for {value:.0f} ms "
+    "(limit {limit:.0f} ms)",
+    Fault.DRIVE_UNASKED: "{text}, and this daemon has not asked for it{speed}: find who commands the drive, withdraw "
+    "the tool, then reset",
+    Fault.DRIVE_REFUSES: "drive says that {text}",
+    Fault.NODE_NOT_OPERATIONAL: "{text} {state}",
+    Fault.RIVAL: "another controller {text}: find it and stop it",
+    Fault.SUPERVISION_LOST: "a device does not keep what start-up wrote, {text}: start the daemon anew, it writes all "
+    "of it again",
+    Fault.STROKE_JUMPED: "the drive's position jumped by {value:.2f} mm (limit {limit:.1f} mm): it is not believed; "
+    "measure the stroke at the cylinder, then rigctl confirm-stroke MM",
+    Fault.CELL_NOISY: "tension cell jumps by {value:.1f} N from sample to sample (limit {limit:.1f} N)",
+    Fault.CELL_NEGATIVE: "tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
+    Fault.SENSOR_EMERGENCY: "a sensor's emergency message stands ({emergency})",
+    Fault.DRIVE_EMERGENCY: "the drive's emergency message stands ({emergency})",
+    Fault.DEVICE_RESTARTED: "a device restarted and lost its settings; start the daemon anew",
+}
+
+_SCALE: dict[Fault, float] = {
+    Fault.CELL_STALE: 1e-6, Fault.INCLINATION_STALE: 1e-6, Fault.DRIVE_STALE: 1e-6, Fault.BUS_SILENT: 1e-6,
+    Fault.E_STOP_UNSEEN: 1e-6, Fault.STATUS_STALE: 1e-6, Fault.LIMIT_UNSEEN: 1e-6,
+}  # fmt: skip
+
+_SEEN: dict[float, str] = {
+    EStop.DRIVE: "drive's input",
+    EStop.IO_NODE: "I/O node's input",
+    EStop.DRIVE | EStop.IO_NODE: "inputs of drive and I/O node",
+}
+
+CHECK_TEXT: dict[Check, str] = {
+    Check.CELL_STALE: "no fresh tension sample: check the cell's power and cable",
+    Check.CELL_INVALID: "tension cell reports overload or no valid value: unload it, check its cable",
+    Check.INCLINATION_STALE: "no fresh inclination sample: check the inclinometer's power and cable",
+    Check.INCLINATION_INVALID: "inclinometer reports no valid value: check its mounting and range",
+    Check.DRIVE_STALE: "no fresh drive status: check the drive's power and cable",
+    Check.DRIVE_FAULT: "drive reports a fault (reset clears it)",
+    Check.TENSION_HIGH: "tension above its limit: unload the rope",
+    Check.STROKE_RANGE: "stroke beyond its limits: bring it back by hand or with the drive's own tool",
+    Check.STROKE_NEAR_END: "stroke too near its end (preflight.stroke_margin_mm): rigctl arm --near-end, then tension "
+    "or release, whichever leads away from it",
+    Check.DRIVE_SUPERVISION: "the devices do not keep what start-up wrote, or a device started anew (see the events): "
+    "start the daemon anew, it writes all of it again",
+    Check.CELL_IMPLAUSIBLE: "tension cell is stuck, noisy or reads a push: check cable and amplifier",
+    Check.EMERGENCY: "a device's emergency message stands (see the events)",
+    Check.RIVAL: "another controller commands this bus: find it and stop it",
+    Check.LIMIT: "a limit of the rig file is passed, or its signal does not come (rigctl watch shows the signals)",
+    Check.E_STOP: "emergency stop is pressed (drive's input): release it, then rigctl reset",
+    Check.E_STOP_IO: "emergency stop is pressed (I/O node's input): release it, then rigctl reset",
+    Check.STROKE_UNCONFIRMED: "the stroke is not the one last known (see the events): measure it at the cylinder, then "
+    "rigctl confirm-stroke MM",
+    Check.E_STOP_UNSEEN: "emergency stop's input is not seen: check the drive's second TPDO (cylinder.e_stop_input)",
+    Check.STATUS_STALE: "no current, temperature and inputs of the drive: check its second TPDO "
+    "(cylinder.status_rate_hz)",
+    Check.DRIVE_REFUSES: "drive is not ours to command: somebody else has enabled it, its remote bit is off, or a "
+    "limit of its own is active (statusword bits 9, 11): withdraw its panel or service tool, look at its display",
+    Check.NODE_NOT_OPERATIONAL: "a device sends no heartbeat or is not operational: check its power and cable",
+    Check.NOT_AT_STANDSTILL: "the stroke does not stand still (within 0.02 mm and below 0.05 mm/s for 0.2 s): wait; if "
+    "it goes on, the brake slips",
+    Check.SEQUENCE_RUNNING: "the drive is not off with its brake closed yet (cylinder.brake_delay_ms): wait a second; "
+    "if it goes on, switch the drive's power off and on",
+    Check.E_STOP_IO_UNSEEN: "emergency stop's input on the I/O node is not seen: check the node's power and cable",
+    Check.TARE: "no tare on record that still holds: rigctl tare (or calibration.waiver)",
+    Check.MARGINS: "no accepted margins of the law in use: rigctl tune",
+    Check.REALTIME: "real-time settings are not in force: rigctl doctor (or loop.realtime_waiver)",
+    Check.DISK: "disk nearly full: make room for ledger, audit log and trip dumps",
+    Check.HOST: "tare, margins, real time and disk have not been looked at: try again in a second",
+    Check.CALIBRATION: "tension cell's calibration is missing or overdue: rigctl calibrate (or calibration.waiver)",
+}
+
+_EVENT_TEXT: dict[Event, str] = {
+    Event.ENABLED: "drive enabled",
+    Event.TENSION: "tension commanded",
+    Event.TENSIONED: "target reached",
+    Event.RELEASE: "release commanded",
+    Event.SLACK: "rope slack",
+    Event.HOLD: "hold commanded",
+    Event.DISARM: "disarm commanded",
+    Event.TRIP: "trip",
+    Event.RESET_HELD: "reset, drive on",
+    Event.RESET_OFF: "reset, drive off",
+    Event.STOP: "daemon stopping",
+    Event.RAMP_DOWN: "ramp down",
+}
+
+_NMT: dict[float, str] = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
+
+
+def fault_text(fault: Fault, value: float, limit: float, text: str = "") -> str:
+    """One line for a fault; ``text``: what is beyond its limit, where the rig file says so."""
+    scale, words = _SCALE.get(fault, 1.0), FAULT_TEXT[fault]
+    if fault in _SCALE and value > NEVER_AGE_NS:
+        words = words.replace("{value:.0f} ms", "as long as the loop has run")
+    return words.format(
+        value=Number(value * scale),
+        limit=Number(limit * scale),
+        text=text,
+        unit=_unit_of(text),
+        seen=_SEEN.get(value, "input not known"),
+        speed=f" ({Number(value):.2f} mm/s)" if limit else "",
+        state=_node_words(value, limit),
+        emergency=_emergency_words(value),
+    )
+
+
+def _emergency_words(value: float) -> str:
+    """Node and code of an emergency that stands: node << 16 | code."""
+    node, code = divmod(int(value), 1 << 16) if math.isfinite(value) else (0, 0)
+    if not node:
+        return "see the events"
+    return f"node {node}: 0x{code:04X}, {emergency.code_words(code) if code >> 8 else 'see the events'}"
+
+
+def _node_words(value: float, limit: float) -> str:
+    """Of a device: how long it has sent no heartbeat, or the NMT state it tells, where the limit is none."""
+    if limit:
+        return f"has sent no heartbeat for {Number(value * 1e-6):.0f} ms (limit {Number(limit * 1e-6):.0f} ms)"
+    return f"is {_NMT.get(value, 'in an unknown state')}, not operational: start the daemon anew"
+
+
+def _unit_of(limit: str) -> str:
+    """Unit of a limit of the rig file, from its words: ``tension_n above``."""
+    signal, _, words = limit.partition(" ")
+    unit = SIGNALS[signal].unit if signal in SIGNALS else ""
+    return f" {unit}{'/s' if 'per second' in words else ''}" if unit else ""
+
+
+def _trip(a: int, b: int, value: float, limit: float, text: str) -> Worded:
+    asked = "" if b == Action.HOLD else f"; {_ACTION_TEXT[Action(b)]}"
+    return Worded("error", f"trip {Fault(a).name}: {fault_text(Fault(a), value, limit, text)}{asked}")
+
+
+_ACTION_TEXT = {
+    Action.LOG: "logged",
+    Action.RAMP_DOWN: "ramping down",
+    Action.HOLD: "holding",
+    Action.QUICK_STOP: "quick stop, then power off",
+    Action.POWER_OFF: "power off, brake closed",
+}
+
+
+def failed_checks(bits: int, known: Mapping[Check, str] = MappingProxyType({})) -> list[str]:
+    """Preflight checks that failed, in words; ``known``: what more is known of some."""
+    return [known.get(check, CHECK_TEXT[check]) for check in Check if bits & check]
+
+
+def refusal_text(
+    refusal: Refusal,
+    verb: Verb,
+    mode: Mode,
+    checks: int,
+    fault: Fault,
+    limits: tuple[float, float],
+    value: float = math.nan,
+    known: Mapping[Check, str] = MappingProxyType({}),
+    standing: Mapping[Fault, str] = MappingProxyType({}),
+) -> str:
+    """Why a command was refused, in one line; ``value`` is the reply's, ``known`` as of `failed_checks`.
+
+    ``standing``: causes that stand, in words, the strongest first.
+    """
+    match refusal:
+        case Refusal.ALREADY:
+            return (
+                f"already {mode.name}" if verb is not Verb.RELEASE or mode is not Mode.HOLD else "rope is slack already"
+            )
+        case Refusal.PREFLIGHT:
+            return "; ".join(failed_checks(checks, known)) + (_SILENT_HINT if checks & _UNSEEN else "")
+        case Refusal.LOADED:
+            return f"the rope is not unloaded: the cell reads {value:z.2f} N, more than calibration.tare_limit_n"
+        case Refusal.OUT_OF_RANGE:
+            return f"target must be {significant(limits[0])} to {significant(limits[1], 'N')}"
+        case Refusal.STROKE_DIFFERS:
+            return (
+                f"the drive's position says {value:z.2f} mm, expected within {TOLERANCE_MM:g} mm of the stroke "
+                "measured: measure it again, or home the drive with its own tool"
+            )
+        case Refusal.CAUSE_PRESENT:
+            there = [cause for cause in Fault if checks >> cause & 1] or [fault]
+            there.sort(key=lambda cause: list(standing).index(cause) if cause in standing else len(standing))
+            words = [f"{cause.name} ({standing[cause]})" if cause in standing else cause.name for cause in there]
+            return f"cause still present: {', '.join(words)}" + (_SILENT_HINT if _SILENT & {*there} else "")
+        case Refusal.WRONG_MODE:
+            return f"{verb.name.lower()} is not possible in {mode.name}{_HINT.get((mode, verb), '')}"
+        case Refusal.STOP_RUNNING:
+            return f"the drive is still stopping or closing its brake ({value:.2f} mm/s): wait a second, then reset"
+        case Refusal.BRAKE_SLIPPED:
+            return f"brake test: the stroke moved by {value:.2f} mm on the closed brake: secure the load"
+        case _:
+            return _PLAIN_TEXT.get(refusal, "unknown command")
+
+
+_PLAIN_TEXT = {
+    Refusal.DRIVE_TIMEOUT: "drive did not become enabled",
+    Refusal.STOPPING: "daemon is stopping",
+    Refusal.EXPIRED: "command came too late and was not carried out",
+    Refusal.ABORTED: "cut short by a command, a trip or a change of mode; nothing was changed",
+    Refusal.UNSTEADY: "it moves, or the reading does: wait until everything is at rest",
+    Refusal.NO_SAMPLES: "the cell gives no good samples",
+    Refusal.SLACK: "the rope is slack",
+    Refusal.FAULT_LATCHED: "a limit has the tension ramped down; only hold stops that",
+    Refusal.STRAYED: "tension or stroke left the bounds of the excitation, or would have; the stroke is held",
+}
+_SILENT = frozenset(
+    {Fault.DEVICE_RESTARTED, Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE,
+     Fault.E_STOP_UNSEEN, Fault.STATUS_STALE, Fault.NODE_NOT_OPERATIONAL, Fault.SUPERVISION_LOST}
+)  # fmt: skip
+_UNSEEN = (
+    Check.DRIVE_SUPERVISION
+    | Check.CELL_STALE
+    | Check.INCLINATION_STALE
+    | Check.DRIVE_STALE
+    | Check.E_STOP_IO_UNSEEN
+    | Check.STATUS_STALE
+    | Check.NODE_NOT_OPERATIONAL
+)
+_SILENT_HINT = " (a device that was switched off or a CAN interface that was unplugged needs the daemon started anew)"
+_HINT: dict[tuple[Mode, Verb], str] = {
+    **{(Mode.FAULT, verb): ": reset first" for verb in (Verb.ARM, Verb.TENSION, Verb.RELEASE, Verb.HOLD, *TRIED_IN)},
+    **{(Mode.DISARMED, verb): ": arm first" for verb in (Verb.TENSION, Verb.RELEASE, Verb.HOLD, Verb.IDENTIFY)},
+    **{
+        (mode, verb): ": hold first"
+        for mode in (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
+        for verb in (Verb.DISARM, *TRIED_IN)
+    },
+    **{
+        (mode, Verb.CONFIRM_STROKE): ": hold, then disarm first"
+        for mode in (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
+    },
+    **{(mode, Verb.RESET): ": there is no fault" for mode in Mode if mode is not Mode.FAULT},
+}
+
+
+def _mode(a: int, b: int, value: float, _limit: float, _text: str) -> Worded:
+    severity = "error" if b == Mode.FAULT else "info"
+    return Worded(severity, f"{Mode(a).name} -> {Mode(b).name}: {_EVENT_TEXT[Event(int(value))]}")
+
+
+def _emergency(a: int, b: int, _value: float, _limit: float, text: str) -> Worded:
+    code, register = b & 0xFFFF, b >> 16 & 0xFF
+    try:
+        manufacturer = bytes.fromhex(text)
+    except ValueError:
+        manufacturer = b""
+    severity = "info" if not emergency.stands(code, register) else "error" if code >> 8 else "warning"
+    return Worded(severity, f"node {a}: {emergency.words(code, register, manufacturer)}")
+
+
+def setting_words(text: str) -> str:
+    """Which setting a device does not keep, and what to do."""
+    return f"a device does not keep what start-up wrote, {text}: start the daemon anew, it writes all of it again"
+
+
+def stroke_words(reads_mm: float, why: str) -> str:
+    """Why a stroke has to be confirmed, and what to do."""
+    return (
+        f"the stroke reads {reads_mm:z.2f} mm, but {why}: measure it at the cylinder; if it is {reads_mm:z.2f} mm, "
+        f"rigctl confirm-stroke {reads_mm:z.2f}, else home the drive with its own tool"
+    )
+
+
+def _stroke(a: int, _b: int, value: float, _limit: float, text: str) -> Worded:
+    if a:
+        return Worded("info", f"stroke {value:z.2f} mm: {text}")
+    return Worded("warning", stroke_words(value, text))
+
+
+_SYMPTOM_TEXT: dict[Symptom, str] = {
+    Symptom.RAMP_RISES: "the tension has risen by {0:.1f} N since the ramp down began (limit {1:.1f} N); the stroke is "
+    "held",
+    Symptom.RAMP_LATE: "the rope is not slack {0:.1f} s after the ramp down should have ended (limit {1:.1f} s); the "
+    "stroke is held",
+    Symptom.HOLD_RISES: "the tension is above its limit and has risen by {0:.1f} N since the stroke is held (limit "
+    "{1:.1f} N); quick stop, then power off",
+    Symptom.HOLD_MOVES: "the stroke moves at {0:.2f} mm/s though it is held (limit {1:.2f} mm/s); quick stop, then "
+    "power off",
+    Symptom.HOLD_UNSEEN: "nothing has been heard of the drive for {0:.1f} s (limit {1:.1f} s): its stroke may creep; "
+    "quick stop, then power off",
+    Symptom.STOP_MOVES: "the stroke still moves at {0:.2f} mm/s after the quick stop (limit {1:.2f} mm/s); power off, "
+    "brake closed",
+    Symptom.STOP_DRIFTS: "the stroke has moved {0:.2f} mm after the quick stop (limit {1:.2f} mm); power off, brake "
+    "closed",
+    Symptom.STOP_STAYS_ON: "the drive is not seen to have gone off after the quick stop; power off, brake closed",
+    Symptom.OFF_DRIFTS: "the stroke has moved {0:.2f} mm with the power off (limit {1:.2f} mm): the brake does not "
+    "hold, and the rig can do no more; secure the load",
+}
+
+
+def _escalation(a: int, b: int, value: float, limit: float, _text: str) -> Worded:
+    return Worded("error", f"{Fault(a).name}, reaction did not help: {_SYMPTOM_TEXT[Symptom(b)].format(value, limit)}")
+
+
+_WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
+    Kind.MODE: _mode,
+    Kind.TRIP: _trip,
+    Kind.LIMIT: lambda a, _b, v, m, t: Worded("warning", f"limit: {fault_text(Fault(a), v, m, t)}"),
+    Kind.LIMIT_OVER: lambda _a, _b, _v, m, t: Worded("info", f"limit: no longer {t} {m:.10g}{_unit_of(t)}"),
+    Kind.CAUSE: lambda a, _b, v, m, t: Worded("error", f"{Fault(a).name} stands: {fault_text(Fault(a), v, m, t)}"),
+    Kind.CAUSE_OVER: lambda a, _b, _v, _m, t: Worded("info", f"{Fault(a).name} no longer stands{t and f': {t}'}"),
+    Kind.RESET: lambda a, _b, _v, _l, _t: Worded("info", f"fault {Fault(a).name} reset"),
+    Kind.EMERGENCY: _emergency,
+    Kind.NODE_STATE: lambda a, b, _v, _l, _t: Worded("info" if b == 5 else "warning", f"node {a}: {_NMT.get(b, b)}"),
+    Kind.EXCEPTION: lambda _a, _b, _v, _l, t: Worded("error", f"exception in the loop: {t}"),
+    Kind.BUS_ERROR: lambda a, b, _v, _l, _t: Worded(
+        "error" if can_errors.is_grave(a) else "warning", f"CAN error frame: {can_errors.in_words(a, b)}"
+    ),
+    Kind.SEND_FAILED: lambda _a, _b, _v, _l, t: Worded("warning", f"frame not sent: {t}"),
+    Kind.RECEIVE_FAILED: lambda _a, _b, _v, _l, t: Worded("warning", f"bus not readable: {t}"),
+    Kind.STARTED: lambda _a, _b, _v, _l, _t: Worded("info", "loop started, DISARMED"),
+    Kind.STOPPED: lambda _a, _b, v, m, _t: Worded("info", f"loop stopped, stroke {v:.2f} mm, tension {m:z.1f} N"),
+    Kind.SIGNS: lambda _a, _b, v, m, _t: Worded(
+        "info", f"signs checked: the stroke follows, tension rises by {v:.2f} N/mm (plant: {m:.2f} N/mm)"
+    ),
+    Kind.BRAKE_TEST: lambda a, _b, v, m, _t: Worded(
+        "info",
+        f"brake test: held {m:.1f} N for 2 s, stroke moved {v:z.3f} mm"
+        if a
+        else "brake test not possible: the rope is slack",
+    ),
+    Kind.STROKE_LEFT: lambda a, _b, v, m, _t: Worded(
+        "warning",
+        f"{Mode(a).name}: the stroke is {v:+.2f} mm from where it was latched (told beyond {m:.2f} mm): "
+        + ("the brake slips, or the screw is turned" if a == Mode.DISARMED else "the drive creeps, or the brake slips"),
+    ),
+    Kind.DRIVE_CREEPS: lambda _a, _b, v, m, _t: Worded(
+        "warning",
+        f"the drive creeps at {v:+.2f} mm/s when it is told 0 (told beyond {m:.2f} mm/s); HOLD corrects it: check the "
+        "drive's velocity offset (0x60B1) and its tuning",
+    ),
+    Kind.ESCALATION: _escalation,
+    Kind.CORRECTION: lambda _a, _b, v, m, _t: Worded("info", f"tension cell: zero {v:+z.3f} N, scale {m:.5f}"),
+    Kind.GAINS: lambda _a, _b, _v, _m, t: Worded("info", f"gains changed: K_T, K_v, K_i = {t}"),
+    Kind.LOCAL_HOLD: lambda a, b, _v, _l, t: Worded(
+        "info", f"HOLD from {t} via the local socket (uid {a}, process {b})"
+    ),
+    Kind.FOREIGN_SDO: lambda _a, _b, _v, _l, t: Worded("warning", f"another master {t}: find it and stop it"),
+    Kind.SETTING_LOST: lambda _a, _b, _v, _l, t: Worded("error", f"a device's setting is lost: {t}"),
+    Kind.STROKE: _stroke,
+    Kind.READ_BACK: lambda a, _b, v, _l, _t: Worded(
+        "info", f"{count(a, 'setting')} of the devices read back in {v:.2f} s"
+    ),
+    Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{count(a, 'tick')} skipped at once"),
+}  # fmt: skip
+
+
+def worded(kind: int, a: int, b: int, value: float, limit: float, text: str) -> Worded:
+    """An ``EVENT`` slot in words."""
+    return _WORDS[Kind(kind)](a, b, Number(value), Number(limit), text)

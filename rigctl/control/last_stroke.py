@@ -1,0 +1,94 @@
+"""The last stroke that was known, kept across the daemon's restarts in a file beside the ledger.
+
+Written by the recorder alone, at once or not at all (new file, fsync, rename); read by the supervisor before it starts
+a loop. A file that cannot be believed is a stroke that is not known, which an operator has to confirm.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from typing import Any
+
+import msgspec
+
+from rigctl.config import input_file
+from rigctl.config.one_line import printable
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.homed import LastStroke
+from rigctl.ipc.ledger import sync_folder, utc
+from rigctl.ipc.record import Flag
+from rigctl.ipc.runtime_folder import Runtime
+
+IN_FORCE = "stroke.json"  # in the runtime folder
+KEPT_MM = 0.02  # a stroke that differs by less is not written again
+_LARGEST_MM = 1e4
+_LARGEST_BYTES = 4096
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    rig: str
+    stroke_mm: float
+    when: str
+
+
+def read(settings: RigSettings) -> LastStroke:
+    """What the file says; a damaged one says why nothing is known."""
+    path = settings.last_stroke
+    try:
+        found: _File = input_file.decoded(input_file.read(path, largest=_LARGEST_BYTES, links=True), _File)
+    except FileNotFoundError:
+        return LastStroke()
+    except OSError as error:
+        return LastStroke(None, f"{path.name} cannot be read: {error.strerror}")
+    except msgspec.MsgspecError:
+        return LastStroke(None, f"{path.name} is damaged")
+    if found.rig != settings.rig:
+        return LastStroke(None, f"{path.name} is of {printable(found.rig)[:32]}")
+    if not abs(found.stroke_mm) <= _LARGEST_MM:
+        return LastStroke(None, f"{path.name} is damaged")
+    return LastStroke(found.stroke_mm)
+
+
+def write(settings: RigSettings, stroke_mm: float, wall_ns: int, *, sync: bool = True) -> None:
+    """Replace the file. ``sync``: wait until it is on the disk; without, a power cut may leave an older one.
+
+    Raises:
+        OSError: it could not be written, and is as it was.
+    """
+    path = settings.last_stroke
+    part = path.with_name(f"{path.name}.new")
+    data = msgspec.json.encode(_File(settings.rig, round(stroke_mm, 4), utc(wall_ns))) + b"\n"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.unlink(missing_ok=True)
+        with os.fdopen(os.open(part, _NEW, 0o640), "wb") as file:
+            file.write(data)
+            file.flush()
+            if sync:
+                os.fsync(file.fileno())
+        part.replace(path)
+        if sync:
+            sync_folder(path.parent)
+    except OSError:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise
+
+
+def of_record(record: Any) -> float | None:
+    """The stroke of a record, where it is known: one that waits to be confirmed would hide what it differs from."""
+    if record is None or record["drive_quality"] or int(record["flags"]) & Flag.STROKE_UNCONFIRMED:
+        return None
+    stroke_mm = float(record["stroke_mm"])
+    return stroke_mm if math.isfinite(stroke_mm) else None
+
+
+def in_force(runtime: Runtime) -> LastStroke:
+    """What the supervisor has found."""
+    try:
+        return msgspec.convert(runtime.read_json(IN_FORCE), LastStroke)
+    except (OSError, msgspec.MsgspecError):
+        return LastStroke(None, f"{IN_FORCE} cannot be read")

@@ -1,0 +1,219 @@
+"""The simulated rig and a daemon of its own, for demo, bench and tests: their bus, rig name, endpoint and files too.
+
+A rig's own daemon may run on the same computer: nothing here reaches it. Every command carries the run id of the
+daemon that was started here, and no other daemon accepts it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import yaml
+
+from rigctl.client.connection import Client, NoDaemonError
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.modes import Mode, Verb
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime, is_free
+
+START_LIMIT_S = 60.0
+STOP_LIMIT_S = 10.0
+ARM_NS, ARM_AGAIN_S = 3_000_000_000, 0.1
+LONGEST_NAME = 32
+_POLL_S = 0.02
+
+
+class RehearsalError(RuntimeError):
+    """A process did not start or answer, or a command was refused; ``str()`` is one line."""
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What runs, and the connection to it."""
+
+    settings: RigSettings
+    client: Client
+    rig: subprocess.Popen[bytes]
+    daemon: subprocess.Popen[bytes]
+
+    def command(self, verb: Verb, operator: str, value: float | None = None) -> dict[str, Any]:
+        """Give a command; its answer. A daemon that has just come up has not heard every device yet: it is tried anew.
+
+        Raises:
+            RehearsalError: it was refused, or nobody answered.
+        """
+        until_ns = time.monotonic_ns() + ARM_NS
+        while True:
+            try:
+                answer = self.client.command(verb.name.lower(), operator, value)
+            except NoDaemonError as error:
+                raise RehearsalError(str(error)) from None
+            if answer.get("reason") != "preflight" or time.monotonic_ns() > until_ns:
+                break
+            time.sleep(ARM_AGAIN_S)
+        if not answer["accepted"]:
+            raise RehearsalError(answer["text"])
+        return answer
+
+    def end(self) -> None:
+        """End both, the daemon first: the rig has closed its truth log when this returns.
+
+        Raises:
+            RehearsalError: one of them did not end.
+        """
+        for name, child in (("the daemon", self.daemon), ("the simulated rig", self.rig)):
+            child.send_signal(signal.SIGTERM)
+            try:
+                child.wait(STOP_LIMIT_S)
+            except subprocess.TimeoutExpired:
+                raise RehearsalError(f"{name} did not end within {STOP_LIMIT_S:.0f} s") from None
+
+    def state(self) -> dict[str, Any]:
+        """The daemon's state.
+
+        Raises:
+            RehearsalError: nobody answered.
+        """
+        try:
+            return self.client.state()
+        except NoDaemonError as error:
+            raise RehearsalError(str(error)) from None
+
+
+def own(settings: RigSettings, purpose: str) -> RigSettings:
+    """The rig's settings under a name and an endpoint of their own, with state files beside a rig file of their own.
+
+    Args:
+        settings: the rig's.
+        purpose: what the name begins with; one name for each rig, so that its recordings are limited as the rig's are.
+    """
+
+    def of(section: str, **changes: Any) -> Any:
+        return getattr(settings, section).model_copy(update=changes)
+
+    name = f"{purpose}_{settings.rig}"[:LONGEST_NAME]
+    changes: dict[str, Any] = {}
+    encoder = settings.cylinder.stroke_waiver or f"{purpose}: the simulated rig, its stroke begins at 0"
+    changes["cylinder"] = of("cylinder", stroke_waiver=encoder)
+    if settings.calibration is not None:
+        why = settings.calibration.waiver or f"{purpose}: the simulated rig, nothing hangs there"
+        changes["calibration"] = of("calibration", file=None, waiver=why)
+    return settings.model_copy(
+        update={
+            **changes,
+            "rig": name if is_free(name) else f"{purpose}_{os.getpid()}",
+            "can": of("can", interface="rigsim", bitrate_bit_s=None),
+            "telemetry": of("telemetry", listen=free_endpoint(), join=[]),
+            "audit": of("audit", file=None, trips="trips"),
+            "recording": of("recording", folder="recordings"),
+            "page": None,
+        }
+    )
+
+
+def free_endpoint() -> str:
+    """A loopback port nobody listens on."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+@contextlib.contextmanager
+def rehearse(settings: RigSettings, folder: pathlib.Path, *options: str, quiet: bool = False) -> Iterator[Rehearsal]:
+    """Run both until the block ends; it begins once the daemon is DISARMED.
+
+    Args:
+        settings: as they are to be played, see `own`; the bus is replaced by a socket in ``folder``.
+        folder: where rig file and bus socket stand meanwhile.
+        options: further ones for ``python -m hil serve``.
+        quiet: what the daemon tells of its way is not shown, its complaints are.
+
+    Raises:
+        RehearsalError: one of them could not start; what it had to say stands on standard error.
+    """
+    bus = settings.can.model_copy(update={"channel": str(folder / "bus.sock")})
+    settings = settings.model_copy(update={"can": bus})
+    file = str(rig_file(settings, folder))
+    with contextlib.ExitStack() as stack:
+        rig = stack.enter_context(process("hil", "serve", file, *options, stdout=subprocess.PIPE))
+        assert rig.stdout is not None
+        rig.stdout.readline()  # it serves, or it has ended and said why
+        daemon = stack.enter_context(process("rigctl", "run", file, stdout=subprocess.DEVNULL if quiet else None))
+        client = stack.enter_context(_connect(daemon, rig, settings))
+        yield Rehearsal(settings, client, rig, daemon)
+
+
+@contextlib.contextmanager
+def process(*arguments: str, **options: Any) -> Iterator[subprocess.Popen[bytes]]:
+    """``python -m arguments``, told to end with the block, and then made to.
+
+    In a session of its own: a Ctrl-C reaches the command alone, which ends the daemon before the rig.
+    """
+    child = subprocess.Popen([sys.executable, "-m", *arguments], start_new_session=True, **options)
+    try:
+        yield child
+    finally:
+        if child.poll() is None:
+            child.send_signal(signal.SIGTERM)
+        try:
+            child.wait(STOP_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+
+
+def run_id_of(daemon: subprocess.Popen[bytes], rig: str) -> str | None:
+    """Run id of a daemon of ``rig`` that was started here; None as long as the runtime folder is not that one's."""
+    with contextlib.suppress(OSError, msgspec.MsgspecError):
+        written = Runtime.of(rig).read_json(ACTIVE)
+        if written.get("pid") == daemon.pid and isinstance(run_id := written.get("run_id"), str):
+            return run_id
+    return None
+
+
+def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], settings: RigSettings) -> Client:
+    """The operator's connection to the daemon that was started here and to no other, once its loop runs."""
+    limit_s = START_LIMIT_S + settings.start_up_limit_s
+    until = time.monotonic() + limit_s
+    while time.monotonic() < until:
+        if rig.poll() is not None:
+            raise RehearsalError("the simulated rig could not start (see above)")
+        if daemon.poll() is not None:
+            raise RehearsalError("the daemon could not start (see above)")
+        if (run_id := run_id_of(daemon, settings.rig)) is None:
+            time.sleep(_POLL_S)
+            continue
+        with contextlib.suppress(NoDaemonError):
+            client = Client(settings.telemetry.listen, settings.rig, run_id)
+            with contextlib.suppress(NoDaemonError):
+                if client.state().get("mode") == Mode.DISARMED.name:
+                    return client
+            client.close()
+        time.sleep(_POLL_S)
+    raise RehearsalError(f"the daemon did not answer within {limit_s:.0f} s")
+
+
+def rig_file(settings: RigSettings, folder: pathlib.Path) -> pathlib.Path:
+    """The rig file as it is played, with device files by their whole path."""
+    data = settings.model_dump(mode="json", exclude={"directory", "plain"}, exclude_none=False)
+    for device in ("tension_cell", "inclinometer", "cylinder", "rail_encoder", "io"):
+        if not data[device]:
+            continue
+        data[device]["eds"] = str(settings.file(data[device]["eds"]))
+        if data[device].get("dbc"):
+            data[device]["dbc"]["file"] = str(settings.file(data[device]["dbc"]["file"]))
+    if data["design"]["gains_file"] is not None:
+        data["design"]["gains_file"] = str(settings.file(data["design"]["gains_file"]))
+    file = folder / "rig.yaml"
+    file.write_text(yaml.safe_dump(data))
+    return file

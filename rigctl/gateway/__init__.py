@@ -1,0 +1,1 @@
+"""The gateway process: publishes what the loop writes, answers commands."""

@@ -1,0 +1,67 @@
+"""The active configuration: what runs, with the gains and the calibration in force; published whenever it changes."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import msgspec
+
+from rigctl.ipc.ledger import IN_FORCE
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+
+CONTROL = "control.json"
+_FILES = {ACTIVE: None, CONTROL: "control", IN_FORCE: "calibration"}  # and the key they are put under, None: on top
+
+
+class Written:
+    """A file of the runtime folder that another process or thread replaces now and then; read when it was."""
+
+    def __init__(self, runtime: Runtime, name: str) -> None:
+        self._runtime, self._name = runtime, name
+        self._mark: tuple[int, int] | None = None
+        self.value: dict[str, Any] = {}
+
+    def look(self) -> bool:
+        """Read it if it was replaced; whether it was. One that cannot be read is empty."""
+        try:
+            found = (self._runtime.directory / self._name).stat()
+            mark = (found.st_ino, found.st_mtime_ns)
+            if mark == self._mark:
+                return False
+            value = self._runtime.read_json(self._name)
+        except (OSError, msgspec.MsgspecError):
+            mark, value = (0, 0), {}
+        changed, self._mark, self.value = value != self.value, mark, value
+        return changed
+
+
+class Active:
+    """``cfg/active``; may be looked at from any thread."""
+
+    def __init__(self, runtime: Runtime) -> None:
+        self._files = {name: Written(runtime, name) for name in _FILES}
+        self._looking = threading.Lock()
+        self._payload = b"{}"
+        self.look()
+
+    @property
+    def written(self) -> dict[str, Any]:
+        """What supervisor and clerk wrote down: settings and the design in use, as last looked at."""
+        return self._files[ACTIVE].value
+
+    @property
+    def control(self) -> dict[str, Any]:
+        """What the control process read back, as last looked at."""
+        return self._files[CONTROL].value
+
+    def look(self) -> bytes:
+        """The message as it is now: the same object while nothing has changed."""
+        with self._looking:
+            changed = [file.look() for file in self._files.values()]
+            if any(changed):
+                whole: dict[str, Any] = {}
+                for name, key in _FILES.items():
+                    whole |= self._files[name].value if key is None else {key: self._files[name].value}
+                self._payload = msgspec.json.encode(whole)
+            return self._payload

@@ -1,0 +1,206 @@
+"""The clerk: puts on record what trials found, in a thread of its own, so that no command ever waits for a disk.
+
+First on record, then in force: what cannot be written down changes nothing, and what the loop then refuses is
+withdrawn by another entry.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy.typing as npt
+
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.modes import Setting, Verb
+from rigctl.design.admission import NotAdmittedError, admit
+from rigctl.gateway import calibration_findings as findings
+from rigctl.gateway import left_over
+from rigctl.gateway.calibration_findings import Finding, FindingError, Measured
+from rigctl.gateway.left_over import LeftOver
+from rigctl.ipc import ledger
+from rigctl.ipc.ledger import IN_FORCE, Entry, LedgerError, Standing, in_force
+from rigctl.ipc.ring import RingError
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.wire.command_request import Request
+
+LOOK_NS = 500_000_000  # how often what is in force is looked at
+SETTLE_NS = 2_000_000_000  # by then the loop has taken what it is told, or never will
+
+
+@dataclass(frozen=True)
+class Filed:
+    """A finding on record with what then stands, or the reason why there is none."""
+
+    finding: Finding | None = None
+    standing: Standing | None = None
+    reason: str = ""
+    text: str = ""
+    design: dict[str, Any] | None = None  # of other gains
+
+
+class Clerk:
+    """Keeps the ledger of one rig. ``file`` and ``withdraw`` return at once; results come by ``done``."""
+
+    def __init__(self, runtime: Runtime, settings: RigSettings) -> None:
+        self._runtime, self._settings = runtime, settings
+        self._work: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._serve, name="clerk", daemon=True)
+        self._showing = threading.Lock()
+        self._look_ns = self._settle_ns = 0
+        self._seen_ledger = self._tell_overdue = False
+        self._left_over: LeftOver | None = None
+        self.standing = in_force(runtime)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Finish what is in hand."""
+        self._work.put(None)
+        self._thread.join(timeout=2.0)
+
+    def impossible(self, request: Request) -> str | None:
+        """See `findings.impossible`."""
+        return findings.impossible(self._settings, request)
+
+    def file(self, request: Request, reply: Any, done: Callable[[Filed], None]) -> None:
+        """Put on record what the loop's ``reply`` says, then call ``done`` in the clerk's thread."""
+        measured = Measured(float(reply["value"]), float(reply["spread"]), time.time_ns())
+        t_ns = int(reply["t_ns"])
+        self._work.put(lambda: done(self._file(request, measured, t_ns)))
+
+    def withdraw(self, filed: Filed) -> None:
+        """The loop would not take it: say so in the ledger."""
+        self._work.put(lambda: self._withdraw(filed))
+
+    def put_in_force(self, filed: Filed) -> None:
+        """The loop has taken it."""
+        if filed.design is not None and (active := self._runtime.known(ACTIVE)):
+            self._write(ACTIVE, {**active, "design": filed.design})
+        if filed.standing is not None:
+            self._show(filed.standing)
+
+    def unanswered(self, filed: Filed) -> None:
+        """The loop has not said whether it has taken it: what it goes by now tells, see `left_over`."""
+        if filed.standing is not None:
+            self._seen_ledger = False
+
+    def news(self, now_ns: int, wall_ns: int) -> Sequence[tuple[Setting, float]]:
+        """What the loop is to be told of the ledger and its due date; looked at twice a second."""
+        if now_ns < self._look_ns:
+            return ()
+        self._look_ns = now_ns + LOOK_NS
+        self.standing = in_force(self._runtime, self.standing)
+        told = [*self._bring_together(now_ns, wall_ns)]
+        passed = self.standing.due is not None and self.standing.due <= ledger.utc(wall_ns)
+        if passed and not self.standing.overdue:
+            self._show(replace(self.standing, overdue=True))
+            self._tell_overdue = True
+        if self._tell_overdue:
+            self._tell_overdue = False
+            told.append((Setting.OVERDUE, float(self.standing.correction.overdue)))
+        return told
+
+    def _bring_together(self, now_ns: int, wall_ns: int) -> Sequence[tuple[Setting, float]]:
+        """The ledger and what the loop goes by, once after a start and whenever an answer has been missing."""
+        if self._left_over is not None:
+            return self._settle(self._left_over, now_ns)
+        if self._seen_ledger:
+            return ()
+        self._seen_ledger = True
+        try:
+            entries, has = ledger.read(self._settings), left_over.loop_has(self._runtime)
+        except (LedgerError, RingError, OSError) as error:
+            self._say(str(error))
+            return ()
+        found = left_over.find(self._settings, entries, has, self.standing, wall_ns)
+        if found is None:
+            return ()
+        if found.settings is None:
+            self._say("the ledger says something else than what is in force; it holds from the daemon's next start")
+            return ()
+        self._left_over, self._settle_ns = found, now_ns + SETTLE_NS
+        return found.settings
+
+    def _settle(self, found: LeftOver, now_ns: int) -> Sequence[tuple[Setting, float]]:
+        """What was left over is in force once the loop goes by it; if it does not, the entry is withdrawn."""
+        if left_over.loop_has(self._runtime) == found.pair:
+            self._say(f"{found}, left over from before, is in force")
+            self._show(found.standing)
+        elif now_ns < self._settle_ns:
+            return ()
+        else:
+            self._say(f"{found}, left over from before, was not taken by the loop: withdrawn from the ledger")
+            self._work.put(lambda: self._strike_out(found.entry))
+        self._left_over, self._tell_overdue = None, True
+        return ()
+
+    def _show(self, standing: Standing) -> None:
+        with self._showing:
+            self.standing = standing
+            self._write(IN_FORCE, standing)
+
+    def _write(self, name: str, value: object) -> None:
+        """A file that cannot be written ends no thread: the loop goes by what it was told all the same."""
+        try:
+            self._runtime.write_json(name, value)
+        except OSError as error:
+            self._say(f"{self._runtime.directory / name} cannot be written: {error.strerror}")
+
+    def _serve(self) -> None:
+        while (work := self._work.get()) is not None:
+            work()
+
+    def _file(self, request: Request, measured: Measured, t_ns: int) -> Filed:
+        settings, design = self._settings, None
+        try:
+            if request.verb is Verb.IDENTIFY:
+                finding = findings.identify(settings, request, self._records_of(measured, t_ns), measured.wall_ns)
+            elif request.verb is Verb.GAINS:
+                design = admit(self._runtime, request.gain_file, request.name)
+                before = self._runtime.read_json(ACTIVE)["design"]
+                finding = findings.gains(settings, request, before, design, measured.wall_ns)
+            else:
+                find = findings.tare if request.verb is Verb.TARE else findings.calibrate
+                finding = find(settings, request, self.standing, measured)
+            if settings.ledger is None:
+                finding = replace(finding, text=f"{finding.text} (not on record: no calibration section)")
+                return Filed(finding, design=design)
+            entries = ledger.append(settings, finding.entry)
+        except FindingError as error:
+            return Filed(reason="out_of_bounds", text=str(error))
+        except NotAdmittedError as error:
+            return Filed(reason="not_admitted", text=str(error))
+        except LedgerError as error:
+            return Filed(reason="not_recorded", text=f"{error}; nothing was changed")
+        except Exception as error:  # noqa: BLE001 - the edge of the thread: without an answer no later trial had one
+            what = " ".join(f"{type(error).__name__}: {error}".split())
+            return Filed(reason="out_of_bounds", text=f"the measurement cannot be judged ({what}); nothing was changed")
+        return Filed(finding, ledger.standing(settings, entries, measured.wall_ns), design=design)
+
+    def _records_of(self, measured: Measured, t_ns: int) -> npt.NDArray[Any]:
+        """The ticks of an excitation that ended at ``t_ns``: its answer's value is how long it took."""
+        records = self._runtime.record_reader(from_start=True).read()
+        return records[(records["t_ns"] <= t_ns) & (records["t_ns"] > t_ns - round(measured.mean_n * 1e9))]
+
+    def _withdraw(self, filed: Filed) -> None:
+        if filed.finding is not None:
+            self._strike_out(filed.finding.entry)
+
+    def _strike_out(self, given: Entry) -> None:
+        """The ledger says that it was withdrawn; with a calibration check what that had found goes too."""
+        with contextlib.suppress(LedgerError):  # the operator has been told already that it is not in force
+            wall_ns = time.time_ns()
+            entries = ledger.append(self._settings, findings.withdrawn(self._settings, given, wall_ns))
+            if given.passed is not None:
+                self._show(ledger.standing(self._settings, entries, wall_ns))
+                self._tell_overdue = True
+
+    @staticmethod
+    def _say(text: str) -> None:
+        sys.stderr.write(f"gateway: {text}\n")

@@ -1,0 +1,394 @@
+"""The desk: takes command queries, hands them to the loop through the ring, answers them. One thread, many at once."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import zenoh
+
+from rigctl.commission.preflight import Preflight
+from rigctl.config.one_line import on_one_line
+from rigctl.control.modes import FILED, Setting, Verb
+from rigctl.gateway.calibration_service import Clerk, Filed
+from rigctl.gateway.command_rate import Flow
+from rigctl.gateway.lease_service import Keeper
+from rigctl.ipc import ledger
+from rigctl.ipc.notes import DeskBook
+from rigctl.ipc.record import COMMAND_LIFETIME_NS
+from rigctl.ipc.ring import RingReader, RingWriter
+from rigctl.wire.command_request import Request, RequestError, Sight, answer, parse, refused, silent, verb_of
+from rigctl.wire.keys import Keys
+from rigctl.wire.lease import ACTS
+from rigctl.wire.lease_request import LeaseRequest, parse_lease
+from rigctl.wire.session import MESSAGE_BYTES, finish
+
+POLL_S = 0.002
+ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # after its lifetime the loop would not carry it out any more
+WAIT_NS = {
+    Verb.ARM: 8_000_000_000,  # standstill 2 s, brake test 2 s, the drive 2 s
+    Verb.TARE: ANSWER_NS + 2_000_000_000,
+    Verb.CALIBRATE: ANSWER_NS + 2_000_000_000,
+    Verb.IDENTIFY: ANSWER_NS + 10_000_000_000,
+}
+READ_BACK_NS = 15_000_000_000  # more, while the loop says that it is arming: it reads the devices' settings back first
+_PENDING_MAX = 64  # of all but HOLD
+_NAMES_ON_RECORD = 8  # of those who share a HOLD
+_HOLD_SPACING_NS = 20_000_000  # between two HOLDs for the loop; those that come in between share the next one
+
+
+@dataclass(frozen=True)
+class Pending:
+    """A command the loop has not answered yet."""
+
+    query: zenoh.Query
+    request: Request
+    until_ns: int
+    recorded: Recorded | None = None  # waits for the loop to take what is on record
+    sharing: tuple[Asked, ...] = ()  # HOLDs that came with it, and get the same answer
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A command that has come."""
+
+    query: zenoh.Query
+    request: Request
+
+
+@dataclass(frozen=True)
+class LeaseAsked:
+    """The lease itself is asked for."""
+
+    query: zenoh.Query
+    request: LeaseRequest
+
+
+@dataclass(frozen=True)
+class HoldAsked:
+    """HOLD waits in its own queue."""
+
+
+@dataclass(frozen=True)
+class Crowded:
+    """Commands were refused because there were too many, and that is to be told."""
+
+
+@dataclass(frozen=True)
+class LeaseLapsed:
+    """Time has run out for a lease, as it seemed to who looked."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What the clerk has made of a trial's answer; ``message`` is that answer."""
+
+    query: zenoh.Query
+    request: Request
+    message: dict[str, Any]
+    filed: Filed
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A query that was no command, and has been answered."""
+
+    message: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Told:
+    """Something the loop is to be told by the daemon itself."""
+
+    setting: Setting
+    value: float
+
+
+_Any = Asked | HoldAsked | Crowded | LeaseAsked | LeaseLapsed | Recorded | Refused | Told | None
+
+
+def send_answer(query: zenoh.Query, key: str, message: dict[str, Any]) -> None:
+    """Answer and finish a query; a querier that has gone is no error."""
+    payload = msgspec.json.encode(message)
+    with contextlib.suppress(zenoh.ZError):
+        if message["accepted"]:
+            query.reply(key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+        else:
+            query.reply_err(payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+    finish(query)
+
+
+def _payload_of(query: zenoh.Query) -> bytes | None:
+    """A query's payload, not copied where it is too long to be a command."""
+    if query.payload is None:
+        return None
+    if len(query.payload) > MESSAGE_BYTES:
+        raise RequestError(f"found {len(query.payload)} bytes, expected at most {MESSAGE_BYTES}")
+    return bytes(query.payload)
+
+
+def _by_operator(asked: list[Asked]) -> list[Request]:
+    """One request of each operator, of a few at most: the others are answered, but not on record by name."""
+    return list({one.request.operator: one.request for one in asked}.values())[:_NAMES_ON_RECORD]
+
+
+class Desk:
+    """Queries in, ``COMMAND`` slots out, ``REPLY`` slots in, answers out."""
+
+    def __init__(
+        self,
+        keys: Keys,
+        commands: RingWriter,
+        replies: RingReader,
+        sight: Callable[[], Sight],
+        limits_n: tuple[float, float],
+        clerk: Clerk,
+        keeper: Keeper,
+        book: DeskBook,
+        preflight: Preflight,
+        run_id: str = "",
+    ) -> None:
+        """``sight``: what the newest record says; ``limits_n``: lowest and highest target. ``book``: for the record.
+
+        ``run_id``: of this daemon; a command that is meant for another is refused.
+        """
+        self._run_id = run_id
+        self._book, self._preflight = book, preflight
+        self._clerk, self._keeper = clerk, keeper
+        self._keys, self._commands, self._replies = keys, commands, replies
+        self._sight, self._limits_n = sight, limits_n
+        self._asked: queue.SimpleQueue[_Any] = queue.SimpleQueue()
+        self._holds: deque[Asked] = deque()  # served before all others
+        self._hold_ns = 0  # not before is the loop given another
+        self._flow = Flow(time.monotonic_ns())
+        self._pending: dict[int, Pending] = {}
+        self._last_id = 0
+        self._thread = threading.Thread(target=self._serve, name="desk", daemon=True)
+
+    def open(self, session: zenoh.Session) -> None:
+        """Take queries from ``session``."""
+        self._thread.start()
+        session.declare_queryable(self._keys.command("*"), self._take)
+
+    def tell(self, setting: Setting, value: float) -> None:
+        """Tell the loop something that no operator gives."""
+        self._asked.put(Told(setting, value))
+
+    def look_at_lease(self, now_ns: int) -> None:
+        """See that a lease that has lapsed is struck out, also while nobody asks anything."""
+        if self._keeper.has_lapsed(now_ns):
+            self._asked.put(LeaseLapsed())
+        if self._flow.due(now_ns):
+            self._asked.put(Crowded())
+
+    def close(self) -> None:
+        """Answer no more."""
+        self._asked.put(None)
+        self._thread.join(timeout=1.0)
+
+    def _take(self, query: zenoh.Query) -> None:
+        """Zenoh's thread: check, limit and queue, nothing that waits; what is too many is written nowhere."""
+        key = str(query.key_expr)
+        name = key.rsplit("/", 1)[-1]
+        asked: Asked | LeaseAsked | Refused
+        try:
+            if key != self._keys.command(name):
+                raise RequestError(f"found the key {on_one_line(key)}, expected one rig and one command")
+            payload = _payload_of(query)
+            if (act := ACTS.get(name)) is not None:
+                asked = LeaseAsked(query, parse_lease(act, payload))
+            else:
+                asked = Asked(query, parse(verb_of(name), payload))
+                wanted = asked.request
+                if wanted.verb is Verb.HOLD and (
+                    elsewhere := self._meant_for_another(wanted.run_id, "hold", wanted.operator)
+                ):
+                    asked = Refused(elsewhere)
+        except RequestError as error:
+            asked = Refused(refused(on_one_line(name), "", "bad_request", str(error)))
+        if isinstance(asked, Asked) and asked.request.verb is Verb.HOLD:
+            self._holds.append(asked)
+            self._asked.put(HoldAsked())
+            return
+        request = None if isinstance(asked, Refused) else asked.request
+        operator, now = request.operator if request is not None else "", time.monotonic_ns()
+        holder = request is not None and self._keeper.is_holder(operator, request.lease, now)
+        if why := self._flow.admit(operator, now, holder=holder):
+            send_answer(query, key, refused(on_one_line(name), operator, "too_many", why))
+            return
+        if isinstance(asked, Refused):
+            send_answer(query, key, asked.message)
+        self._asked.put(asked)
+
+    def _serve(self) -> None:
+        while True:
+            with contextlib.suppress(queue.Empty):
+                asked = self._asked.get(timeout=POLL_S if self._pending or self._holds else None)
+                if asked is None:
+                    return
+                self._give_holds(time.monotonic_ns())
+                self._do(asked)
+            self._give_holds(time.monotonic_ns())
+            self._collect(time.monotonic_ns())
+
+    def _do(self, asked: Asked | HoldAsked | Crowded | LeaseAsked | LeaseLapsed | Recorded | Refused | Told) -> None:
+        match asked:
+            case Crowded():
+                self._keeper.note_crowd(self._flow.told(), time.monotonic_ns())
+            case Asked(query, request):
+                if message := self._meant_for_another(request.run_id, request.verb.name.lower(), request.operator):
+                    self._answer(query, request, message)
+                    return
+                self._give(query, request)
+            case LeaseAsked(query, wanted):
+                message = self._meant_for_another(wanted.run_id, wanted.act.value, wanted.operator)
+                message = message or self._keeper.decide(wanted, time.monotonic_ns())
+                send_answer(query, self._keys.command(wanted.act.value), message)
+                self._book.answered(time.monotonic_ns(), 0, self._holder(), message)
+            case Refused(message):
+                self._book.answered(time.monotonic_ns(), 0, self._holder(), message)
+            case LeaseLapsed():
+                self._keeper.expire(time.monotonic_ns())
+            case Recorded():
+                self._put_in_force(asked)
+            case Told(setting, value):
+                self._write(setting, value)
+
+    def _meant_for_another(self, run_id: str, name: str, operator: str) -> dict[str, Any] | None:
+        """The refusal of a command that a program gave to the daemon it started, and which reached this one."""
+        if not run_id or run_id == self._run_id:
+            return None
+        text = f"found the run id of another daemon, expected {self._run_id}; nothing was done here"
+        return refused(name, operator, "other_run", text)
+
+    def _write(self, code: Verb | Setting, value: float) -> int:
+        """Hand the loop a command; returns its id: never that of one given before, by this gateway or another."""
+        now = time.monotonic_ns()
+        self._last_id = max(self._last_id + 1, now)
+        self._commands.write(now, self._last_id, int(code), value)
+        return self._last_id
+
+    def _give(self, query: zenoh.Query, request: Request) -> None:
+        if len(self._pending) >= _PENDING_MAX:
+            self._answer(query, request, silent(request.verb.name.lower(), request.operator))
+            return
+        if (why := self._clerk.impossible(request)) is not None:
+            self._answer(query, request, refused(request.verb.name.lower(), request.operator, "not_possible", why))
+            return
+        now = time.monotonic_ns()
+        admitted = self._keeper.admit(request, now)
+        if not isinstance(admitted, Request):
+            self._answer(query, request, admitted)
+            return
+        request = admitted
+        until_ns = now + WAIT_NS.get(request.verb, ANSWER_NS)
+        if request.verb is Verb.ARM:  # never on what the loop was told a while ago
+            self._write(Setting.HOST_CHECKS, float(self._preflight.verdict(now).host_checks))
+        number = self._write(request.verb, request.number)
+        self._pending[number] = Pending(query, request, until_ns)
+        name = request.verb.name.lower()
+        self._book.given(now, number, name, request.operator, self._holder(), request.number)
+
+    def _give_holds(self, now_ns: int) -> None:
+        """HOLD is safe: given by anyone, before all else, and never too many; a flood of them becomes a few."""
+        if not self._holds or now_ns < self._hold_ns:
+            return
+        self._hold_ns = now_ns + _HOLD_SPACING_NS
+        asked = [self._holds.popleft() for _ in range(len(self._holds))]
+        number = self._write(Verb.HOLD, math.nan)
+        first = asked[0]
+        self._pending[number] = Pending(first.query, first.request, now_ns + ANSWER_NS, sharing=tuple(asked[1:]))
+        for request in _by_operator(asked):
+            self._book.given(now_ns, number, "hold", request.operator, self._holder(), request.number)
+            self._keeper.note_hold(request, now_ns)
+
+    def _put_in_force(self, recorded: Recorded) -> None:
+        """What is on record now takes effect; the operator is answered when the loop has taken it."""
+        request, finding = recorded.request, recorded.filed.finding
+        if finding is None:
+            name, filed = request.verb.name.lower(), recorded.filed
+            self._answer(recorded.query, request, refused(name, request.operator, filed.reason, filed.text))
+            return
+        message = recorded.message
+        message |= {"text": f"{request.verb.name}: {finding.text}", "entry": msgspec.to_builtins(finding.entry)}
+        message |= {} if finding.good else {"accepted": False, "reason": "bad_result"}
+        number = 0
+        for setting, value in finding.settings:
+            number = self._write(setting, value)
+        if number:
+            until_ns = time.monotonic_ns() + ANSWER_NS
+            self._pending[number] = Pending(recorded.query, request, until_ns, recorded)
+        else:
+            self._answer(recorded.query, request, message, recorded=recorded)
+
+    def _collect(self, now_ns: int) -> None:
+        for reply in self._replies.read():
+            given = self._pending.pop(int(reply["id"]), None)
+            if given is not None:
+                self._answered(given, reply, int(reply["id"]))
+        for number in [number for number, given in self._pending.items() if self._is_late(given, now_ns)]:
+            given = self._pending.pop(number)
+            if given.recorded is not None:
+                self._clerk.unanswered(given.recorded.filed)
+            name, operator = given.request.verb.name.lower(), given.request.operator
+            self._answer(given.query, given.request, silent(name, operator), number)
+            self._answer_sharing(given, lambda request: silent("hold", request.operator))
+
+    def _is_late(self, given: Pending, now_ns: int) -> bool:
+        more_ns = 0
+        if given.request.verb is Verb.ARM and now_ns > given.until_ns and self._sight().arming:
+            more_ns = READ_BACK_NS
+        return now_ns > given.until_ns + more_ns
+
+    def _answered(self, given: Pending, reply: Any, number: int) -> None:
+        """The loop's reply goes to the operator; that of a trial goes to the clerk first."""
+        query, request = given.query, given.request
+        try:
+            verdict = self._preflight.verdict(time.monotonic_ns())
+            message = answer(request, reply, self._sight(), self._limits_n, verdict.words, verdict.waived)
+        except (ValueError, KeyError) as error:
+            text = f"the control loop's answer makes no sense: {error}"
+            message = refused(request.verb.name.lower(), request.operator, "unknown", text)
+        if given.recorded is not None:
+            if message["accepted"]:
+                self._clerk.put_in_force(given.recorded.filed)
+                message = given.recorded.message
+            else:
+                self._clerk.withdraw(given.recorded.filed)
+                message["text"] += "; withdrawn from the ledger"
+        elif request.verb in FILED and message["accepted"]:
+            self._clerk.file(request, reply, lambda filed: self._asked.put(Recorded(query, request, message, filed)))
+            return
+        self._answer(query, request, message, number, given.recorded)
+        self._answer_sharing(given, lambda request: {**message, "operator": request.operator})
+
+    def _answer_sharing(self, given: Pending, answer_to: Callable[[Request], dict[str, Any]]) -> None:
+        """The answer of a HOLD goes to those who asked for it at the same time; it is on record once."""
+        now = time.monotonic_ns()
+        for query, request in ((asked.query, asked.request) for asked in given.sharing):
+            message = self._keeper.with_lease(request.operator, request.lease, answer_to(request), now)
+            send_answer(query, self._keys.command("hold"), message)
+
+    def _answer(
+        self, query: zenoh.Query, request: Request, message: dict[str, Any], number: int = 0,
+        recorded: Recorded | None = None,
+    ) -> None:  # fmt: skip
+        now = time.monotonic_ns()
+        message = self._keeper.with_lease(request.operator, request.lease, message, now)
+        send_answer(query, self._keys.command(request.verb.name.lower()), message)
+        finding = recorded.filed.finding if recorded is not None else None
+        entry = ledger.entry_digest(finding.entry) if finding is not None else ""
+        self._book.answered(now, number, self._holder(), message, entry)
+
+    def _holder(self) -> str:
+        """Who holds the lease."""
+        lease = self._keeper.shown(time.monotonic_ns())
+        return str(lease["holder"]) if lease is not None else ""

@@ -1,0 +1,325 @@
+"""``python -m rigctl.gateway.gateway_process RUNTIME_DIR``: rings in, Zenoh out; commands the other way.
+
+May be killed at any time: the loop does not notice, and the next gateway goes on where this one stopped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import pathlib
+import signal
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import msgspec
+import zenoh
+from pydantic import ValidationError
+
+from rigctl.commission.preflight import Preflight, Verdict
+from rigctl.config.rig_file import RigSettings
+from rigctl.control import limits, safety
+from rigctl.control.modes import Setting
+from rigctl.control.realtime import die_with_parent
+from rigctl.control.safety import HOST_CHECKS, Fault
+from rigctl.gateway.active import Active, Written
+from rigctl.gateway.calibration_service import Clerk
+from rigctl.gateway.command_server import Desk
+from rigctl.gateway.lease_service import Keeper
+from rigctl.gateway.published_position import Cursor
+from rigctl.gateway.streams import EventStream, FastStream, event_publishers, past_block, past_messages
+from rigctl.ipc.ledger import Standing
+from rigctl.ipc.notes import DeskBook
+from rigctl.ipc.ring import RingError
+from rigctl.ipc.runtime_folder import RECORDED, Runtime
+from rigctl.ipc.termination import Termination
+from rigctl.wire.command_request import sight_of
+from rigctl.wire.keys import Keys
+from rigctl.wire.schema import schema
+from rigctl.wire.session import SessionError, close, finish, open_client, open_router
+from rigctl.wire.state_message import (
+    Causes,
+    Doubts,
+    Recent,
+    Trip,
+    design_of,
+    kept_of,
+    preflight_of,
+    state_of,
+    warnings_of,
+)
+
+_JSON = zenoh.Encoding.APPLICATION_JSON
+_DROP = zenoh.CongestionControl.DROP
+_LOOK_NS = 500_000_000  # how often the files of the other processes are looked at
+_LINK_S = 1.5  # at most, for links to the routers joined: there at once, but on a busy computer
+_JOIN_S = 0.5  # for what is behind them to come in sight
+
+
+class StateView:
+    """The state message of this instant."""
+
+    def __init__(self, runtime: Runtime, settings: RigSettings, active: Active) -> None:
+        self._rig, self._active = settings.rig, active
+        self._recorder = Written(runtime, RECORDED)
+        self._records, self._events = runtime.record_reader(), runtime.event_reader(from_start=True)
+        self._records.cursor = max(0, self._records.head - settings.loop.rate_hz)
+        self._recent, self._trip = Recent(), Trip()
+        self._causes = Causes((*safety.table(settings), *limits.rows(settings)))
+        self.standing: Mapping[Fault, str] = {}
+        """Causes of a fault that stand, in words, the strongest first."""
+        self.doubts = Doubts(runtime.event_reader(from_start=True))
+        self._warnings: list[str] = []
+        self._design: str | None = None
+        self._kept: dict[str, Any] = {}
+        self._look_ns = 0
+        self._started_wall_ns = time.time_ns()
+        self.newest = b"{}"
+
+    def make(
+        self,
+        now_ns: int,
+        samples_lost: int,
+        standing: Standing,
+        lease: dict[str, Any] | None,
+        verdict: Verdict,
+        cursor: Cursor,
+    ) -> bytes:
+        """Read what is new and encode it; ``cursor``: how far events and notes are published, once this is shown."""
+        record = self._records.latest()  # before the events: the loop tells why it tripped before a record shows it
+        self._recent.add(self._records.read())
+        events = self._events.read()
+        self._trip.note(events)
+        self._causes.note(events)
+        if now_ns >= self._look_ns:
+            self._look_ns = now_ns + _LOOK_NS
+            self._design, of_design = design_of(self._active.written)
+            self._recorder.look()
+            self._kept, of_recorder = kept_of(self._recorder.value, now_ns)
+            self._warnings = [*of_design, *warnings_of(self._active.control), *of_recorder]
+        state = state_of(record, self._trip, self._recent, now_ns, time.time_ns())
+        wall_ns = time.time_ns() - now_ns
+        causes = self._causes.of(record, wall_ns) if record is not None else []
+        words: dict[Fault, str] = {}
+        for cause in causes:
+            words.setdefault(Fault[cause["fault"]], cause["text"])
+        self.standing = words
+        own = {
+            "rig": self._rig,
+            "causes": causes,
+            "samples_lost": samples_lost,
+            "design": self._design,
+            "calibration": standing,
+            "lease": lease,
+            "preflight": preflight_of(record, verdict.words, verdict.waived),
+            "read_back": self.doubts.read_back,
+            **self._kept,
+            "warnings": self._warnings,
+            "gateway_wall_ns": self._started_wall_ns,
+            "stream": cursor.stream,
+            "event_seq": cursor.event_seq,
+            "note_seq": cursor.note_seq,
+        }
+        return msgspec.json.encode({**own, **state})
+
+
+def _answering(answer: Callable[[zenoh.Query], tuple[str, bytes]]) -> Callable[[zenoh.Query], None]:
+    """A queryable's callback from a function that gives key and payload; its failure is an error reply."""
+
+    def take(query: zenoh.Query) -> None:
+        try:
+            key, payload = answer(query)
+            query.reply(key, payload)
+        except (ValueError, KeyError, OSError, msgspec.MsgspecError, zenoh.ZError) as error:
+            with contextlib.suppress(zenoh.ZError):
+                query.reply_err(msgspec.json.encode({"text": str(error)}), encoding=_JSON)
+        finish(query)
+
+    return take
+
+
+def _after(query: zenoh.Query, name: str = "after") -> int:
+    """The ``after=SEQ`` of a query."""
+    text = query.parameters.get(name, "0") or "0"
+    if not text.isascii() or not text.isdigit() or len(text) > 19:
+        raise ValueError(f"found {name}={text[:40]!r}, expected a sequence number")
+    return int(text)
+
+
+def _declare_queryables(
+    session: zenoh.Session,
+    keys: Keys,
+    runtime: Runtime,
+    settings: RigSettings,
+    view: StateView,
+    active: Active,
+    stream: int,
+) -> None:
+    known = msgspec.json.encode(schema(settings.rig))
+    records, events, notes = runtime.record_reader(), runtime.event_reader(), runtime.note_reader()
+
+    def past_events(query: zenoh.Query) -> tuple[str, bytes]:
+        offset = time.time_ns() - time.monotonic_ns()
+        found = past_messages(events, notes, _after(query), _after(query, "after_note"), offset, stream)
+        return keys.events_past, msgspec.json.encode(found)
+
+    for key, answer in (
+        (keys.state, lambda _query: (keys.state, view.newest)),
+        (keys.schema, lambda _query: (keys.schema, known)),
+        (keys.active, lambda _query: (keys.active, active.look())),
+        (keys.fast, lambda query: (keys.fast, past_block(records, _after(query), stream))),
+        (keys.events_past, past_events),
+    ):
+        session.declare_queryable(key, _answering(answer))
+
+
+class Gateway:
+    """Sessions, streams and desk of one rig."""
+
+    def __init__(self, runtime: Runtime, settings: RigSettings) -> None:
+        """Open everything.
+
+        Raises:
+            SessionError: the endpoint is in use or is none.
+        """
+        keys, now = Keys(settings.rig), time.monotonic_ns()
+        socket = f"unixsock-stream/{runtime.gateway_socket}"
+        self._session = open_router([settings.telemetry.listen, socket], settings.telemetry.join)
+        self._refuse_a_namesake(keys, settings)
+        # Commands have a session of their own: nothing that happens to the data can hold one up.
+        self._command_session = open_client(socket)
+        self._period_ns = 1_000_000_000 // settings.telemetry.rate_hz
+        self._per_call = max(1, settings.loop.rate_hz // settings.telemetry.rate_hz)
+
+        records = runtime.record_reader(from_start=True)
+        self._cursor = Cursor(runtime.gateway_cursor, runtime.records, records.head)
+        self._active, self._active_sent = Active(runtime), b""
+        self._view = view = StateView(runtime, settings, self._active)
+        self._state = self._session.declare_publisher(keys.state, encoding=_JSON, congestion_control=_DROP)
+        self._configuration = self._session.declare_publisher(keys.active, encoding=_JSON, congestion_control=_DROP)
+        fast = self._session.declare_publisher(keys.fast, congestion_control=_DROP)
+        self._fast = FastStream(fast, records, self._cursor, now)
+        publishers = event_publishers(self._session, keys)
+        events, notes = runtime.event_reader(from_start=True), runtime.note_reader(from_start=True)
+        self._events = EventStream(publishers, events, notes, self._cursor, now)
+
+        limits_n = (settings.tension.target_min_n, settings.tension.target_max_n)
+        self._newest = newest = runtime.record_reader()
+        self._clerk = clerk = Clerk(runtime, settings)
+        self._preflight = Preflight(runtime, settings, lambda: clerk.standing, self._view.doubts.look)
+        self._look_ns = 0
+        self._tell_ns = now  # not before is the loop told again what the host's checks say
+        self._keeper = Keeper(runtime, settings.telemetry.lease_s, now)
+        self._desk = Desk(
+            keys,
+            runtime.command_writer(),
+            runtime.reply_reader(),
+            lambda: sight_of(newest, view.standing),
+            limits_n,
+            self._clerk,
+            self._keeper,
+            DeskBook(runtime.desk_writer()),
+            self._preflight,
+            str(self._active.written.get("run_id", "")),
+        )
+        verdict = self._preflight.verdict(now)
+        lease = self._keeper.shown(now)
+        self._view.newest = self._view.make(now, 0, self._clerk.standing, lease, verdict, self._cursor)
+        _declare_queryables(self._session, keys, runtime, settings, self._view, self._active, self._cursor.stream)
+        self._desk.open(self._command_session)
+        self._token = self._session.liveliness().declare_token(keys.daemon)
+
+    def publish(self) -> None:
+        """One period's worth of everything.
+
+        Who has heard an event and then asks for the state gets one that knows it: that is made first.
+        """
+        now = time.monotonic_ns()
+        self._fast.publish(self._per_call, now)
+        record = self._newest.latest()
+        self._events.read(time.time_ns() - now, now, int(record["t_ns"]) if record is not None else 0)
+        for setting, value in self._clerk.news(now, time.time_ns()):
+            self._desk.tell(setting, value)
+        verdict = self._preflight.verdict(now)
+        self._tell_checks(verdict, now)
+        self._desk.look_at_lease(now)
+        if now >= self._look_ns:
+            self._look_ns = now + _LOOK_NS
+            self._tell_active()
+        lease = self._keeper.shown(now)
+        state = self._view.make(now, self._fast.lost, self._clerk.standing, lease, verdict, self._cursor)
+        self._view.newest = state  # before the events: whoever hears one may ask at once
+        self._events.publish()
+        self._state.put(state)
+
+    def _tell_active(self) -> None:
+        if (found := self._active.look()) is not self._active_sent:
+            self._active_sent = found
+            self._configuration.put(found)
+
+    def _refuse_a_namesake(self, keys: Keys, settings: RigSettings) -> None:
+        """Behind joined routers another rig may have this name; a command would reach both."""
+        joined = settings.telemetry.join
+        if not joined:
+            return
+        until = time.monotonic() + _LINK_S
+        while len(self._session.info.routers_zid()) < len(joined) and time.monotonic() < until:
+            time.sleep(0.01)
+        time.sleep(_JOIN_S)
+        found = self._session.liveliness().get(keys.daemon, timeout=_JOIN_S)
+        if any(reply.ok is not None for reply in found):
+            close(self._session)
+            raise SessionError(f"another daemon named {settings.rig} answers behind {', '.join(joined)}: rename one")
+
+    def _tell_checks(self, verdict: Verdict, now_ns: int) -> None:
+        """The loop's records say what it goes by; a loop that has just started goes by nothing."""
+        record = self._newest.latest()
+        if record is None or int(record["checks"]) & int(HOST_CHECKS) == verdict.host_checks or now_ns < self._tell_ns:
+            return
+        self._tell_ns = now_ns + _LOOK_NS
+        self._desk.tell(Setting.HOST_CHECKS, float(verdict.host_checks))
+
+    def run(self, stop: Termination) -> None:
+        """Publish on an absolute grid until ``stop``; periods that were missed are left out."""
+        due = time.monotonic_ns()
+        while not stop.requested:
+            self.publish()
+            now = time.monotonic_ns()
+            due += self._period_ns * max(1, -((due - now) // self._period_ns))
+            time.sleep(max(0.0, (due - time.monotonic_ns()) / 1e9))
+
+    def close(self) -> None:
+        """Publish what is left and end the sessions."""
+        self._clerk.close()
+        self._preflight.close()
+        self._desk.close()
+        self.publish()
+        close(self._command_session)
+        close(self._session)
+        self._cursor.close()
+
+
+def main(arguments: list[str]) -> int:
+    """Run the gateway of the runtime folder named; exit code."""
+    if len(arguments) != 1:
+        sys.stderr.write("usage: python -m rigctl.gateway.gateway_process RUNTIME_DIR\n")
+        return 2
+    stop = Termination(signal.SIGTERM, signal.SIGHUP)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    die_with_parent(signal.SIGTERM)
+    runtime = Runtime(pathlib.Path(arguments[0]))
+    try:
+        settings = RigSettings.model_validate(runtime.read_json("active.json").get("settings"))
+        gateway = Gateway(runtime, settings)
+    except (OSError, ValidationError, msgspec.MsgspecError, RingError, SessionError) as error:
+        reason = "active.json holds no valid settings" if isinstance(error, ValidationError) else error
+        sys.stderr.write(f"gateway: {reason}\n")
+        return 1
+    gateway.run(stop)
+    gateway.close()
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

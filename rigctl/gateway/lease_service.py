@@ -1,0 +1,164 @@
+"""The keeper of the lease in the gateway: the book, its place in the runtime folder, its notes and its words.
+
+Changed by the desk's thread alone; ``shown``, ``has_lapsed`` and ``is_holder`` may be asked by any.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+
+from rigctl.config.quantity import count
+from rigctl.gateway.command_rate import Crowd
+from rigctl.ipc.notes import Note
+from rigctl.ipc.runtime_folder import Runtime
+from rigctl.wire.command_request import Request, RequestError, operator_of, refused
+from rigctl.wire.lease import Act, Book, Change, Denial, Lease, Turn, is_id
+from rigctl.wire.lease_request import LeaseRequest
+
+IN_FORCE = "lease.json"  # in the runtime folder
+_NOTE_OF = {
+    Turn.TAKEN: Note.LEASE_TAKEN,
+    Turn.TAKEN_OVER: Note.LEASE_TAKEN_OVER,
+    Turn.RETURNED: Note.LEASE_RETURNED,
+    Turn.LAPSED: Note.LEASE_LAPSED,
+}
+_TAKE = "rigctl lease take"
+CROWDS_TOLD = 4
+
+
+def believed(written: Any, duration_ns: int, now_ns: int) -> Lease | None:
+    """The lease that was written down; None for anything a gateway would not have written."""
+    try:
+        lease = msgspec.convert(written, Lease)
+        if operator_of(lease.holder) != lease.holder or not is_id(lease.id):
+            return None
+    except (msgspec.MsgspecError, RequestError):
+        return None
+    sound = 0 <= lease.since_ns <= now_ns and lease.since_ns < lease.until_ns <= now_ns + duration_ns
+    return lease if sound else None
+
+
+def why_not(denial: Denial, operator: str, lease: Lease | None, now_ns: int) -> str:
+    """A denial in one line."""
+    if denial is Denial.LAPSED:
+        return f"the lease shown has lapsed or was never given, and nobody holds it now; look at the rig, then {_TAKE}"
+    if denial is Denial.NOT_HELD or lease is None:
+        return "nobody holds the lease"
+    elsewhere = " in another terminal or program" if lease.holder == operator else ""
+    since_s, left_s = (now_ns - lease.since_ns) / 1e9, (lease.until_ns - now_ns) / 1e9
+    held = f"{lease.holder} holds the lease{elsewhere}, since {since_s:.0f} s, for another {left_s:.0f} s"
+    return f"{held}; to take it over: {_TAKE} --reason TEXT"
+
+
+class Keeper:
+    """The lease of one rig."""
+
+    def __init__(self, runtime: Runtime, duration_s: int, now_ns: int) -> None:
+        """Goes on with the lease the gateway before this one wrote down, if that can be believed."""
+        self._runtime, self._notes = runtime, runtime.note_writer()
+        duration_ns = duration_s * 1_000_000_000
+        self._book = Book(duration_ns, self._tell, self._read(duration_ns, now_ns))
+
+    def _read(self, duration_ns: int, now_ns: int) -> Lease | None:
+        try:
+            written: Any = self._runtime.read_json(IN_FORCE)
+        except (OSError, msgspec.MsgspecError):
+            written = None
+        lease = believed(written, duration_ns, now_ns) if written else None
+        if lease is None and written != {}:
+            self._note(now_ns, Note.LEASE_NOT_BELIEVED)
+        return lease
+
+    def admit(self, request: Request, now_ns: int) -> Request | dict[str, Any]:
+        """The command with the lease it is given under, or why it is refused."""
+        self.expire(now_ns)
+        found = self._book.admit(request.operator, request.lease, now_ns)
+        if isinstance(found, Lease):
+            self._save(now_ns)
+            return replace(request, lease=found.id)
+        why = why_not(found, request.operator, self._book.lease(now_ns), now_ns)
+        return refused(request.verb.name.lower(), request.operator, found.value, why)
+
+    def note_hold(self, request: Request, now_ns: int) -> None:
+        """HOLD has been given, which anyone may; without the lease it neither takes nor renews it, and is noted."""
+        if not self._book.is_holder(request.operator, request.lease, now_ns):
+            lease = self._book.lease(now_ns)
+            self._note(now_ns, Note.HOLD_WITHOUT_LEASE, request.operator, lease.holder if lease else "")
+
+    def is_holder(self, operator: str, id_: str | None, now_ns: int) -> bool:
+        """Whether both name and id are those of the lease in force; may be asked from any thread."""
+        return self._book.is_holder(operator, id_, now_ns)
+
+    def note_crowd(self, crowds: list[Crowd], now_ns: int) -> None:
+        """Tell of commands that were refused because there were too many: the worst few by name, the rest as one."""
+        worst, rest = crowds[:CROWDS_TOLD], crowds[CROWDS_TOLD:]
+        if rest:
+            worst.append(Crowd(count(len(rest), "other"), sum(crowd.count for crowd in rest), rest[0].since_ns))
+        for crowd in worst:
+            text = f"{count(crowd.count, 'command')} in {(now_ns - crowd.since_ns) / 1e9:.0f} s"
+            self._note(now_ns, Note.TOO_MANY_COMMANDS, crowd.operator, reason=text)
+
+    def decide(self, request: LeaseRequest, now_ns: int) -> dict[str, Any]:
+        """Take the lease or give it back; the answer."""
+        self.expire(now_ns)
+        operator, id_ = request.operator, request.lease
+        found: Lease | Denial | None
+        if request.act is Act.TAKE:
+            found = self._book.take(operator, id_, request.reason, now_ns)
+        else:
+            found = self._book.give_back(operator, id_, now_ns)
+        self._save(now_ns)
+        if isinstance(found, Denial):
+            why = why_not(found, operator, self._book.lease(now_ns), now_ns)
+            return self.with_lease(operator, id_, refused(request.act.value, operator, found.value, why), now_ns)
+        text = "given back; the rig goes on as it is"
+        if found is not None:
+            left_s = (found.until_ns - now_ns) / 1e9
+            id_, text = found.id, f"{operator} holds the lease, until {left_s:.0f} s after the last command"
+        message = {"accepted": True, "verb": request.act.value, "operator": operator, "text": f"LEASE: {text}"}
+        return self.with_lease(operator, id_, message, now_ns)
+
+    def with_lease(self, operator: str, id_: str | None, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
+        """An answer and the lease in force: its id for the holder alone, whom what was carried out renews."""
+        if message["accepted"] and self._book.renew(operator, id_, now_ns) is not None:
+            self._save(now_ns)
+        told = self.shown(now_ns)
+        if told is not None and self._book.is_holder(operator, id_, now_ns):
+            told["id"] = id_
+        return message | {"lease": told}
+
+    def shown(self, now_ns: int) -> dict[str, Any] | None:
+        """The lease in force, for everyone: all but the id."""
+        lease = self._book.lease(now_ns)
+        if lease is None:
+            return None
+        return {
+            "holder": lease.holder, "since_ns": lease.since_ns, "until_ns": lease.until_ns,
+            "held_s": max(0.0, round((now_ns - lease.since_ns) / 1e9, 1)),
+            "left_s": round((lease.until_ns - now_ns) / 1e9, 1),
+        }  # fmt: skip
+
+    def has_lapsed(self, now_ns: int) -> bool:
+        """Whether `expire` has something to do."""
+        return self._book.has_lapsed(now_ns)
+
+    def expire(self, now_ns: int) -> None:
+        """Strike out a lease that has lapsed. Nothing follows from it for the rig."""
+        if self._book.has_lapsed(now_ns):
+            self._book.expire(now_ns)
+            self._save(now_ns)
+
+    def _tell(self, change: Change) -> None:
+        self._note(change.t_ns, _NOTE_OF[change.turn], change.operator, change.other, change.reason)
+
+    def _note(self, t_ns: int, kind: Note, operator: str = "", other: str = "", reason: str = "") -> None:
+        self._notes.write(t_ns, int(kind), operator.encode(), other.encode(), reason.encode())
+
+    def _save(self, now_ns: int) -> None:
+        # A lease that cannot be written down ends with this gateway, which is no reason to refuse anything.
+        with contextlib.suppress(OSError):
+            self._runtime.write_json(IN_FORCE, self._book.lease(now_ns) or {})

@@ -1,0 +1,66 @@
+"""What a gateway put on record and did not live to see in force: the next one brings ledger and loop together.
+
+An entry is on record before the loop is told. Between the two the gateway may be killed, or the loop may give no
+answer. Whoever comes next looks at the newest entry: the loop is told again, and where it takes nothing (it moves, or
+the rope is loaded) the entry is withdrawn. A ledger that differs in any other way, somebody else has changed: that
+holds from the next start of the daemon.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.events import Kind
+from rigctl.control.modes import Setting
+from rigctl.ipc import ledger
+from rigctl.ipc.ledger import Entry, Standing, in_force
+from rigctl.ipc.runtime_folder import Runtime
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class LeftOver:
+    """``entry`` is on record and not in force; ``settings`` would put it there. None: it is not known what to do."""
+
+    entry: Entry
+    standing: Standing
+    settings: tuple[tuple[Setting, float], ...] | None
+
+    @property
+    def pair(self) -> Pair:
+        """Zero in N and scale, as on record."""
+        return self.standing.zero_n, self.standing.scale
+
+    def __str__(self) -> str:
+        """Which entry it is."""
+        return f"the {self.entry.what} by {self.entry.operator} of {self.entry.when}"
+
+
+def loop_has(runtime: Runtime) -> Pair:
+    """Zero in N and scale the loop goes by: it says so whenever they change."""
+    events = runtime.event_reader(from_start=True).read()
+    told = events[events["kind"] == Kind.CORRECTION]
+    if len(told):
+        return float(told["value"][-1]), float(told["limit"][-1])
+    standing = in_force(runtime)
+    return standing.zero_n, standing.scale
+
+
+def find(settings: RigSettings, entries: Sequence[Entry], has: Pair, now: Standing, wall_ns: int) -> LeftOver | None:
+    """What of the ledger the loop does not go by; ``has``: what it goes by, ``now``: what was last put in force."""
+    if not entries or settings.calibration is None:
+        return None
+    wanted = ledger.standing(settings, entries, wall_ns)
+    pair, newest = (wanted.zero_n, wanted.scale), entries[-1]
+    if (*pair, wanted.due) == (now.zero_n, now.scale, now.due) and pair == has:
+        return None
+    before = newest.before.get("zero_n"), newest.before.get("scale")
+    own = newest.what in ("tare", "calibrate") and has in (before, pair)
+    if not own:
+        return LeftOver(newest, wanted, None)
+    changed = zip((Setting.ZERO, Setting.SCALE), pair, has, strict=True)
+    told = tuple((setting, value) for setting, value, old in changed if value != old)
+    return LeftOver(newest, wanted, told)

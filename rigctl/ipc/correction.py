@@ -1,0 +1,37 @@
+"""From what the tension cell reads to tension: a zero and a scale, both bounded, both on record in the ledger."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rigctl.config.rig_file import RigSettings
+
+SCALE_BOUND = 0.02  # a cell further out than this wants repair, not a factor
+
+
+@dataclass(frozen=True)
+class Correction:
+    """``tension = (reading - zero_n) * scale``; ``overdue``: no valid calibration, and none waived, so no arming."""
+
+    zero_n: float = 0.0
+    scale: float = 1.0
+    overdue: bool = False
+
+    def applied(self, reading_n: float) -> float:
+        """Tension in N."""
+        return (reading_n - self.zero_n) * self.scale
+
+    def fits(self, settings: RigSettings) -> bool:
+        """Within the bounds: a correction can shift what is seen a little, never hide a load or a lost rope."""
+        limit = tare_limit_n(settings)
+        return (
+            math.isfinite(self.zero_n + self.scale)
+            and abs(self.zero_n) <= limit
+            and abs(self.scale - 1.0) <= SCALE_BOUND
+        )
+
+
+def tare_limit_n(settings: RigSettings) -> float:
+    """Largest zero; none without a calibration section."""
+    return settings.calibration.tare_limit_n if settings.calibration is not None else 0.0

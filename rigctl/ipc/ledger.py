@@ -1,0 +1,231 @@
+"""The ledger: every tare, calibration check and identification of one rig, in a JSON file that only grows.
+
+Written by the gateway alone, at once or not at all (new file, fsync, rename), and read by whoever starts. The last
+entry that says so gives zero and scale; the last calibration check says until when the cell may be believed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import pathlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import msgspec
+
+from rigctl import __version__
+from rigctl.config import input_file
+from rigctl.config.one_line import printable
+from rigctl.config.rig_file import RigSettings
+from rigctl.ipc.correction import SCALE_BOUND, Correction, tare_limit_n
+from rigctl.ipc.runtime_folder import Runtime
+
+IN_FORCE = "calibration.json"  # in the runtime folder
+_LARGEST_BYTES = 64 << 20  # a hundred years of a tare an hour
+CLOCKS_DIFFER = timedelta(days=1)  # at most, between the wall clocks of two starts
+
+
+class LedgerError(RuntimeError):
+    """The file cannot be read, written or believed; ``str()`` is one line."""
+
+
+class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One thing that was done: what, when, by whom, what held before and holds after, and the figures behind it.
+
+    ``after`` holds ``zero_n`` and ``scale`` where they are in force from then on; ``passed`` is None for what is no
+    check. ``settings`` is a digest of the settings it was done with.
+    """
+
+    what: str
+    when: str
+    operator: str
+    rig: str
+    version: str
+    settings: str
+    before: dict[str, float | None]
+    after: dict[str, float | None]
+    figures: dict[str, Any]
+    passed: bool | None = None
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    rig: str
+    entries: list[Entry]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What the ledger says now. ``due`` and ``tared`` are ISO 8601 UTC, None without a check that passed, or a tare."""
+
+    zero_n: float = 0.0
+    scale: float = 1.0
+    due: str | None = None
+    overdue: bool = False
+    waiver: str | None = None
+    tared: str | None = None
+
+    @property
+    def correction(self) -> Correction:
+        """What the loop is told."""
+        return Correction(self.zero_n, self.scale, self.overdue and self.waiver is None)
+
+
+def in_force(runtime: Runtime, before: Standing | None = None) -> Standing:
+    """What supervisor or gateway last put in force; the plain cell before that.
+
+    ``before``: what holds on where the file cannot be believed; without it the plain cell, which is not armed with.
+    """
+    try:
+        return msgspec.convert(runtime.read_json(IN_FORCE), Standing)
+    except (OSError, msgspec.MsgspecError):
+        return before if before is not None else Standing(overdue=True)
+
+
+def utc(wall_ns: int) -> str:
+    """A moment on the wall clock as the ledger writes it."""
+    return f"{datetime.fromtimestamp(wall_ns // 1_000_000_000, UTC):%Y-%m-%dT%H:%M:%SZ}"
+
+
+def entry(
+    settings: RigSettings,
+    what: str,
+    operator: str,
+    wall_ns: int,
+    *,
+    before: dict[str, float | None],
+    after: dict[str, float | None],
+    figures: dict[str, Any],
+    passed: bool | None = None,
+) -> Entry:
+    """An entry as of now."""
+    return Entry(
+        what, utc(wall_ns), operator, settings.rig, __version__, digest(settings), before, after, figures, passed
+    )
+
+
+def digest(settings: RigSettings) -> str:
+    """SHA-256 of the settings, without where the file stands."""
+    plain = settings.model_dump(mode="json", exclude={"directory"})
+    return hashlib.sha256(msgspec.json.encode(plain, order="sorted")).hexdigest()
+
+
+def entry_digest(item: Entry) -> str:
+    """SHA-256 of an entry as JSON with sorted keys."""
+    return hashlib.sha256(msgspec.json.encode(item, order="sorted")).hexdigest()
+
+
+def read(settings: RigSettings) -> list[Entry]:
+    """Every entry, oldest first; none without a calibration section or before the first.
+
+    Raises:
+        LedgerError: unreadable, not a ledger, another rig's, or with a zero or scale out of bounds.
+    """
+    path = settings.ledger
+    if path is None:
+        return []
+    try:
+        found: _File = input_file.decoded(input_file.read(path, largest=_LARGEST_BYTES, links=True), _File)
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise LedgerError(f"{path}: cannot be read: {error.strerror}") from None
+    except msgspec.MsgspecError as error:
+        raise LedgerError(f"{path}: no calibration ledger: {printable(' '.join(str(error).split()))}") from None
+    if found.rig != settings.rig:
+        raise LedgerError(f"{path}: found the ledger of {found.rig!r}, expected that of {settings.rig!r}")
+    for number, item in enumerate(found.entries, 1):
+        _check(path, number, item, settings)
+    return found.entries
+
+
+def _check(path: pathlib.Path, number: int, item: Entry, settings: RigSettings) -> None:
+    """Refuse an entry that would give the loop a zero or scale out of bounds, or a date that is none."""
+    try:
+        moment(item.when)
+    except ValueError:
+        raise LedgerError(f"{path}: entry {number}: found the date {item.when!r}, expected ISO 8601") from None
+    pair = item.after.get("zero_n"), item.after.get("scale")
+    if pair == (None, None):
+        return
+    zero_n, scale = pair
+    if zero_n is None or scale is None or not Correction(zero_n, scale).fits(settings):
+        limit = tare_limit_n(settings)
+        raise LedgerError(
+            f"{path}: entry {number}: found zero {zero_n} N and scale {scale}, expected {-limit:g} to {limit:g} N and "
+            f"{1 - SCALE_BOUND:g} to {1 + SCALE_BOUND:g}"
+        )
+
+
+def append(settings: RigSettings, new: Entry) -> list[Entry]:
+    """Write one more entry; returns all.
+
+    Raises:
+        LedgerError: it could not be written; the file is as it was.
+    """
+    path = settings.ledger
+    if path is None:
+        raise LedgerError("the rig file has no calibration section")
+    entries = [*read(settings), new]
+    data = msgspec.json.format(msgspec.json.encode(_File(settings.rig, entries)), indent=1) + b"\n"
+    part = path.with_name(f"{path.name}.new")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise LedgerError(f"{path}: cannot be written: {error.strerror}") from None
+    return entries
+
+
+def sync_folder(folder: pathlib.Path) -> None:
+    """Without this the new name may be lost with the power."""
+    fd = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+def standing(settings: RigSettings, entries: Sequence[Entry], wall_ns: int) -> Standing:
+    """What holds at ``wall_ns``: the newest zero and scale, and until when the newest check holds, if it passed."""
+    if settings.calibration is None:
+        return Standing()
+    zero_n, scale, due = 0.0, 1.0, None
+    now = datetime.fromtimestamp(wall_ns / 1e9, UTC)
+    for item in entries:
+        if (zero := item.after.get("zero_n")) is not None and (factor := item.after.get("scale")) is not None:
+            zero_n, scale = zero, factor
+        if item.passed is not None:
+            done = moment(item.when)
+            credible = item.passed and done <= now + CLOCKS_DIFFER  # a check of tomorrow would hold for too long
+            due = done + timedelta(days=settings.calibration.due_days) if credible else None
+    shown = f"{due:%Y-%m-%dT%H:%M:%SZ}" if due is not None else None
+    return Standing(zero_n, scale, shown, due is None or due <= now, settings.calibration.waiver, _tared(entries))
+
+
+def _tared(entries: Sequence[Entry]) -> str | None:
+    """When the tare that holds was made; one that was withdrawn does not."""
+    withdrawn = {item.figures.get("withdraws") for item in entries if item.what == "tare withdrawn"}
+    return next((item.when for item in reversed(entries) if item.what == "tare" and item.when not in withdrawn), None)
+
+
+def moment(when: str) -> datetime:
+    """A date of the ledger, with its time zone.
+
+    Raises:
+        ValueError: it is none.
+    """
+    found = datetime.fromisoformat(when)
+    if found.tzinfo is None:
+        raise ValueError("no time zone")
+    return found

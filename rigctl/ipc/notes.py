@@ -1,0 +1,89 @@
+"""Notes: the gateway's own events, about who commands. Same keys as the loop's events, a sequence of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from rigctl.ipc.ring import RingWriter
+
+
+class Note(IntEnum):
+    """Kind of a note."""
+
+    LEASE_TAKEN = 1
+    LEASE_TAKEN_OVER = 2  # other: from whom
+    LEASE_RETURNED = 3
+    LEASE_LAPSED = 4
+    HOLD_WITHOUT_LEASE = 5  # other: who holds the lease
+    LEASE_NOT_BELIEVED = 6  # what the runtime folder says of a lease is none
+    TOO_MANY_COMMANDS = 65  # reason: how many of the operator's were refused, and in what time
+
+
+def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str]:
+    """Severity and one line."""
+    why = f": {reason}" if reason else ""
+    match kind:
+        case Note.LEASE_TAKEN:
+            return "info", f"{operator} takes the lease{why}"
+        case Note.LEASE_TAKEN_OVER:
+            return "warning", f"{operator} takes the lease over from {other}{why}"
+        case Note.LEASE_RETURNED:
+            return "info", f"{operator} gives the lease back; the rig goes on as it is"
+        case Note.LEASE_LAPSED:
+            return "warning", f"the lease of {operator} has lapsed; the rig goes on as it is"
+        case Note.HOLD_WITHOUT_LEASE if other:
+            return "warning", f"HOLD given by {operator} without the lease, which {other} holds"
+        case Note.HOLD_WITHOUT_LEASE:
+            return "info", f"HOLD given by {operator} without a lease; nobody holds it"
+        case Note.TOO_MANY_COMMANDS:
+            return "warning", f"{reason} from {operator or 'nobody'} refused: too many; HOLD is taken all the same"
+        case Note.LEASE_NOT_BELIEVED:
+            return "warning", "lease.json holds no lease to be believed; nobody holds it"
+
+
+def note_message(note: np.void, wall_offset_ns: int) -> tuple[str, dict[str, Any]]:
+    """Severity, and a note as the JSON object subscribers get."""
+    operator, other, reason = (bytes(note[name]).decode(errors="replace") for name in ("operator", "other", "reason"))
+    number, t_ns = int(note["kind"]), int(note["t_ns"])
+    name, severity, text = str(number), "warning", f"note {number} {operator} {other} {reason}".rstrip()
+    with contextlib.suppress(ValueError):
+        kind = Note(number)
+        name = kind.name
+        severity, text = worded(kind, operator, other, reason)
+    return severity, {
+        "seq": int(note["seq"]), "t_ns": t_ns, "wall_ns": t_ns + wall_offset_ns, "severity": severity,
+        "source": "gateway", "kind": name, "text": text, "operator": operator, "other": other, "reason": reason,
+    }  # fmt: skip
+
+
+class DeskBook:
+    """What is asked at the desk and what was answered, for the audit log. One thread writes it."""
+
+    def __init__(self, writer: RingWriter) -> None:
+        self._writer = writer
+
+    def given(self, t_ns: int, id_: int, verb: str, operator: str, holder: str, value: float) -> None:
+        """A command that the loop has been given."""
+        self._write(t_ns, False, id_, verb, value, operator, holder, {})
+
+    def answered(self, t_ns: int, id_: int, holder: str, message: dict[str, Any], entry: str = "") -> None:
+        """An answer as it went out; ``id_``: 0 where the loop was not asked. ``entry``: hash of the ledger's entry."""
+        value = message.get("value")
+        number = math.nan if value is None else float(value)
+        verb, operator = str(message["verb"]), str(message["operator"])
+        self._write(t_ns, True, id_, verb, number, operator, holder, message, entry)
+
+    def _write(
+        self, t_ns: int, answered: bool, id_: int, verb: str, value: float, operator: str, holder: str,
+        message: dict[str, Any], entry: str = "",
+    ) -> None:  # fmt: skip
+        accepted, reason, text = (message.get(name, "") for name in ("accepted", "reason", "text"))
+        self._writer.write(
+            t_ns, answered, id_, verb.encode()[:32], value, operator.encode()[:256], holder.encode()[:256],
+            bool(accepted), str(reason).encode()[:32], str(text).encode()[:480], entry.encode(),
+        )  # fmt: skip

@@ -1,0 +1,509 @@
+"""The running daemon's folder in memory: rings, the resolved configuration, and the lock that makes it the only one.
+
+``/dev/shm/rigctl-<rig>/``: ``records events frames commands holds replies notes desk supervision`` (rings),
+``hold.sock`` (where HOLD is taken from this computer's operators), ``active.json`` (what runs), ``recorder.json`` (what
+the recorder has kept),
+``control.json`` (what the control process read back), ``calibration.json`` (the cell's zero, scale and due date in
+force), ``stroke.json`` (the stroke last known when the control process started), ``lease.json`` (who may command),
+``gateway.*`` (the gateway's own), ``lock`` (held by the supervisor, with its pid in it).
+
+Anyone may make a folder of this name in ``/dev/shm``. A daemon uses one that is its user's own and closed to others
+(0700), follows no link in it, and makes its files anew (0600). What other processes read in it has the shape of
+``SHAPES``, or is not believed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import os
+import pathlib
+import shutil
+import stat
+import threading
+from typing import Annotated, Any
+
+import msgspec
+
+from rigctl.config import input_file
+from rigctl.config.rig_file import RigSettings
+from rigctl.ipc import record
+from rigctl.ipc.ring import RingReader, RingWriter, create, identity
+
+ACTIVE = "active.json"
+RECORDED = "recorder.json"
+BASE = pathlib.Path("/dev/shm")
+"""Where the folders of all daemons of this computer are."""
+_LONGEST_LOCK, _LARGEST_PID = 20, 1 << 22
+_SMALL_RING = 4096
+_NOTES = 1024
+_SHORTEST_FRAME_BITS = 47  # 11-bit identifier, no data, no stuffing, the gap to the next frame
+_FASTEST_BIT_S = 1_000_000
+_LOCK = "lock"
+_WARM_UP = "warm-up-"
+_FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+_Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+_Object = dict[str, Any]
+
+
+class _Active(msgspec.Struct):
+    settings: _Object = {}
+    version: str = ""
+    started_wall_ns: _Count = 0
+    pid: _Count = 0
+    run_id: str = ""
+    design: _Object = {}
+
+
+class _Applied(msgspec.Struct):
+    name: str
+    in_force: str
+    ok: bool
+    warning: str = ""
+
+
+class _StopSetting(msgspec.Struct):
+    object: str
+    name: str
+    wanted: Any
+    found: Any
+    ok: bool
+    why: str = ""
+
+
+class _Control(msgspec.Struct):
+    pid: _Count = 0
+    host_checks: _Count = 0
+    realtime: list[_Applied] = []
+    warnings: list[str] = []
+    supervision: list[_StopSetting] = []
+
+
+class _Recording(msgspec.Struct):
+    folder: str
+    file: str | None
+
+
+class _Recorded(msgspec.Struct):
+    run: _Count = 0
+    pid: _Count = 0
+    audit_log: str = ""
+    entries: _Count = 0
+    head: str = ""
+    trip_dump: str | None = None
+    recording: _Recording | None = None
+    failures: _Count = 0
+    warnings: list[str] = []
+    t_ns: _Count = 0
+
+
+SHAPES: dict[str, Any] = {ACTIVE: _Active, "control.json": _Control, RECORDED: _Recorded}
+"""What the processes of a daemon rely on in each other's files; whoever reads another file judges it by itself."""
+
+
+class FolderError(RuntimeError):
+    """The runtime folder cannot be used; ``str()`` is one line."""
+
+
+class AlreadyRunningError(RuntimeError):
+    """Another daemon holds this rig."""
+
+
+def frames_held(settings: RigSettings) -> int:
+    """Frames a bus that is full all the time carries while the records' ring fills."""
+    rate_hz = (settings.can.bitrate_bit_s or _FASTEST_BIT_S) // _SHORTEST_FRAME_BITS
+    return rate_hz * settings.telemetry.history_s
+
+
+def recorded() -> list[dict[str, Any]]:
+    """What the recorders of this machine's daemons say; that of one which has ended is left out."""
+    found = []
+    for folder in sorted(BASE.glob("rigctl-*")):
+        with contextlib.suppress(OSError, msgspec.MsgspecError):  # another user's, or going away
+            runtime = Runtime(folder)
+            runs = pathlib.Path(f"/proc/{runtime.read_json(ACTIVE).get('pid', 0)}").exists()
+            if runs and (told := runtime.read_json(RECORDED)):
+                found.append(told)
+    return found
+
+
+def daemons(base: pathlib.Path = BASE) -> list[tuple[str, int]]:
+    """Rig and process of every daemon that runs on this computer, by the pid in its lock."""
+    found = []
+    for lock in sorted(base.glob("rigctl-*/lock")):
+        with contextlib.suppress(OSError, ValueError):  # going away, or not written yet
+            pid = int(input_file.read(lock, largest=_LONGEST_LOCK))
+            if 0 < pid < _LARGEST_PID and _alive(pid):
+                found.append((lock.parent.name.removeprefix("rigctl-"), pid))
+    return found
+
+
+def is_free(rig: str, base: pathlib.Path = BASE) -> bool:
+    """Whether a daemon of this name could be started by this user: none runs, and the folder is nobody else's."""
+    try:
+        found = (base / f"rigctl-{rig}").lstat()
+    except OSError:
+        return True
+    own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
+    return own and rig not in dict(daemons(base))
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+def _digest(data: bytes) -> bytes:
+    return hashlib.sha256(data).hexdigest().encode()
+
+
+class Runtime:
+    """Paths of one rig's rings and files; every process of the daemon opens what it needs."""
+
+    def __init__(self, directory: str | pathlib.Path) -> None:
+        self.directory = pathlib.Path(directory)
+        self._claimed = -1  # descriptor of the folder
+        self._rings: dict[pathlib.Path, tuple[int, bytes]] = {}  # inode and header of each
+        self.cleared: list[str] = []
+        """What was found in the folder in place of a file, and has been taken away; for the operator."""
+
+    @classmethod
+    def of(cls, rig: str) -> Runtime:
+        """Where the daemon of ``rig`` keeps its folder."""
+        return cls(BASE / f"rigctl-{rig}")
+
+    def claim(self) -> int:
+        """Become the only daemon of this rig; returns the lock's file descriptor, held until the process ends.
+
+        Raises:
+            AlreadyRunningError: naming the process that holds it.
+            FolderError: the folder cannot be made, or is not this user's alone.
+        """
+        folder = self._open_own()
+        try:
+            fd = self._open_lock(folder)
+        except OSError as error:
+            os.close(folder)
+            raise FolderError(f"{self.directory}/{_LOCK} cannot be made: {error.strerror}") from None
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            pid = os.read(fd, _LONGEST_LOCK).decode(errors="replace").strip() or "unknown"
+            os.close(fd)
+            os.close(folder)
+            raise AlreadyRunningError(f"another daemon (process {pid}) already runs this rig") from None
+        try:
+            self._sweep(folder)
+            os.ftruncate(fd, 0)
+            os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
+        except OSError as error:
+            os.close(fd)
+            os.close(folder)
+            raise FolderError(f"{self.directory} cannot be used: {error.strerror}") from None
+        self._claimed = folder
+        return fd
+
+    def _open_own(self) -> int:
+        """The folder's descriptor. One that anyone else could have written in is not used."""
+        try:
+            with contextlib.suppress(FileExistsError):
+                self.directory.mkdir(mode=0o700)
+            found = self.directory.lstat()
+        except OSError as error:
+            raise FolderError(f"{self.directory}: the runtime folder cannot be made: {error.strerror}") from None
+        what = ""
+        if not stat.S_ISDIR(found.st_mode):
+            what = "found a link" if stat.S_ISLNK(found.st_mode) else "found no folder"
+        elif found.st_uid != os.geteuid():
+            what = f"found a folder of user {found.st_uid}"
+        elif found.st_mode & 0o077:
+            what = f"found mode {stat.S_IMODE(found.st_mode):04o}"
+        if what:
+            allowed = f"expected a folder of user {os.geteuid()} with mode 0700"
+            raise FolderError(f"{self.directory}: {what}, {allowed}; it was not used: remove it, or rename the rig")
+        try:
+            fd = os.open(self.directory, _FOLDER_FLAGS)
+        except OSError as error:
+            raise FolderError(f"{self.directory} cannot be opened: {error.strerror}") from None
+        if not os.path.samestat(found, os.fstat(fd)):
+            os.close(fd)
+            raise FolderError(f"{self.directory}: it was replaced while the daemon started; start it again")
+        return fd
+
+    def _open_lock(self, folder: int) -> int:
+        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+        with contextlib.suppress(FileNotFoundError):
+            if not stat.S_ISREG(os.stat(_LOCK, dir_fd=folder, follow_symlinks=False).st_mode):
+                self._clear(folder, _LOCK)
+        return os.open(_LOCK, flags, 0o600, dir_fd=folder)
+
+    def _sweep(self, folder: int) -> None:
+        """Take away what is neither a file nor a socket of this user: links, pipes, folders; a file is made anew."""
+        for name in [entry.name for entry in os.scandir(folder)]:
+            found = os.stat(name, dir_fd=folder, follow_symlinks=False)
+            plain = stat.S_ISSOCK(found.st_mode) or (stat.S_ISREG(found.st_mode) and found.st_nlink == 1)
+            if found.st_uid != os.geteuid() or not plain:
+                self._clear(folder, name)
+
+    def _clear(self, folder: int, name: str) -> None:
+        if not name.startswith(_WARM_UP):
+            self.cleared.append(f"{self.directory}/{name} was no file of the daemon, and has been removed")
+        if stat.S_ISDIR(os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode):
+            shutil.rmtree(name, dir_fd=folder)
+        else:
+            os.unlink(name, dir_fd=folder)
+
+    def lost(self) -> str:
+        """Why the folder is no longer the one that was claimed, in words; empty while it is.
+
+        A log-out may delete the folders of a user in ``/dev/shm`` (``RemoveIPC`` in logind.conf).
+        """
+        try:
+            found = self.directory.lstat()
+        except FileNotFoundError:
+            return "it has been deleted"
+        except OSError:
+            return ""  # a lack of descriptors or memory says nothing of the folder
+        if not os.path.samestat(found, os.fstat(self._claimed)):
+            return "it has been replaced by another"
+        if found.st_uid != os.geteuid() or found.st_mode & 0o077:
+            return f"it has been given user {found.st_uid} and mode {stat.S_IMODE(found.st_mode):04o}"
+        for path, made in self._rings.items():
+            try:
+                if identity(path) != made:
+                    return f"{path.name} in it has been replaced or damaged"
+            except FileNotFoundError:
+                return f"{path.name} in it has been deleted"
+            except OSError as error:
+                if error.errno == errno.ELOOP:
+                    return f"{path.name} in it has been replaced or damaged"
+        return ""
+
+    def make_rings(self, settings: RigSettings, *, reserve: bool = False) -> None:
+        """Fresh, empty rings. ``reserve``: of memory that is there, so that no writer finds it full later.
+
+        Raises:
+            OSError: there is no room.
+        """
+        sizes = {
+            self.records: (record.RECORD.dtype, settings.loop.rate_hz * settings.telemetry.history_s),
+            self.events: (record.EVENT.dtype, _SMALL_RING),
+            self.commands: (record.COMMAND.dtype, _SMALL_RING),
+            self.holds: (record.HOLD.dtype, _NOTES),
+            self.replies: (record.REPLY.dtype, _SMALL_RING),
+            self.notes: (record.NOTE.dtype, _NOTES),
+            self.desk: (record.DESK.dtype, _NOTES),
+            self.supervision: (record.NOTE.dtype, _NOTES),
+            self.frames: (record.FRAME.dtype, frames_held(settings)),
+        }
+        for path, (dtype, capacity) in sizes.items():
+            create(path, dtype, capacity, reserve=reserve)
+        self._rings = {path: identity(path) for path in sizes}
+
+    def remove(self) -> None:
+        """Take the folder away; readers that still map a ring keep it until they let go.
+
+        A folder that was put in the place of the one that was claimed is another daemon's, and left alone.
+        """
+        try:
+            folder = self._claimed if self._claimed >= 0 else os.open(self.directory, _FOLDER_FLAGS)
+        except OSError:
+            return
+        with contextlib.suppress(OSError):
+            for name in [entry.name for entry in os.scandir(folder)]:
+                mode = os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode
+                if stat.S_ISDIR(mode):
+                    shutil.rmtree(name, dir_fd=folder)
+                else:
+                    os.unlink(name, dir_fd=folder)
+            if os.path.samestat(self.directory.lstat(), os.fstat(folder)):
+                self.directory.rmdir()
+        os.close(folder)
+        self._claimed = -1
+
+    @property
+    def records(self) -> pathlib.Path:
+        """Ring of ``record.RECORD``, written by the control process."""
+        return self.directory / "records"
+
+    @property
+    def events(self) -> pathlib.Path:
+        """Ring of ``record.EVENT``, written by the control process."""
+        return self.directory / "events"
+
+    @property
+    def commands(self) -> pathlib.Path:
+        """Ring of ``record.COMMAND``, written by the gateway."""
+        return self.directory / "commands"
+
+    @property
+    def holds(self) -> pathlib.Path:
+        """Ring of ``record.HOLD``, written by the hold service."""
+        return self.directory / "holds"
+
+    @property
+    def hold_socket(self) -> pathlib.Path:
+        """Where the hold service takes HOLD from processes of this computer."""
+        return self.directory / "hold.sock"
+
+    @property
+    def replies(self) -> pathlib.Path:
+        """Ring of ``record.REPLY``, written by the control process."""
+        return self.directory / "replies"
+
+    @property
+    def notes(self) -> pathlib.Path:
+        """Ring of ``record.NOTE``, written by the gateway."""
+        return self.directory / "notes"
+
+    @property
+    def desk(self) -> pathlib.Path:
+        """Ring of ``record.DESK``, written by the gateway."""
+        return self.directory / "desk"
+
+    @property
+    def supervision(self) -> pathlib.Path:
+        """Ring of ``record.NOTE``, written by the supervisor."""
+        return self.directory / "supervision"
+
+    @property
+    def frames(self) -> pathlib.Path:
+        """Ring of ``record.FRAME``, written by the control process."""
+        return self.directory / "frames"
+
+    @property
+    def gateway_cursor(self) -> pathlib.Path:
+        """How far the gateway has published, for the one that follows it."""
+        return self.directory / "gateway.cursor"
+
+    @property
+    def gateway_socket(self) -> pathlib.Path:
+        """Where the gateway's command session reaches its router."""
+        return self.directory / "gateway.sock"
+
+    def record_reader(self, *, from_start: bool = False) -> RingReader:
+        """A reader of the records."""
+        return RingReader(self.records, record.RECORD.dtype, from_start=from_start)
+
+    def event_reader(self, *, from_start: bool = False) -> RingReader:
+        """A reader of the events."""
+        return RingReader(self.events, record.EVENT.dtype, from_start=from_start)
+
+    def note_reader(self, *, from_start: bool = False) -> RingReader:
+        """A reader of the notes."""
+        return RingReader(self.notes, record.NOTE.dtype, from_start=from_start)
+
+    def command_reader(self, *, from_start: bool = False) -> RingReader:
+        """A reader of the commands given from now on, or still held."""
+        return RingReader(self.commands, record.COMMAND.dtype, from_start=from_start)
+
+    def hold_reader(self, *, from_start: bool = False) -> RingReader:
+        """A reader of the holds given from now on, or still held."""
+        return RingReader(self.holds, record.HOLD.dtype, from_start=from_start)
+
+    def reply_reader(self, *, from_start: bool = False) -> RingReader:
+        """A reader of the replies given from now on, or still held."""
+        return RingReader(self.replies, record.REPLY.dtype, from_start=from_start)
+
+    def desk_reader(self) -> RingReader:
+        """A reader of what was asked at the gateway's desk, from the oldest still held."""
+        return RingReader(self.desk, record.DESK.dtype, from_start=True)
+
+    def supervision_reader(self) -> RingReader:
+        """A reader of what the supervisor did, from the oldest still held."""
+        return RingReader(self.supervision, record.NOTE.dtype, from_start=True)
+
+    def frame_reader(self) -> RingReader:
+        """A reader of the frames, from the oldest still held."""
+        return RingReader(self.frames, record.FRAME.dtype, from_start=True)
+
+    def record_writer(self) -> RingWriter:
+        """The writer of the records (control process)."""
+        return RingWriter(self.records, record.RECORD.layout)
+
+    def event_writer(self) -> RingWriter:
+        """The writer of the events (control process)."""
+        return RingWriter(self.events, record.EVENT.layout)
+
+    def command_writer(self) -> RingWriter:
+        """The writer of the commands (gateway)."""
+        return RingWriter(self.commands, record.COMMAND.layout)
+
+    def hold_writer(self) -> RingWriter:
+        """The writer of the holds (hold service)."""
+        return RingWriter(self.holds, record.HOLD.layout)
+
+    def reply_writer(self) -> RingWriter:
+        """The writer of the replies (control process)."""
+        return RingWriter(self.replies, record.REPLY.layout)
+
+    def note_writer(self) -> RingWriter:
+        """The writer of the notes (gateway)."""
+        return RingWriter(self.notes, record.NOTE.layout)
+
+    def desk_writer(self) -> RingWriter:
+        """The writer of what is asked at the desk (gateway)."""
+        return RingWriter(self.desk, record.DESK.layout)
+
+    def supervision_writer(self) -> RingWriter:
+        """The writer of what is done about the processes (supervisor)."""
+        return RingWriter(self.supervision, record.NOTE.layout)
+
+    def frame_writer(self) -> RingWriter:
+        """The writer of the frames (control process)."""
+        return RingWriter(self.frames, record.FRAME.layout)
+
+    def write_json(self, name: str, value: Any) -> None:
+        """Replace ``name`` at once, so that a reader sees the old file or the new one; a second line is its SHA-256.
+
+        Raises:
+            OSError: there is no room, or the folder is gone.
+        """
+        part = self.directory / f".{name}.{threading.get_native_id()}"
+        part.unlink(missing_ok=True)
+        try:
+            fd = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+            with open(fd, "wb") as file:  # noqa: PTH123 - a descriptor
+                data = msgspec.json.encode(value)
+                file.write(data + b"\n" + _digest(data) + b"\n")
+            place = self.directory / name
+            try:
+                part.rename(place)
+            except IsADirectoryError:
+                shutil.rmtree(place)
+                part.rename(place)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)
+            raise
+
+    def read_json(self, name: str) -> dict[str, Any]:
+        """``name``, or an empty dict while it is not there.
+
+        Raises:
+            OSError: it cannot be read, or is no file.
+            msgspec.MsgspecError: it is not what was written, no JSON object, or not of the shape in ``SHAPES``.
+        """
+        try:
+            data, _, seal = input_file.read(self.directory / name).rstrip(b"\n").rpartition(b"\n")
+        except FileNotFoundError:
+            return {}
+        if seal != _digest(data):
+            raise msgspec.DecodeError("its content does not give its SHA-256")
+        value: dict[str, Any] = input_file.decoded(data, dict[str, Any])
+        if (shape := SHAPES.get(name)) is not None:
+            msgspec.convert(value, shape)
+        return value
+
+    def known(self, name: str) -> dict[str, Any]:
+        """As `read_json`; empty where it cannot be read or believed: what is put on record goes on without it."""
+        with contextlib.suppress(OSError, msgspec.MsgspecError):
+            return self.read_json(name)
+        return {}

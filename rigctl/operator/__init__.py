@@ -1,1 +1,0 @@
-"""What an operator types: the daemon's clients on the command line."""

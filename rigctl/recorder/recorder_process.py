@@ -1,0 +1,314 @@
+"""The recorder: ``python -m rigctl.recorder RUNTIME_DIR``. Keeps audit log, trip dumps and recording of a daemon.
+
+It reads the rings and writes files, and nobody waits for it: it may be killed at any time, and the next one goes on
+where the log ends. What cannot be written is told, counted, and tried again while the rings still hold it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import pathlib
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+from pydantic import ValidationError
+
+from rigctl.config.rig_file import RigSettings
+from rigctl.control import last_stroke
+from rigctl.control.modes import Mode
+from rigctl.control.realtime import die_with_parent
+from rigctl.ipc import ledger
+from rigctl.ipc.ring import RingError
+from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, Runtime
+from rigctl.ipc.supervision import OVER, Doing
+from rigctl.ipc.termination import Termination
+from rigctl.recorder.audit_log import AuditError, AuditLog, Item
+from rigctl.recorder.continuous import Continuous
+from rigctl.recorder.sources import Rings, sourced
+from rigctl.recorder.thinning import Thinning
+from rigctl.recorder.trips import Trips
+
+POLL_S = 0.05
+RETRY_NS = 1_000_000_000
+TELL_NS = 1_000_000_000
+KEEP_STROKE_NS = 1_000_000_000
+WAITING_MAX = 20_000  # entries kept for a disk that takes none; the rings go on holding what comes after
+FAREWELL_S = 6.0  # after SIGTERM, so long for the supervisor to say its last word
+_OVER = frozenset(doing.name.lower() for doing in OVER)
+
+
+class Trouble:
+    """What cannot be written at the moment: told when it begins and when it is over, counted always."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.now: dict[str, str] = {}  # by what is written
+        self._since: dict[str, int] = {}
+        self._retry_ns: dict[str, int] = {}
+
+    def may_try(self, what: str, now_ns: int) -> bool:
+        """Not every time after a failure."""
+        return now_ns >= self._retry_ns.get(what, 0)
+
+    def begins(self, what: str, why: str, now_ns: int) -> None:
+        """Could not be written."""
+        self.count += 1
+        self._retry_ns[what] = now_ns + RETRY_NS
+        self._since.setdefault(what, now_ns)
+        if self.now.get(what) != why:
+            self.now[what] = why
+            _say(f"WARNING: {why}; the loop is unaffected")
+
+    def ends(self, what: str, now_ns: int) -> dict[str, Any] | None:
+        """Could be written; what it was, if it had not been possible before."""
+        self._retry_ns.pop(what, None)
+        why = self.now.pop(what, None)
+        if why is None:
+            return None
+        _say(f"{what} is written again")
+        return {"what": what, "why": why, "for_s": round((now_ns - self._since.pop(what)) / 1e9, 1)}
+
+
+class Recorder:
+    """Audit log and trip dumps of one daemon."""
+
+    def __init__(self, runtime: Runtime, settings: RigSettings, now_ns: int, wall_ns: int) -> None:
+        """Goes on where the log ends, if its end is of this run of the daemon.
+
+        Raises:
+            AuditError: the log is another rig's, or none.
+        """
+        self._runtime, self._settings = runtime, settings
+        self._run = int(runtime.known(ACTIVE).get("started_wall_ns", 0))
+        told = runtime.known(RECORDED)
+        mine = told.get("run") == self._run
+        self.log = AuditLog(settings.audit_log, settings.rig, int(told.get("entries", 0)) if mine else 0)
+        self.trouble = Trouble()
+        self.trip_dump: str | None = told.get("trip_dump") if mine else None
+        self.over = False
+        self._thinning = Thinning()
+        self._waiting: list[tuple[Item, dict[str, int]]] = []
+        self._told: dict[str, Any] = {}
+        self._tell_ns = 0
+        try:
+            self.log.open()
+        except (OSError, AuditError) as error:  # it was good when the daemon started: recording and dumps go on
+            why = f"{self.log.path} cannot be written: {error.strerror}" if isinstance(error, OSError) else str(error)
+            self.trouble.begins("audit log", why, now_ns)
+        read = self.log.read if self.log.read.get("run") == self._run else {"run": self._run}
+        self._read = read  # once all that waits is written
+        self._rings = Rings(runtime, read)
+        self._trips = Trips(runtime, settings, read.get("dumped", 0))
+        self._trips.sweep()
+        self._recording = Continuous(runtime, settings, self._run, wall_ns) if settings.recording.enabled else None
+        self._records = runtime.record_reader()
+        self._kept_mm, self._keep_ns = math.nan, 0  # the stroke last written, and when it may be next
+        self._failures = 0  # of the recording, that have been told
+        self._add(self._own(now_ns, wall_ns, "recorder_started", f"process {os.getpid()}", {"pid": os.getpid()}))
+
+    def poll(self, now_ns: int, wall_ns: int, *, final: bool = False) -> None:
+        """Take what is new, write it, write the dumps that are due. ``final``: there will be no other time."""
+        if len(self._waiting) < WAITING_MAX:
+            items = self._rings.take(wall_ns - now_ns)
+            thinned = self._thinning.thin(items, now_ns, wall_ns, final=final)
+            self._add(*(self._enriched(item) for item in thinned))
+            self.over = self.over or any(item.what in _OVER for item in items)
+        self._write(now_ns, final=final)
+        self._dump(now_ns, wall_ns, final=final)
+        self._record(now_ns, wall_ns)
+        self._keep_stroke(now_ns, wall_ns, final=final)
+        self._tell(now_ns)
+
+    def close(self, now_ns: int, wall_ns: int) -> None:
+        """The last of everything."""
+        self.poll(now_ns, wall_ns, final=True)
+        self._add(self._own(now_ns, wall_ns, "recorder_stopped", f"process {os.getpid()}", {}))
+        self._write(now_ns, final=True)
+        if self._recording is not None:
+            self._recording.close(now_ns, wall_ns)
+            if self._recording.why:
+                self.trouble.begins("recording", self._recording.why, now_ns)
+        self._tell(now_ns, at_once=True)
+        self.log.close()
+
+    def _record(self, now_ns: int, wall_ns: int) -> None:
+        """Go on with the recording; its trouble and the parts that were deleted go into the log."""
+        if (recording := self._recording) is None:
+            return
+        recording.poll(now_ns, wall_ns)
+        said = [
+            self._own(now_ns, wall_ns, "recording_deleted", name, {"file": name}) for name in recording.deleted
+        ]  # fmt: skip
+        recording.deleted.clear()
+        if recording.why and (
+            recording.failures > self._failures or self.trouble.now.get("recording") != recording.why
+        ):
+            self.trouble.begins("recording", recording.why, now_ns)
+        elif not recording.why and (gap := self.trouble.ends("recording", now_ns)) is not None:
+            said.append(self._own(now_ns, wall_ns, "written_again", "it could not be recorded before", gap))
+        self._failures = recording.failures
+        if said:
+            self._add(*said)
+
+    def _keep_stroke(self, now_ns: int, wall_ns: int, *, final: bool) -> None:
+        """The stroke last known, once a second while it changes, and at the end.
+
+        Only one at rest is waited for until it is on the disk: a disk that stalls must not hold up what records.
+        """
+        record = self._records.latest()
+        stroke_mm = last_stroke.of_record(record)
+        if record is None or stroke_mm is None or abs(stroke_mm - self._kept_mm) < last_stroke.KEPT_MM:
+            return
+        at_rest = final or int(record["mode"]) in (Mode.DISARMED, Mode.HOLD, Mode.FAULT)
+        if not final and now_ns < self._keep_ns:
+            return
+        self._keep_ns = now_ns + KEEP_STROKE_NS
+        try:
+            last_stroke.write(self._settings, stroke_mm, wall_ns, sync=at_rest)
+        except OSError as error:
+            why = f"{self._settings.last_stroke} cannot be written: {error.strerror}"
+            self.trouble.begins("last stroke", why, now_ns)
+            return
+        self._kept_mm = stroke_mm
+        if (gap := self.trouble.ends("last stroke", now_ns)) is not None:
+            self._add(self._own(now_ns, wall_ns, "written_again", "the stroke could not be written before", gap))
+
+    def _own(self, now_ns: int, wall_ns: int, what: str, text: str, details: dict[str, Any]) -> Item:
+        return Item(now_ns, wall_ns, what, text, details=details)
+
+    def _add(self, *items: Item, **read: int) -> None:
+        """Entries for the log; ``read``: what else is done once they are in it."""
+        states = sourced(list(items), self._read)
+        if states:
+            states[-1] = {**states[-1], **read}
+            self._waiting += zip(items, states, strict=True)
+            self._read = states[-1]
+
+    def _enriched(self, item: Item) -> Item:
+        """The daemon's start and design with the figures behind them."""
+        active = self._runtime.known(ACTIVE)
+        if item.what == Doing.DAEMON_STARTED.name.lower():
+            more = {"version": active.get("version"), "pid": active.get("pid"), "calibration_waiver": None,
+                    "settings_sha256": ledger.digest(self._settings), "host": os.uname().nodename}  # fmt: skip
+            if self._settings.calibration is not None:
+                more["calibration_waiver"] = self._settings.calibration.waiver
+        elif item.what == Doing.DAEMON_DESIGNED.name.lower():
+            design = active.get("design", {})
+            more = {name: design.get(name) for name in ("gains", "accepted", "ms_max", "limit", "waiver", "warnings")}
+        else:
+            return item
+        return replace(item, details={**item.details, **more})
+
+    def _write(self, now_ns: int, *, final: bool) -> None:
+        if not self._waiting or not (final or self.trouble.may_try("audit log", now_ns)):
+            return
+        items, states = zip(*self._waiting, strict=True)
+        try:
+            lines = self.log.append(items, states)
+        except (OSError, AuditError) as error:
+            why = f"{self.log.path} cannot be written: {error.strerror}" if isinstance(error, OSError) else str(error)
+            self.trouble.begins("audit log", why, now_ns)
+            return
+        self._waiting.clear()
+        if self._recording is not None:
+            self._recording.audit(lines)
+        if (gap := self.trouble.ends("audit log", now_ns)) is not None:
+            self._add(self._own(now_ns, items[-1].wall_ns, "written_again", "the log could not be written before", gap))
+
+    def _dump(self, now_ns: int, wall_ns: int, *, final: bool) -> None:
+        if not (final or self.trouble.may_try("trip dump", now_ns)):
+            return
+        while (group := self._trips.due(now_ns, final=final)) is not None:
+            audit = {"file": self.log.path.name, "entries": self.log.entries, "head": self.log.head}
+            try:
+                dump = self._trips.write(group, wall_ns - now_ns, audit)
+            except OSError as error:
+                why = f"trip dump cannot be written to {self._trips.folder}: {error.strerror}"
+                self.trouble.begins("trip dump", why, now_ns)
+                if not final and not self._trips.missed(group, now_ns):
+                    return
+                self._trips.done(group)
+                self._add(
+                    self._own(now_ns, wall_ns, "trip_dump_lost", why, {"trip": group.fault}), dumped=group.last_seq
+                )
+                continue
+            self._trips.done(group)
+            self.trip_dump = dump.path.name
+            details = {"file": dump.path.name, "trip": group.fault, "records": dump.records, "frames": dump.frames}
+            items = [self._own(now_ns, wall_ns, "trip_dump", f"{group.fault}: {dump.path.name}", details)]
+            for name in dump.deleted:
+                items.append(self._own(now_ns, wall_ns, "trip_dump_deleted", name, {"file": name}))
+            if (gap := self.trouble.ends("trip dump", now_ns)) is not None:
+                items.append(
+                    self._own(now_ns, wall_ns, "written_again", "a trip dump could not be written before", gap)
+                )
+            self._add(*items, dumped=group.last_seq)
+            _say(f"trip dump: {dump.path}")
+        self._write(now_ns, final=final)
+
+    def _tell(self, now_ns: int, *, at_once: bool = False) -> None:
+        """What others may know: in the runtime folder, at least once a second."""
+        told = {
+            "run": self._run,
+            "pid": os.getpid(),
+            "audit_log": str(self.log.path),
+            "entries": self.log.entries,
+            "head": self.log.head,
+            "trip_dump": self.trip_dump,
+            "trips": str(self._trips.folder),
+            "recording": self._recording.as_dict() if self._recording is not None else None,
+            "failures": self.trouble.count,
+            "warnings": [f"recorder: {why}" for why in self.trouble.now.values()],
+        }
+        if not at_once and told == self._told and now_ns < self._tell_ns:
+            return
+        self._told, self._tell_ns = told, now_ns + TELL_NS
+        with contextlib.suppress(OSError):  # the daemon's folder is gone, or its memory is full
+            self._runtime.write_json(RECORDED, {**told, "t_ns": now_ns})
+
+
+def _say(text: str) -> None:
+    with contextlib.suppress(OSError):
+        sys.stderr.write(f"recorder: {text}\n")
+        sys.stderr.flush()
+
+
+def _settings(runtime: Runtime) -> RigSettings:
+    return RigSettings.model_validate(runtime.read_json(ACTIVE).get("settings"))
+
+
+def _serve(recorder: Recorder, stop: Termination) -> None:
+    """Until told to stop, and then until the supervisor has said its last word, or is gone."""
+    parent, until = os.getppid(), None
+    while True:
+        recorder.poll(time.monotonic_ns(), time.time_ns())
+        if until is None and stop.requested:
+            until = time.monotonic() + FAREWELL_S
+        if until is not None and (recorder.over or os.getppid() != parent or time.monotonic() > until):
+            return
+        time.sleep(POLL_S)
+
+
+def main(arguments: Sequence[str], stop: Termination) -> int:
+    """Run the recorder of the runtime folder named until ``stop``; exit code."""
+    if len(arguments) != 1:
+        sys.stderr.write("usage: python -m rigctl.recorder RUNTIME_DIR\n")
+        return 2
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    die_with_parent(signal.SIGTERM)
+    runtime = Runtime(pathlib.Path(arguments[0]))
+    try:
+        recorder = Recorder(runtime, _settings(runtime), time.monotonic_ns(), time.time_ns())
+    except (OSError, ValidationError, msgspec.MsgspecError, RingError, AuditError) as error:
+        _say("active.json holds no valid settings" if isinstance(error, ValidationError) else str(error))
+        return 1
+    _serve(recorder, stop)
+    recorder.close(time.monotonic_ns(), time.time_ns())
+    return 0

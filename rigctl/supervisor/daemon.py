@@ -1,0 +1,419 @@
+"""``rigctl run``: validates, designs, spawns recorder, control, hold service and gateway, and watches them.
+
+The control process comes up while the gains are designed; a gateway that dies is replaced, a control process that
+dies is replaced and comes up DISARMED: drive off, brake closed, the load carried.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import FrameType
+from typing import IO, Any
+
+import msgspec
+import numpy as np
+
+from rigctl import __version__
+from rigctl.config.bounds import findings
+from rigctl.config.rig_file import RigSettings
+from rigctl.control import last_stroke
+from rigctl.control.events import worded
+from rigctl.control.homed import LastStroke
+from rigctl.control.modes import Mode
+from rigctl.control.tension import Gains
+from rigctl.devices import busload
+from rigctl.devices.objects import DriveState, drive_state
+from rigctl.ipc import ledger
+from rigctl.ipc.ledger import IN_FORCE, Standing
+from rigctl.ipc.ring import RingReader
+from rigctl.ipc.runtime_folder import ACTIVE, AlreadyRunningError, FolderError, Runtime
+from rigctl.ipc.supervision import Doing, Supervision
+from rigctl.ipc.termination import ENDING, on_signals
+from rigctl.supervisor import memory
+
+POLL_S = 0.02  # told to end, or without its folder, the daemon lets a ramp go on for so long: 0.2 mm at 10 mm/s
+START_LIMIT_S = 20.0
+STOP_LIMIT_S = 5.0
+BACKOFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
+LOOPING = 3  # ends in a row, from here on the operator is told how many
+STABLE_S = 10.0
+WATCHDOG_PERIOD_NS = 500_000_000
+WATCHDOG_STALE_NS = 1_000_000_000
+
+
+class CannotRunError(RuntimeError):
+    """The daemon cannot run; ``str()`` is one line."""
+
+
+PROCESSES = {
+    "recorder": "rigctl.recorder",
+    "control": "rigctl.control",
+    "hold": "rigctl.hold",
+    "gateway": "rigctl.gateway.gateway_process",
+}
+"""Module of each process that is kept alive, in the order in which they are started."""
+PAGE = {"page": "rigctl.page"}  # where the rig file or an option asks for one
+_NOT_NEEDED = frozenset({"recorder", "page"})  # the daemon starts without them
+
+
+@dataclass
+class Child:
+    """A process that is kept alive."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    started: float
+    failures: int = 0
+    retry_at: float | None = None
+
+
+class Supervisor:
+    """One rig's daemon: its runtime folder and its processes."""
+
+    def __init__(self, settings: RigSettings, say: Callable[[str], None]) -> None:
+        """``say`` takes the daemon's log, a line at a time."""
+        self.settings = settings
+        self._say = say
+        self._runtime = Runtime.of(settings.rig)
+        self._stopping = False
+        self._feed_at_ns = 0
+        self._supervision: Supervision | None = None
+        self._folder_lost = ""
+        self._modules = PROCESSES | (PAGE if settings.page is not None else {})
+        self._children: dict[str, Child] = {}
+        self._active: dict[str, Any] = {}
+
+    def run(self) -> int:
+        """Run until SIGTERM, SIGINT or SIGHUP; returns the exit code.
+
+        Raises:
+            CannotRunError: nothing was left running.
+        """
+        try:
+            lock = self._runtime.claim()
+        except (AlreadyRunningError, FolderError) as error:
+            raise CannotRunError(f"{self.settings.rig}: {error}") from None
+        on_signals(self._on_signal, *ENDING)
+        memory.apply(memory.SUPERVISOR, os.getpid())
+        try:
+            for found in self._runtime.cleared:
+                self._say(f"WARNING: {found}")
+            records, events = self._make_rings()
+            self._start(records)
+            while not self._stopping and not self._lost():
+                self._watch()
+                self._tell(events)
+                self._feed_watchdog(records)
+                time.sleep(POLL_S)
+            return self._stop(records, events)
+        except CannotRunError as error:
+            self._note(Doing.DAEMON_REFUSED, reason=str(error))
+            raise
+        finally:
+            self._kill_all()
+            self._runtime.remove()
+            os.close(lock)
+
+    # -- start ----------------------------------------------------------------------------------------------
+    def _make_rings(self) -> tuple[RingReader, RingReader]:
+        """Readers of records and events."""
+        try:
+            self._runtime.make_rings(self.settings, reserve=True)
+            self._supervision = Supervision(self._runtime.supervision_writer())
+            return self._runtime.record_reader(), self._runtime.event_reader()
+        except OSError as error:
+            raise CannotRunError(self._no_room(error)) from None
+
+    def _no_room(self, error: OSError) -> str:
+        return f"{self.settings.rig}: {self._runtime.directory} cannot be written: {error.strerror}"
+
+    def _start(self, records: RingReader) -> None:
+        settings = self.settings
+        self._active = {
+            "settings": settings.model_dump(mode="json"),
+            "version": __version__,
+            "started_wall_ns": time.time_ns(),
+            "pid": os.getpid(),
+            "run_id": secrets.token_hex(8),
+            "bus_load": busload.bus_load(settings),
+        }
+        self._put_active()
+        self._note(Doing.DAEMON_STARTED, reason=f"rigctl {__version__}")
+        self._say_calibration()
+        for key, found, allowed in findings(settings):
+            self._say(f"WARNING: {key}: found {found}, expected {allowed}; waived: {settings.safety.waiver}")
+        self._put_last_stroke(None)
+        for name in self._modules:
+            try:
+                self._spawn(name)
+            except OSError as error:
+                raise CannotRunError(f"{settings.rig}: {name} cannot be started: {error.strerror}") from None
+        self._design()
+        self._send_gains()
+        limit_s = START_LIMIT_S + settings.start_up_limit_s
+        until = time.monotonic() + limit_s
+        while records.head == 0 and not self._stopping:
+            for child in self._children.values():
+                if child.process.poll() is not None and child.name not in _NOT_NEEDED:
+                    raise CannotRunError(f"{settings.rig}: {child.name} could not start (see above)")
+            if time.monotonic() > until:
+                raise CannotRunError(f"{settings.rig}: the loop did not start within {limit_s:.0f} s")
+            time.sleep(0.005)
+        self._say_real_time()
+        channel = f"{settings.can.interface}:{settings.can.channel}"
+        self._say(
+            f"{settings.rig}: DISARMED, {settings.loop.rate_hz} Hz on {channel}, answering at "
+            f"{settings.telemetry.listen}"
+        )
+        _notify("READY=1")
+
+    def _say_real_time(self) -> None:
+        try:
+            applied = self._runtime.read_json("control.json").get("realtime", [])
+        except (OSError, msgspec.MsgspecError) as error:
+            self._say(f"WARNING: control.json cannot be read ({error}); what real time is in force is not known")
+            return
+        for item in applied:
+            mark = "" if item["ok"] else f" - WARNING: {item['warning']}"
+            self._say(f"real time: {item['name']}: {item['in_force']}{mark}")
+
+    def _put_active(self) -> None:
+        self._active = msgspec.json.decode(msgspec.json.encode(self._active))  # as it will be read: lists, no tuples
+        try:
+            self._runtime.write_json(ACTIVE, self._active)
+        except OSError as error:
+            raise CannotRunError(self._no_room(error)) from None
+
+    def _design(self) -> None:
+        from rigctl.design.gain_file import design_in_use  # imports python-control: slow, beside the children's start
+        from rigctl.design.gains import DesignError
+
+        try:
+            design = design_in_use(self.settings)
+        except (DesignError, ArithmeticError, ValueError) as error:  # ... or numbers no plant has
+            raise CannotRunError(f"{self.settings.rig}: no design: {error}") from None
+        self._active["design"] = design.as_dict()
+        if not design.accepted:
+            raise CannotRunError(f"{self.settings.rig}: {design.verdict()}")
+        self._say(f"design: {design.verdict()}")
+        for warning in design.warnings():
+            self._say(f"WARNING: design: {warning}")
+        self._put_active()
+        self._note(Doing.DAEMON_DESIGNED, reason=design.verdict())
+
+    def _note(self, kind: Doing, process: str = "", reason: str = "") -> None:
+        """Something for the audit log."""
+        if self._supervision is not None:  # there are rings
+            self._supervision.note(time.monotonic_ns(), kind, process=process, reason=reason)
+
+    def _say_calibration(self) -> None:
+        """What the ledger says of the cell, for the operator; from `_put_calibration`."""
+        standing = self._put_calibration()
+        if self.settings.calibration is None or standing is None:
+            return
+        words = f"calibration: due {standing.due}" if standing.due else "calibration: none on record"
+        if standing.overdue:
+            waiver = standing.waiver
+            words += f", waived: {waiver}" if waiver else " - WARNING: overdue, arming is refused"
+        self._say(words)
+
+    def _put_calibration(self) -> Standing | None:
+        """Zero, scale and due date as the ledger has them now, for a control process about to start.
+
+        A ledger that has become unreadable meanwhile leaves in force what was.
+        """
+        try:
+            entries = ledger.read(self.settings)
+        except ledger.LedgerError as error:
+            self._say(f"WARNING: {error}; zero and scale stay as they were")
+            return None
+        standing = ledger.standing(self.settings, entries, time.time_ns())
+        try:
+            self._runtime.write_json(IN_FORCE, standing)
+        except OSError as error:
+            self._say(f"WARNING: {self._no_room(error)}; zero and scale stay as they were")
+        return standing
+
+    def _put_last_stroke(self, newest: np.void | None) -> None:
+        """For a control process about to start: by the newest record of this run, else by the file."""
+        seen_mm = last_stroke.of_record(newest)
+        last = LastStroke(seen_mm) if seen_mm is not None else last_stroke.read(self.settings)
+        if last.why:
+            self._say(f"WARNING: the stroke last known: {last.why}; it has to be confirmed")
+        try:
+            self._runtime.write_json(last_stroke.IN_FORCE, last)
+        except OSError as error:  # without one, or with an older one, the stroke has to be confirmed
+            self._say(f"WARNING: {self._no_room(error)}; the stroke last known stays as it was")
+
+    def _spawn(self, name: str) -> None:
+        command = [sys.executable, "-m", self._modules[name], str(self._runtime.directory)]
+        stdin = subprocess.PIPE if name == "control" else subprocess.DEVNULL
+        process = subprocess.Popen(command, stdin=stdin, start_new_session=True)
+        failures = self._children[name].failures if name in self._children else 0
+        self._children[name] = Child(name, process, time.monotonic(), failures)
+        memory.apply(memory.SHARES[name], process.pid)
+        if name != "control":
+            self._keep_off_the_loops_processor(process.pid)
+        self._note(Doing.PROCESS_STARTED, name, str(process.pid))
+
+    def _keep_off_the_loops_processor(self, pid: int) -> None:
+        """A kernel that is not preempted in a system call would make the loop wait for theirs; best effort."""
+        with contextlib.suppress(OSError):
+            if others := os.sched_getaffinity(pid) - {self.settings.loop.cpu}:
+                os.sched_setaffinity(pid, others)
+
+    def _send_gains(self) -> None:
+        """Those in force, which may have been changed since the start."""
+        stdin: IO[bytes] | None = self._children["control"].process.stdin
+        gains = self._active["design"]["gains"]
+        if stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                stdin.write(msgspec.json.encode(gains) + b"\n")
+                stdin.flush()
+
+    # -- watch ----------------------------------------------------------------------------------------------
+    def _lost(self) -> bool:
+        """Whether the runtime folder is gone: no process could be started any more, so the daemon ends in order."""
+        if why := self._runtime.lost():
+            self._folder_lost = f"the runtime folder {self._runtime.directory} is lost: {why}"
+            self._note(Doing.FOLDER_LOST, reason=f"{why}; the daemon ends with the stroke held")
+            self._say(f"WARNING: {self._folder_lost}; the daemon ends with the stroke held")
+        return bool(why)
+
+    def _look_at_active(self) -> None:
+        """Before a process is started that reads it: what runs, as it was written, with the gains in force since.
+
+        The gateway writes other gains that the loop has taken into the same file.
+        """
+        try:
+            found = self._runtime.read_json(ACTIVE)
+            msgspec.convert(found["design"]["gains"], Gains)
+            rest = {name: value for name, value in found.items() if name != "design"}
+            if rest == {name: value for name, value in self._active.items() if name != "design"}:
+                self._active["design"] = found["design"]
+                return
+            why = "it is not what was written"
+        except (OSError, msgspec.MsgspecError, KeyError, TypeError) as error:
+            why = " ".join(str(error).split())
+        self._say(f"WARNING: {ACTIVE} in the runtime folder was damaged ({why}); it is written anew")
+        try:
+            self._runtime.write_json(ACTIVE, self._active)
+        except OSError as error:
+            self._say(f"WARNING: {self._no_room(error)}")
+
+    def _watch(self) -> None:
+        now = time.monotonic()
+        for child in list(self._children.values()):
+            code = child.process.poll()
+            if code is None:
+                if child.failures and now - child.started > STABLE_S:
+                    child.failures = 0
+            elif child.retry_at is None:
+                wait = BACKOFF_S[min(child.failures, len(BACKOFF_S) - 1)]
+                child.failures += 1
+                child.retry_at = now + wait
+                how = f"killed by signal {-code}" if code < 0 else f"ended with code {code}"
+                comes = "comes back DISARMED" if child.name == "control" else "comes back, the loop is unaffected"
+                if child.failures > LOOPING:
+                    comes += f" (it has ended {child.failures} times in a row, see what it said)"
+                self._note(Doing.PROCESS_ENDED, child.name, f"{how}; {comes} in {wait:g} s")
+                self._say(f"WARNING: {child.name} process {how}; {comes} in {wait:g} s")
+            elif now >= child.retry_at:
+                self._look_at_active()
+                if child.name == "control":
+                    self._put_calibration()
+                    self._put_last_stroke(self._runtime.record_reader().latest())
+                try:
+                    self._spawn(child.name)
+                except OSError as error:
+                    child.retry_at = now + BACKOFF_S[-1]
+                    again = f"it is tried again in {BACKOFF_S[-1]:g} s"
+                    self._say(f"WARNING: {child.name} cannot be started: {error.strerror}; {again}")
+                    continue
+                if child.name == "control":
+                    self._send_gains()
+
+    def _tell(self, events: RingReader) -> None:
+        for slot in events.read():
+            kind, a, b, value, limit, text = (slot[n].item() for n in ("kind", "a", "b", "value", "limit", "text"))
+            event = worded(kind, a, b, value, limit, text.decode(errors="replace"))
+            prefix = "" if event.severity == "info" else f"{event.severity.upper()}: "
+            self._say(prefix + event.text)
+
+    def _feed_watchdog(self, records: RingReader) -> None:
+        """Twice a second, and only while the loop's records go on."""
+        now_ns = time.monotonic_ns()
+        slot = records.latest()
+        alive = slot is not None and now_ns - int(slot["t_ns"]) < WATCHDOG_STALE_NS
+        if alive and now_ns >= self._feed_at_ns:
+            self._feed_at_ns = now_ns + WATCHDOG_PERIOD_NS
+            _notify("WATCHDOG=1")
+
+    # -- stop -----------------------------------------------------------------------------------------------
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        self._stopping = True
+
+    def _stop(self, records: RingReader, events: RingReader) -> int:
+        """Control first: it holds the stroke and closes the brake; gateway and recorder tell of it, then end too."""
+        _notify("STOPPING=1")
+        clean = self._end("control")
+        self._tell(events)
+        last = records.latest()
+        time.sleep(2.0 / self.settings.telemetry.rate_hz)
+        self._end("gateway")
+        code, how = _ending(last, clean)
+        if self._folder_lost:
+            code, how = 1, f"{how}; ended because {self._folder_lost}"
+        self._note(Doing.DAEMON_STOPPED, reason=how)
+        self._end("recorder")
+        self._say(how if code == 0 else f"WARNING: {how}")
+        return code
+
+    def _end(self, name: str) -> bool:
+        process = self._children[name].process
+        with contextlib.suppress(ProcessLookupError):
+            process.send_signal(signal.SIGTERM)
+        try:
+            return process.wait(STOP_LIMIT_S) == 0
+        except subprocess.TimeoutExpired:
+            return False
+
+    def _kill_all(self) -> None:
+        for child in self._children.values():
+            if child.process.poll() is None:
+                child.process.terminate()
+        for child in self._children.values():
+            try:
+                child.process.wait(STOP_LIMIT_S)
+            except subprocess.TimeoutExpired:
+                child.process.kill()
+                child.process.wait()
+
+
+def _ending(last: np.void | None, clean: bool) -> tuple[int, str]:
+    """Exit code and one line on how the rig was left; ``last``: its newest record."""
+    if last is None or not clean:
+        return 1, "the loop did not stop by itself; the drive holds by its own supervision"
+    mode = Mode(int(last["mode"])).name
+    where = f"stroke {last['stroke_mm']:z.2f} mm, tension {last['tension_n']:z.1f} N"
+    if last["drive_quality"] or drive_state(int(last["statusword"])) is DriveState.OPERATION_ENABLED:
+        return 1, f"stopped in {mode}: last seen {where}; the brake was not seen to close"
+    return 0, f"stopped in {mode}: {where}, brake closed"
+
+
+def _notify(state: str) -> None:
+    """Tell the service manager (sd_notify protocol), if there is one."""
+    address = os.environ.get("NOTIFY_SOCKET")
+    if address:
+        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+            sock.connect("\0" + address[1:] if address.startswith("@") else address)
+            sock.send(state.encode(), socket.MSG_DONTWAIT)  # a manager that does not listen must not hold us up

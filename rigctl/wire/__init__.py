@@ -1,0 +1,1 @@
+"""What gateway and clients share on the network: keys, session, blocks, messages, schema."""

@@ -1,0 +1,297 @@
+"""Commands on the wire: what a query must carry, and what the answer says. Pure functions of bytes and values."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+import msgspec
+
+from rigctl.config.one_line import on_one_line
+from rigctl.config.quantity import significant
+from rigctl.control.events import failed_checks, refusal_text
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.safety import Check, Fault
+from rigctl.ipc.record import Flag
+from rigctl.ipc.ring import RingReader
+from rigctl.wire.lease import ACTS, ID_BYTES, is_id
+from rigctl.wire.state_message import ALIVE_NS
+
+VERBS = {verb.name.lower(): verb for verb in Verb}
+_OPERATOR_LENGTH = 64
+PAYLOAD_BYTES = 16_384  # a gain file and more
+_ALLOWED = '{"operator": "NAME"}'
+_ALLOWED_MORE = {
+    Verb.ARM: '{"operator": "NAME"} and "near_end": true',
+    Verb.TARGET: '{"operator": "NAME", "value": NEWTONS}',
+    Verb.CONFIRM_STROKE: '{"operator": "NAME", "value": MILLIMETRES}',
+    Verb.CALIBRATE: '{"operator": "NAME"} and "value": NEWTONS or "shunt": true, "adopt": true',
+    Verb.IDENTIFY: '{"operator": "NAME"} and "tight": true',
+    Verb.GAINS: '{"operator": "NAME", "gain_file": TEXT, "name": "FILE"}',
+}
+_OPTIONS: dict[Verb, frozenset[str]] = {
+    Verb.ARM: frozenset({"near_end"}),
+    Verb.TARGET: frozenset({"value"}),
+    Verb.CONFIRM_STROKE: frozenset({"value"}),
+    Verb.CALIBRATE: frozenset({"value", "shunt", "adopt"}),
+    Verb.IDENTIFY: frozenset({"tight"}),
+    Verb.GAINS: frozenset({"gain_file", "name"}),
+}
+
+
+class RequestError(ValueError):
+    """A command that is not one; ``str()`` says what was found and what is expected."""
+
+
+class _Payload(msgspec.Struct, forbid_unknown_fields=True):
+    operator: str
+    lease: Any = None
+    value: float | None = None
+    shunt: bool = False
+    adopt: bool = False
+    tight: bool = False
+    near_end: bool = False
+    gain_file: str = ""
+    name: str = ""
+    run_id: str = ""
+
+
+@dataclass(frozen=True)
+class Request:
+    """A command as an operator gives it.
+
+    ``value``: newtons, the target of TARGET or the known weight of CALIBRATE, else NaN. ``shunt``: CALIBRATE compares
+    with the shunt. ``adopt``: it sets a new scale. ``tight``: IDENTIFY wants a tight rope.
+    ``near_end``: ARM at an end of the stroke, to drive away from it.
+    ``gain_file``, ``name``: text and name of a gain file, for GAINS.
+    ``lease``: id of the lease it is given under, None where none is shown.
+    ``run_id``: run of the daemon it is meant for, empty for whichever answers.
+    """
+
+    verb: Verb
+    operator: str
+    value: float = math.nan
+    shunt: bool = False
+    adopt: bool = False
+    tight: bool = False
+    lease: str | None = None
+    gain_file: str = ""
+    name: str = ""
+    near_end: bool = False
+    run_id: str = ""
+
+    @property
+    def number(self) -> float:
+        """What the loop is told."""
+        said = {Verb.IDENTIFY: float(self.tight), Verb.ARM: float(self.near_end)}
+        return said.get(self.verb, self.value)
+
+
+def verb_of(name: str) -> Verb:
+    """The verb a key ends in.
+
+    Raises:
+        RequestError: naming the verbs there are.
+    """
+    verb = VERBS.get(name)
+    if verb is None:
+        raise RequestError(f"found the command {name[:40]!r}, expected {', '.join((*VERBS, *ACTS))}")
+    return verb
+
+
+_Some = TypeVar("_Some")
+
+
+def decoded(payload: bytes | None, kind: type[_Some], allowed: str) -> _Some:
+    """A payload as what it must be.
+
+    Raises:
+        RequestError: none, too long, bad JSON, an unknown key, a wrong type.
+    """
+    if not payload:
+        raise RequestError(f"found no payload, expected {allowed}")
+    if len(payload) > PAYLOAD_BYTES:
+        raise RequestError(f"found {len(payload)} bytes, expected {allowed}")
+    try:
+        return msgspec.json.decode(payload, type=kind)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise RequestError(f"{on_one_line(str(error))}, expected {allowed}") from None
+
+
+def operator_of(text: str) -> str:
+    """An operator's name.
+
+    Raises:
+        RequestError: empty, too long or not printable.
+    """
+    operator = text.strip()
+    if not operator or len(operator) > _OPERATOR_LENGTH or not operator.isprintable():
+        raise RequestError(f"found operator {text[:80]!r}, expected 1 to {_OPERATOR_LENGTH} printable letters")
+    return operator
+
+
+def lease_of(found: Any) -> str | None:
+    """A lease's id; None where none is shown.
+
+    Raises:
+        RequestError: it has not the form of one.
+    """
+    if found is None or (isinstance(found, str) and is_id(found)):
+        return found
+    what = f"text of {len(found)} letters" if isinstance(found, str) else type(found).__name__
+    raise RequestError(f"found lease: {what}, expected the id from an answer, {2 * ID_BYTES} letters 0-9 a-f")
+
+
+def parse(verb: Verb, payload: bytes | None) -> Request:
+    """Read a command's payload.
+
+    Raises:
+        RequestError: bad JSON, an unknown key, a missing or non-finite value, a wrong type.
+    """
+    allowed = _ALLOWED_MORE.get(verb, _ALLOWED)
+    found = decoded(payload, _Payload, allowed)
+    operator = operator_of(found.operator)
+    options = _OPTIONS.get(verb, frozenset())
+    for name in ("value", "shunt", "adopt", "tight", "near_end", "gain_file", "name"):
+        if name not in options and getattr(found, name) not in (None, False, ""):
+            raise RequestError(f"found {name}, expected {allowed}")
+    if verb is Verb.GAINS and not (found.gain_file and found.name and found.name.isprintable()):
+        raise RequestError(f"found no gain file with a name, expected {allowed}")
+    if found.value is None and verb in (Verb.TARGET, Verb.CONFIRM_STROKE):
+        raise RequestError(f"found no value, expected {allowed}")
+    if found.value is not None and not math.isfinite(found.value):
+        raise RequestError(f"found value {found.value}, expected a finite number")
+    value = math.nan if found.value is None else found.value
+    try:
+        lease = lease_of(found.lease)
+    except RequestError:
+        if verb is not Verb.HOLD:  # which needs none: no flaw of a lease keeps anyone from it
+            raise
+        lease = None
+    return Request(
+        verb,
+        operator,
+        value,
+        found.shunt,
+        found.adopt,
+        found.tight,
+        lease,
+        found.gain_file,
+        found.name,
+        near_end=found.near_end,
+        run_id=found.run_id,
+    )
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What an answer may mention: from the newest record."""
+
+    fault: Fault = Fault.NONE
+    stroke_mm: float = math.nan
+    tension_n: float = math.nan
+    target_n: float = math.nan
+    standing: Mapping[Fault, str] = field(default_factory=dict)  # causes in words, the strongest first
+    arming: bool = False  # an ARM is being carried out, and the loop runs
+
+
+def sight_of(records: RingReader, standing: Mapping[Fault, str] = MappingProxyType({})) -> Sight:
+    """What the newest record says about the rig; ``standing``: causes in words, the strongest first."""
+    record = records.latest()
+    if record is None:
+        return Sight()
+    try:
+        fault = Fault(int(record["fault"]))
+    except ValueError:
+        fault = Fault.NONE
+    stroke_mm, tension_n, target_n = (float(record[name]) for name in ("stroke_mm", "tension_n", "target_n"))
+    alive = time.monotonic_ns() - int(record["t_ns"]) < ALIVE_NS
+    arming = alive and bool(int(record["flags"]) & Flag.ARMING)
+    return Sight(fault, stroke_mm, tension_n, target_n, standing, arming)
+
+
+def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
+    match verb:
+        case Verb.ARM:
+            return f"armed, {mode.name}, stroke {sight.stroke_mm:z.2f} mm, tension {sight.tension_n:z.1f} N"
+        case Verb.TENSION:
+            return f"ramping to {significant(sight.target_n, 'N')}, {mode.name}"
+        case Verb.RELEASE:
+            return f"ramping to slack, {mode.name}"
+        case Verb.HOLD:
+            return f"stroke held at {sight.stroke_mm:z.2f} mm, tension {sight.tension_n:z.1f} N"
+        case Verb.DISARM:
+            latched = ", the fault stays latched" if mode is Mode.FAULT else ""
+            return f"drive off, brake closed, {mode.name}{latched}"
+        case Verb.RESET:
+            return f"fault cleared, {mode.name}"
+        case Verb.TARGET:
+            return f"{significant(value, 'N')}, {mode.name}"
+        case Verb.CONFIRM_STROKE:
+            return f"the stroke is {value:z.2f} mm, {mode.name}"
+        case Verb.GAINS:
+            return mode.name
+        case Verb.IDENTIFY:
+            return f"excited for {value:.1f} s, {mode.name}, stroke {sight.stroke_mm:z.2f} mm"
+        case _:
+            return f"the cell reads {value:z.3f} N, {mode.name}"
+
+
+def refused(name: str, operator: str, reason: str, text: str, **more: Any) -> dict[str, Any]:
+    """The answer to a command that was not carried out."""
+    verb = name.upper() if name in VERBS else "LEASE" if name in ACTS else "COMMAND"
+    return {
+        "accepted": False, "verb": name, "operator": operator, "reason": reason,
+        "text": f"{verb} refused: {text}", **more,
+    }  # fmt: skip
+
+
+def silent(name: str, operator: str) -> dict[str, Any]:
+    """The answer when the loop gives none: the command may have been carried out, or not."""
+    text = "the control loop does not answer"
+    return {**refused(name, operator, "no_answer", text), "text": f"{name.upper()}: {text}"}
+
+
+def _by_words(waived: Mapping[Check, str]) -> str:
+    """``calibration, tare (the waiver's words), realtime (...)``."""
+    checks: dict[str, list[str]] = {}
+    for check, words in waived.items():
+        checks.setdefault(words, []).append(_plain(check))
+    return ", ".join(f"{', '.join(names)} ({words})" for words, names in checks.items())
+
+
+def _plain(check: Check) -> str:
+    return (check.name or "").lower().replace("_", " ")
+
+
+def answer(
+    request: Request,
+    reply: Any,
+    sight: Sight,
+    limits_n: tuple[float, float],
+    failing: Mapping[Check, str] = MappingProxyType({}),
+    waived: Mapping[Check, str] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """A ``REPLY`` slot as the answer to ``request``.
+
+    ``limits_n``: lowest and highest target. ``failing``: what is known of checks that fail. ``waived``: why others may.
+    """
+    verb, mode, value = request.verb, Mode(int(reply["mode"])), float(reply["value"])
+    name = verb.name.lower()
+    about = {"mode": mode.name, "t_ns": int(reply["t_ns"]), "value": value if math.isfinite(value) else None}
+    if reply["accepted"]:
+        text = f"{verb.name}: {_done(verb, mode, value, sight)}"
+        if verb is Verb.ARM and waived:
+            text += f"; waived: {_by_words(waived)}"
+            about["waived"] = {_plain(check): words for check, words in waived.items()}
+        return {"accepted": True, "verb": name, "operator": request.operator, "text": text, **about}
+    refusal, checks = Refusal(int(reply["reason"])), int(reply["checks"])
+    named = refusal is Refusal.CAUSE_PRESENT and value in Fault._value2member_map_
+    cause = Fault(int(value)) if named else sight.fault
+    text = refusal_text(refusal, verb, mode, checks, cause, limits_n, value, failing, sight.standing)
+    more = {"checks": failed_checks(checks, failing)} if refusal is Refusal.PREFLIGHT else {}
+    return refused(name, request.operator, refusal.name.lower(), text, **about, **more)

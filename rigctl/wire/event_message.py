@@ -1,0 +1,27 @@
+"""Slots of the loop's rings as messages for people and programs."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import numpy as np
+
+from rigctl.control.events import Kind, Worded, worded
+
+
+def event_message(event: np.void, wall_offset_ns: int) -> tuple[str, dict[str, Any]]:
+    """Severity, and an event as the JSON object subscribers get; a slot nobody can word is still passed on."""
+    kind, a, b = int(event["kind"]), int(event["a"]), int(event["b"])
+    value, limit = float(event["value"]), float(event["limit"])
+    text = bytes(event["text"]).decode(errors="replace")
+    name = str(kind)
+    words = Worded("warning", f"event {kind} (a {a}, b {b}, value {value:g}, limit {limit:g}) {text}".rstrip())
+    with contextlib.suppress(ValueError, KeyError, OverflowError):
+        name = Kind(kind).name
+        words = worded(kind, a, b, value, limit, text)
+    t_ns = int(event["t_ns"])
+    return words.severity, {
+        "seq": int(event["seq"]), "t_ns": t_ns, "wall_ns": t_ns + wall_offset_ns, "severity": words.severity,
+        "source": "loop", "kind": name, "text": words.text, "a": a, "b": b, "value": value, "limit": limit,
+    }  # fmt: skip

@@ -1,0 +1,50 @@
+"""Asking for the lease itself, on the wire. Pure functions of bytes and values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from rigctl.wire.command_request import RequestError, decoded, lease_of, operator_of
+from rigctl.wire.lease import Act
+
+_REASON_LENGTH = 120
+_ALLOWED = {
+    Act.TAKE: '{"operator": "NAME"} and "lease": ID, "reason": TEXT',
+    Act.RETURN: '{"operator": "NAME", "lease": ID}',
+}
+
+
+class _Payload(msgspec.Struct, forbid_unknown_fields=True):
+    operator: str
+    lease: Any = None
+    reason: str = ""
+    run_id: str = ""
+
+
+@dataclass(frozen=True)
+class LeaseRequest:
+    """What an operator wants of the lease; ``reason`` is empty without one. ``run_id``: see `Request`."""
+
+    act: Act
+    operator: str
+    lease: str | None = None
+    reason: str = ""
+    run_id: str = ""
+
+
+def parse_lease(act: Act, payload: bytes | None) -> LeaseRequest:
+    """Read the payload.
+
+    Raises:
+        RequestError: bad JSON, an unknown key, a wrong type, no name, no id of a lease, a reason that is none.
+    """
+    found = decoded(payload, _Payload, _ALLOWED[act])
+    reason = found.reason.strip()
+    if reason and act is Act.RETURN:
+        raise RequestError(f"found reason, expected {_ALLOWED[act]}")
+    if len(reason) > _REASON_LENGTH or not reason.isprintable():
+        raise RequestError(f"found reason {reason[:80]!r}, expected up to {_REASON_LENGTH} printable letters")
+    return LeaseRequest(act, operator_of(found.operator), lease_of(found.lease), reason, found.run_id)

@@ -1,0 +1,144 @@
+"""What the fields of the JSON messages mean, the kinds of events and the commands: tables for ``meta/schema``.
+
+A row of fields is name, type in JSON, unit ("" for none), meaning. ``number?`` may be null.
+"""
+
+from __future__ import annotations
+
+from rigctl.control.events import Kind
+from rigctl.control.modes import Verb
+from rigctl.ipc.notes import Note
+from rigctl.wire.lease import Act
+
+Rows = tuple[tuple[str, str, str, str], ...]
+
+_EVENT_COMMON: Rows = (
+    ("seq", "integer", "", "its number, from 1, without gaps; each source counts for itself"),
+    ("stream", "integer", "", "as in the header of tele/fast: changes when the daemon is started anew"),
+    ("t_ns", "integer", "ns", "when, CLOCK_MONOTONIC of the rig's computer"),
+    ("wall_ns", "integer", "ns", "the same on the wall clock, since 1970 UTC"),
+    ("severity", "string", "", "info, warning or error, as the key ends"),
+    ("source", "string", "", "loop or gateway"),
+    ("kind", "string", "", "see kinds of its source"),
+    ("text", "string", "", "one line for people"),
+)
+LOOP_EVENT: Rows = (
+    *_EVENT_COMMON,
+    ("a", "integer", "", "see the kind"),
+    ("b", "integer", "", "see the kind"),
+    ("value", "number?", "", "what was found, in the unit its kind or fault has"),
+    ("limit", "number?", "", "what is allowed, in the same unit"),
+)
+GATEWAY_EVENT: Rows = (
+    *_EVENT_COMMON,
+    ("operator", "string", "", "who"),
+    ("other", "string", "", "whom it concerns beside the operator"),
+    ("reason", "string", "", "why, in the operator's words"),
+)
+
+KINDS: dict[Kind, str] = {
+    Kind.MODE: "change of mode; a: from, b: to (see modes), value: why, limit: safe frames sent before it",
+    Kind.TRIP: "a limit trips; a: fault (see faults), b: action, value and limit in the fault's unit",
+    Kind.RESET: "a latched fault was acknowledged; a: fault",
+    Kind.EMERGENCY: "emergency message of a device (CiA 301); a: node, b: code + 65536 x error register, "
+    "text: the manufacturer's bytes; a code 0x00xx with register 0 when it is over",
+    Kind.NODE_STATE: "state of a device changed; a: node, b: NMT state (CiA 301)",
+    Kind.EXCEPTION: "exception in the loop, which holds; text: what and where",
+    Kind.BUS_ERROR: "CAN error frame; a: error class bits, b: details",
+    Kind.SEND_FAILED: "a frame could not be sent; text: why",
+    Kind.STARTED: "the loop runs",
+    Kind.STOPPED: "the loop ended; value: stroke in mm, limit: tension in N",
+    Kind.LOCAL_HOLD: "HOLD was taken from the local socket; a: user id, b: process, text: operator; see the MODE event",
+    Kind.CLOCK: "the loop could not keep its rate; a: ticks skipped at once",
+    Kind.CORRECTION: "tare or calibration in force; value: zero in N, limit: scale",
+    Kind.GAINS: "gains changed; text: K_T, K_v, K_i now in force",
+    Kind.LIMIT: "a limit of the rig file that only logs is exceeded; a: fault, b: action, value, limit",
+    Kind.LIMIT_OVER: "such a limit is kept again; as limit",
+    Kind.CAUSE: "a further cause of a fault stands; as trip",
+    Kind.CAUSE_OVER: "a cause of a fault is gone; as trip",
+    Kind.RECEIVE_FAILED: "the bus could not be read; text: why",
+    Kind.FOREIGN_SDO: "another master speaks to a device; a: node, b: object (index << 8 | sub-index), text: what",
+    Kind.SETTING_LOST: "a device does not keep an object as start-up wrote it; a, b: as foreign_sdo, value: found, "
+    "null for no answer, limit: wanted",
+    Kind.READ_BACK: "the devices' settings were read back before arming; a: how many, value: how long it took in s",
+    Kind.STROKE: "whether the drive's position is believed; a: 1 it is, 0 not, value: it in mm, limit: the last one "
+    "known in mm, null for none, text: why",
+    Kind.BRAKE_TEST: "brake test at arm; a: 1 held, 0 rope slack; value: stroke moved in mm, limit: tension in N",
+    Kind.STROKE_LEFT: "a stroke that is to stay left its latch; a: mode, value: distance in mm, limit: what is told",
+    Kind.DRIVE_CREEPS: "the drive creeps when told 0, and is corrected; value: creep in mm/s, limit: what is told",
+    Kind.ESCALATION: "the reaction to a fault did not help; a: fault, b: symptom, value and limit in its unit",
+    Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
+}
+NOTES: dict[Note, str] = {
+    Note.LEASE_TAKEN: "operator takes the lease",
+    Note.LEASE_TAKEN_OVER: "operator takes the lease from other, for reason",
+    Note.LEASE_RETURNED: "operator gives the lease back",
+    Note.LEASE_LAPSED: "the lease of operator has lapsed",
+    Note.HOLD_WITHOUT_LEASE: "operator gives HOLD without the lease, which other holds",
+    Note.TOO_MANY_COMMANDS: "commands of an operator were refused because there were too many; reason: how many",
+    Note.LEASE_NOT_BELIEVED: "what was written down about a lease is none; nobody holds it",
+}
+
+PAYLOAD: Rows = (
+    ("operator", "string", "", "who gives it; required"),
+    ("lease", "string", "", "id from an earlier answer; without it the lease nobody holds is taken"),
+    ("value", "number", "", "the target or the known weight of calibrate in N; the stroke of confirm_stroke in mm"),
+    ("shunt", "boolean", "", "calibrate against the shunt"),
+    ("adopt", "boolean", "", "calibrate sets the scale"),
+    ("tight", "boolean", "", "identify only a tight rope"),
+    ("near_end", "boolean", "", "arm at an end of the stroke, to drive away from it"),
+    ("gain_file", "string", "", "text of a gain file"),
+    ("name", "string", "", "its name, for the record"),
+    ("run_id", "string", "", "run of the daemon it is meant for, from the active configuration; any other refuses it"),
+)
+LEASE_PAYLOAD: Rows = (
+    ("operator", "string", "", "who asks; required"),
+    ("lease", "string", "", "id from an earlier answer"),
+    ("reason", "string", "", "why it is taken over from another"),
+    ("run_id", "string", "", "run of the daemon it is meant for; any other refuses it"),
+)
+ANSWER: Rows = (
+    ("accepted", "boolean", "", "whether it was carried out; a refusal comes as an error reply"),
+    ("verb", "string", "", "the command"),
+    ("operator", "string", "", "who gave it"),
+    ("text", "string", "", "one line for people"),
+    ("reason", "string", "", "of a refusal, one word: a name of refusals in lower case, bad_request, no_answer, ..."),
+    ("checks", "array", "", "of a refused arm: what stands against it, in words"),
+    ("waived", "object", "", "of an arm: what does not count, and why"),
+    ("mode", "string", "", "mode after the command"),
+    ("t_ns", "integer", "ns", "when the loop answered, CLOCK_MONOTONIC"),
+    ("value", "number?", "", "what it is about: target, tension or reading in N; identify: s"),
+    ("entry", "object", "", "what the calibration ledger was given"),
+    ("lease", "object?", "", "who holds it: holder, since_ns, until_ns, held_s, left_s, and id for the holder alone"),
+)
+
+VERBS: dict[Verb, tuple[str, tuple[str, ...]]] = {
+    Verb.ARM: ("drive on, stroke held", ("near_end",)),
+    Verb.TENSION: ("ramp to the target, then compensate", ()),
+    Verb.RELEASE: ("ramp to slack, then hold", ()),
+    Verb.HOLD: ("hold the stroke at once; anyone's, always, without a lease", ()),
+    Verb.DISARM: ("drive off, brake closed", ()),
+    Verb.RESET: ("acknowledge a latched fault whose cause is gone", ()),
+    Verb.TARGET: ("set the target of the vertical tension", ("value",)),
+    Verb.TARE: ("the unloaded cell's mean over 1 s becomes its zero", ()),
+    Verb.CALIBRATE: ("compare the cell with a known weight or the shunt", ("value", "shunt", "adopt")),
+    Verb.IDENTIFY: ("excite the plant for some seconds and measure it", ("tight",)),
+    Verb.CONFIRM_STROKE: ("the stroke, measured at the cylinder, is what the drive's position says", ("value",)),
+    Verb.GAINS: ("put other gains in force, once judged", ("gain_file", "name")),
+}
+ACTS: dict[Act, tuple[str, tuple[str, ...]]] = {
+    Act.TAKE: ("take the lease or renew it; from another only with a reason", ("reason",)),
+    Act.RETURN: ("give the lease back", ()),
+}
+
+ACTIVE_CONFIGURATION: Rows = (
+    ("settings", "object", "", "the rig file, defaults filled in"),
+    ("version", "string", "", "of the daemon"),
+    ("started_wall_ns", "integer", "ns", "when the daemon started, since 1970 UTC"),
+    ("pid", "integer", "", "of the daemon"),
+    ("run_id", "string", "", "of this start of the daemon: a command that carries another is refused"),
+    ("bus_load", "number", "", "worst-case load of the bus, of 1"),
+    ("design", "object", "", "law in use: gains, margins, where they come from"),
+    ("control", "object", "", "read back by the control process: real time, devices, their own stop settings"),
+    ("calibration", "object", "", "tension cell: zero_n, scale, due, overdue, tared, waiver"),
+)

@@ -1,0 +1,327 @@
+"""The state message: the newest record, and what a person or a program would work out from it first."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rigctl.control.events import Kind, failed_checks, fault_text, setting_words, stroke_words
+from rigctl.control.modes import Mode
+from rigctl.control.safety import BLOCK_RESET, Action, Check, Fault, Row
+from rigctl.ipc.record import NEVER_AGE_NS, Flag, Quality
+from rigctl.ipc.ring import RingReader
+from rigctl.wire.meanings import Rows
+
+ALIVE_NS = 250_000_000  # a loop whose newest record is older than this does not run
+WINDOW_NS = 1_000_000_000
+TEXT_BYTES = 80  # of a row's text in an event
+RECORDER_SILENT_NS = 5_000_000_000
+_PERCENTILES = (("p50", 0.5), ("p99", 0.99), ("p999", 0.999), ("max", 1.0))
+
+
+def percentiles_us(values_ns: npt.NDArray[np.int64]) -> dict[str, float] | None:
+    """p50, p99, p99.9 and maximum in microseconds (nearest rank); None of nothing."""
+    if not len(values_ns):
+        return None
+    ordered = np.sort(values_ns)
+    last = len(ordered) - 1
+    return {name: round(float(ordered[math.ceil(q * last)]) / 1000.0, 1) for name, q in _PERCENTILES}
+
+
+def quality_words(bits: int) -> str:
+    """``good``, or what is wrong with a signal."""
+    return "+".join(q.name.lower() for q in Quality if bits & q and q.name) or "good"
+
+
+def _name(kind: type[Mode | Fault], number: int) -> str:
+    try:
+        return kind(number).name
+    except ValueError:
+        return f"UNKNOWN_{number}"
+
+
+class Recent:
+    """Lateness and work of the ticks of the last second."""
+
+    def __init__(self) -> None:
+        self._parts: list[npt.NDArray[Any]] = []
+
+    def add(self, records: npt.NDArray[Any]) -> None:
+        """Take new records; forget those older than a second."""
+        if not len(records):
+            return
+        self._parts.append(records[["t_ns", "lateness_ns", "work_ns"]].copy())
+        oldest = int(records["t_ns"][-1]) - WINDOW_NS
+        while int(self._parts[0]["t_ns"][-1]) < oldest:
+            del self._parts[0]
+
+    def figures(self) -> dict[str, Any]:
+        """``lateness_us`` and ``work_us``, percentiles over what is held."""
+        names = (("lateness_us", "lateness_ns"), ("work_us", "work_ns"))
+        if not self._parts:
+            return {name: None for name, _ in names}
+        return {name: percentiles_us(np.concatenate([part[field] for part in self._parts])) for name, field in names}
+
+
+class Trip:
+    """Value and limit of the trip that is latched, remembered from the events.
+
+    Of each fault the newest is kept: a stronger one that trips while another is latched does not take its place.
+    """
+
+    def __init__(self) -> None:
+        self._trips: dict[int, tuple[float, float, str]] = {}
+
+    def note(self, events: npt.NDArray[Any]) -> None:
+        """Look for newer trips."""
+        for event in events[events["kind"] == Kind.TRIP]:
+            text = bytes(event["text"]).decode(errors="replace")
+            self._trips[int(event["a"])] = float(event["value"]), float(event["limit"]), text
+
+    def text(self, fault: int) -> str:
+        """The latched fault in words."""
+        try:
+            known = Fault(fault)
+        except ValueError:
+            return f"unknown fault {fault}"
+        if known is Fault.NONE:
+            return ""
+        if fault not in self._trips:  # its event is not in the ring any more
+            return known.name.lower().replace("_", " ")
+        return fault_text(known, *self._trips[fault])
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A row of the safety table that stands, as its event told it."""
+
+    t_ns: int
+    value: float
+    text: str
+
+
+class Causes:
+    """Causes of a fault that stand: which, the newest record says; since when and with which value, the events."""
+
+    def __init__(self, rows: Sequence[Row]) -> None:
+        """``rows``: of the safety table, built-in ones first."""
+        self._rows = [row for row in rows if row.action is not Action.LOG]
+        self._worded = {row.fault for row in rows if row.words is not None}  # their text is another each time
+        self._since: dict[tuple[int, float, str], Cause] = {}
+
+    def note(self, events: npt.NDArray[Any]) -> None:
+        """Take new events."""
+        for event in events[np.isin(events["kind"], _OF_CAUSES)]:
+            kind, text = int(event["kind"]), bytes(event["text"]).decode(errors="replace")
+            key = int(event["a"]), float(event["limit"]), "" if int(event["a"]) in self._worded else text
+            if kind == Kind.STARTED:
+                self._since.clear()
+            elif kind == Kind.CAUSE_OVER:
+                self._since.pop(key, None)
+            else:
+                self._since.setdefault(key, Cause(int(event["t_ns"]), float(event["value"]), text))
+
+    def of(self, record: np.void, wall_ns: int) -> list[dict[str, Any]]:
+        """Those that stand at a record, the strongest first, then in the table's order.
+
+        ``wall_ns``: wall clock less CLOCK_MONOTONIC. A fault whose event has been missed is there without figures.
+        """
+        bits, mode, t_ns = int(record["cause_bits"]), int(record["mode"]), int(record["t_ns"])
+        known = {key: cause for key, cause in self._since.items() if bits >> key[0] & 1 or cause.t_ns > t_ns}
+        self._since = known
+        found: list[tuple[Row, Cause | None]] = []
+        for fault in (fault for fault in Fault if bits >> fault & 1):
+            rows = [row for row in self._rows if row.fault is fault]
+            told = [(row, cause) for row in rows if (cause := known.get(_key(row))) and mode in row.modes]
+            found += told or [(row, None) for row in rows[:1]]
+        found.sort(key=lambda item: (-item[0].action, self._rows.index(item[0])))
+        return [_cause(row, cause, wall_ns) for row, cause in found]
+
+
+_OF_CAUSES = (Kind.STARTED, Kind.TRIP, Kind.CAUSE, Kind.CAUSE_OVER)
+
+
+def _key(row: Row) -> tuple[int, float, str]:
+    return int(row.fault), row.sign * float(row.limit), row.text.encode()[:TEXT_BYTES].decode(errors="replace")
+
+
+def _cause(row: Row, cause: Cause | None, wall_ns: int) -> dict[str, Any]:
+    limit = row.sign * float(row.limit)
+    plain = row.fault.name.lower().replace("_", " ")
+    return {
+        "fault": row.fault.name,
+        "text": plain if cause is None else fault_text(row.fault, cause.value, limit, cause.text),
+        "action": row.action.name,
+        "value": None if cause is None else cause.value,
+        "limit": limit,
+        "since_ns": None if cause is None else cause.t_ns,
+        "since_wall_ns": None if cause is None else cause.t_ns + wall_ns,
+        "blocks_reset": row.fault in BLOCK_RESET,
+    }
+
+
+class Doubts:
+    """What the loop's events say of the devices' settings and of the stroke: words that no record has."""
+
+    def __init__(self, events: RingReader) -> None:
+        self._events, self._lock = events, threading.Lock()
+        self._words: dict[Check, str] = {}
+        self._read_back: dict[str, Any] | None = None
+
+    def look(self) -> Mapping[Check, str]:
+        """By check, what is known of it beside that it fails; of use only while it does."""
+        with self._lock:
+            for event in self._events.read():
+                self._note(event)
+            return dict(self._words)
+
+    @property
+    def read_back(self) -> dict[str, Any] | None:
+        """When all settings were last read back as they should be, and how many; None before the first time."""
+        return self._read_back
+
+    def _note(self, event: np.void) -> None:
+        kind, text = int(event["kind"]), bytes(event["text"]).decode(errors="replace")
+        if kind == Kind.STARTED:  # of the loop before
+            self._words, self._read_back = {}, None
+        elif kind == Kind.SETTING_LOST:
+            self._words[Check.DRIVE_SUPERVISION] = setting_words(text)
+        elif kind == Kind.STROKE and not event["a"]:
+            self._words[Check.STROKE_UNCONFIRMED] = stroke_words(float(event["value"]), text)
+        elif kind == Kind.READ_BACK:
+            self._read_back = {"t_ns": int(event["t_ns"]), "settings": int(event["a"]), "took_s": float(event["value"])}
+
+
+def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wall_ns: int) -> dict[str, Any]:
+    """State from the newest record; ``now_ns`` and ``wall_ns`` are the same instant on the two clocks."""
+    if record is None:
+        return {"loop_alive": False, "age_ms": None, "wall_ns": wall_ns, "mode": None}
+    values: dict[str, Any] = {name: record[name].item() for name in record.dtype.names or ()}
+    age_ns = now_ns - values["t_ns"]
+    never = {name: None for name in values if name.endswith("_age_ns") and values[name] > NEVER_AGE_NS}
+    compensating = values["mode"] == Mode.COMPENSATING and values["target_n"] > 0
+    error_n = values["vertical_n"] - values["target_n"] if compensating else None
+    return {
+        **values,
+        **never,
+        "wall_ns": wall_ns - age_ns,
+        "age_ms": max(0.0, round(age_ns / 1e6, 3)),
+        "loop_alive": age_ns < ALIVE_NS,
+        "mode": _name(Mode, values["mode"]),
+        "mode_code": values["mode"],
+        "fault": _name(Fault, values["fault"]) if values["fault"] else None,
+        "fault_code": values["fault"],
+        "fault_text": trip.text(values["fault"]),
+        "flag_names": [f.name.lower() for f in Flag if values["flags"] & f and f.name],
+        "error_n": error_n,
+        "error_pct": None if error_n is None else 100.0 * abs(error_n) / values["target_n"],
+        "tangential_deg": math.degrees(values["tangential_rad"]),
+        "normal_deg": math.degrees(values["normal_rad"]),
+        "quality": {name: quality_words(values[f"{name}_quality"]) for name in ("tension", "inclination", "drive")},
+        **recent.figures(),
+    }
+
+
+def warnings_of(said: dict[str, Any]) -> list[str]:
+    """Warnings another process wrote down, whatever it wrote."""
+    found = said.get("warnings")
+    return [str(item) for item in found] if isinstance(found, Sequence) and not isinstance(found, str) else []
+
+
+def design_of(active: dict[str, Any]) -> tuple[str | None, list[str]]:
+    """Verdict on the design that runs, None before there is one, and its warnings: words of a waiver among them."""
+    design = active.get("design")
+    if not isinstance(design, dict):
+        return None, []
+    verdict = design.get("verdict")
+    return (verdict if isinstance(verdict, str) else None), warnings_of(design)
+
+
+def kept_of(told: dict[str, Any], now_ns: int) -> tuple[dict[str, Any], list[str]]:
+    """What the recorder says it has kept, and its warnings: one more where it has said nothing for a while."""
+    if not told:  # it has not said anything yet
+        return {"audit": None, "trip_dump": None, "recording": None}, []
+    audit = {name: told.get(name) for name in ("entries", "head", "failures")}
+    t_ns, warnings = told.get("t_ns"), warnings_of(told)
+    if not isinstance(t_ns, int) or now_ns - t_ns > RECORDER_SILENT_NS:
+        warnings.append("recorder: it does not run; nothing is put on record at the moment")
+    return {"audit": audit, **{name: told.get(name) for name in ("trip_dump", "recording")}}, warnings
+
+
+def preflight_of(
+    record: np.void | None, failing: Mapping[Check, str], waived: Mapping[Check, str]
+) -> dict[str, dict[str, str]] | None:
+    """What stood against arming when it was last looked at, and what would but for a waiver; None without a record.
+
+    ``failing``: what more is known of some checks.
+    """
+    if record is None:
+        return None
+    bits = int(record["checks"])
+    return {
+        "failing": {check.name: failed_checks(check, failing)[0] for check in Check if bits & check and check.name},
+        "waived": {check.name: words for check, words in waived.items() if check.name},
+    }
+
+
+DERIVED: Rows = (
+    ("rig", "string", "", "name of the rig"),
+    ("wall_ns", "integer", "ns", "t_ns on the wall clock, since 1970 UTC"),
+    ("age_ms", "number?", "ms", "age of this record when the message was made, 0 at least; null without a record"),
+    ("loop_alive", "boolean", "", f"the record is younger than {ALIVE_NS // 1_000_000} ms"),
+    ("mode", "string?", "", "mode's name; null without a record, whose fields are then not there"),
+    ("mode_code", "integer", "", "its number, as in the record"),
+    ("fault", "string?", "", "latched fault's name, null without one"),
+    ("fault_code", "integer", "", "its number, as in the record; 0 none"),
+    ("fault_text", "string", "", "why it tripped, in words; empty without a fault"),
+    (
+        "causes",
+        "array",
+        "",
+        "causes of a fault that stand now, the strongest first: fault, text, action, value and limit in the fault's "
+        "unit, since_ns (as t_ns), since_wall_ns, blocks_reset; value and since are null where that is not known",
+    ),
+    ("flag_names", "array", "", "flags in words"),
+    ("error_n", "number?", "N", "vertical_n - target_n while COMPENSATING, else null"),
+    ("error_pct", "number?", "%", "its magnitude over the target, while COMPENSATING, else null"),
+    ("tangential_deg", "number?", "deg", "tangential_rad for people"),
+    ("normal_deg", "number?", "deg", "normal_rad for people"),
+    ("quality", "object", "", "tension, inclination, drive: good, or what is wrong"),
+    ("lateness_us", "object?", "us", "p50, p99, p999 and max over the last second"),
+    ("work_us", "object?", "us", "p50, p99, p999 and max over the last second"),
+    ("samples_lost", "integer", "", "records overwritten before a gateway could publish them, so far"),
+    ("design", "string?", "", "how robust the law in use is, and where its gains come from; null before there is one"),
+    (
+        "calibration",
+        "object",
+        "",
+        "of the tension cell: zero_n, scale, due (null without a valid check), overdue, tared, waiver",
+    ),
+    ("lease", "object?", "", "holder, since_ns, until_ns (as t_ns), held_s, left_s; null while nobody holds it"),
+    (
+        "preflight",
+        "object?",
+        "",
+        "failing: checks that arming would fail now, in words; waived: those that may, and why",
+    ),
+    (
+        "read_back",
+        "object?",
+        "",
+        "t_ns, settings, took_s: when the devices' settings were last all as start-up wrote them; null before",
+    ),
+    ("audit", "object?", "", "audit log: entries, head (hash of the last), failures; null before the recorder runs"),
+    ("trip_dump", "string?", "", "file about the newest trip since the daemon's start, null for none"),
+    ("recording", "object?", "", "folder, file, bytes, records and frames, those lost, failures; null without one"),
+    ("warnings", "array", "", "what the operator should know: real-time settings refused, a design waived and why"),
+    ("gateway_wall_ns", "integer", "ns", "when this gateway started; changes when it was restarted"),
+    ("stream", "integer", "", "as in the header of tele/fast: changes when the daemon is started anew"),
+    ("event_seq", "integer", "", "number of the loop's event published last; 0 none"),
+    ("note_seq", "integer", "", "number of the gateway's note published last; 0 none"),
+)

@@ -1,0 +1,174 @@
+"""Values of the state as an operator reads them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rigctl.config import quantity
+
+MODE_STYLE = {
+    "DISARMED": "black on white",
+    "HOLD": "bold white on blue",
+    "TENSIONING": "bold black on yellow",
+    "COMPENSATING": "bold black on green",
+    "RELEASING": "bold black on yellow",
+    "FAULT": "bold white on red",
+}
+NOTHING = "-"
+BAND_PCT = 5.0  # the requirement: vertical tension within so much of its target
+
+
+def number(value: Any, digits: int, unit: str = "", *, sign: bool = False) -> str:
+    """A number with its unit; a dash where there is none."""
+    if not isinstance(value, int | float):
+        return NOTHING
+    return quantity.number(value, digits, unit, sign=sign)
+
+
+def mode(state: dict[str, Any]) -> str:
+    """The mode; without a running loop, that."""
+    if state.get("mode") is None:
+        return "NO LOOP"
+    return str(state["mode"]) if state["loop_alive"] else "LOOP STOPPED"
+
+
+def mode_style(state: dict[str, Any]) -> str:
+    """Colours of the mode."""
+    return MODE_STYLE.get(mode(state), "bold white on red")
+
+
+def why(state: dict[str, Any]) -> str:
+    """What is wrong, in one line; empty when nothing is."""
+    if state.get("mode") is None:
+        return "the control process has written no record yet"
+    if not state["loop_alive"]:
+        return f"no record from the loop for {(state['age_ms'] or 0.0) / 1000:.1f} s"
+    latched = f"{state['fault']}: {state['fault_text']}" if state["fault"] else ""
+    first = next(iter(_standing(state)), None)
+    if first is None or first.get("fault") == state["fault"]:
+        return latched
+    strongest = f"{first.get('fault')}: {first.get('text')}"
+    return f"{strongest}; latched: {latched}" if latched else strongest
+
+
+def causes(state: dict[str, Any]) -> list[str]:
+    """Every cause that stands, the strongest first, and what blocks a reset; or that nothing does."""
+    if not state.get("fault") or not state.get("loop_alive"):
+        return []
+    lines = []
+    for cause in _standing(state):
+        since = cause.get("since_wall_ns")
+        parts = [f"{cause.get('fault')}: {cause.get('text')}"]
+        parts += [f"since {clock(since)}"] if isinstance(since, int) else []
+        parts += ["blocks reset"] if cause.get("blocks_reset") else []
+        lines.append(", ".join(parts))
+    return lines or ["no cause stands any more: rigctl reset acknowledges the fault"]
+
+
+def _standing(state: dict[str, Any]) -> list[dict[str, Any]]:
+    found = state.get("causes")
+    return [cause for cause in found if isinstance(cause, dict)] if isinstance(found, list) else []
+
+
+def error(state: dict[str, Any]) -> str:
+    """Vertical error in newtons and percent, while COMPENSATING."""
+    if state.get("error_n") is None:
+        return f"{NOTHING} (not COMPENSATING)"
+    return f"{number(state['error_n'], 3, 'N', sign=True)} ({number(state['error_pct'], 3, '%')})"
+
+
+def inclination(state: dict[str, Any]) -> str:
+    """Both angles, and what is wrong with them."""
+    quality = state["quality"]["inclination"]
+    flaw = "" if quality == "good" else f"  {quality.upper()}"
+    tangential, normal = (number(state[f"{axis}_deg"], 2, "deg", sign=True) for axis in ("tangential", "normal"))
+    return f"tangential {tangential}  normal {normal}{flaw}"
+
+
+def calibration(state: dict[str, Any]) -> tuple[str, str]:
+    """Zero and scale of the tension cell and until when they hold, with a style."""
+    found = state.get("calibration") or {}
+    text = f"zero {number(found.get('zero_n'), 3, 'N', sign=True)}, scale {number(found.get('scale'), 5)}"
+    if found.get("overdue"):
+        waiver = found.get("waiver")
+        return f"{text}, waived: {waiver}" if waiver else f"{text}, OVERDUE: no arming", "yellow" if waiver else "red"
+    return (f"{text}, due {found['due'][:10]}" if found.get("due") else text), ""
+
+
+def lease(state: dict[str, Any]) -> str:
+    """Who commands, since when and for how long."""
+    found = state.get("lease")
+    if not found:
+        return "nobody holds it"
+    since = clock(state["wall_ns"] + round((state["age_ms"] or 0) * 1e6) - round(found["held_s"] * 1e9))[:-2]
+    return f"{found['holder']}, since {since}, for another {found['left_s']:.0f} s"
+
+
+def percentiles(figures: dict[str, float] | None) -> str:
+    """p50, p99, p99.9, max of the last second in microseconds."""
+    if figures is None:
+        return NOTHING
+    return "  ".join(f"{name} {figures[key]:.0f}" for name, key in _PERCENTILES) + "  us"
+
+
+_PERCENTILES = (("p50", "p50"), ("p99", "p99"), ("p99.9", "p999"), ("max", "max"))
+
+
+def flaws(state: dict[str, Any]) -> str:
+    """Signals that are not good beside the inclination, which says so itself; empty when all are."""
+    quality = {name: words for name, words in state["quality"].items() if name != "inclination"}
+    return ", ".join(f"{name} {words}" for name, words in quality.items() if words != "good")
+
+
+def flags(state: dict[str, Any]) -> str:
+    """Flags of the newest tick that an operator should know; empty where there is none."""
+    return ", ".join(name.replace("_", " ") for name in state.get("flag_names", []) if name != "drive_enabled")
+
+
+def checks(state: dict[str, Any]) -> list[tuple[str, str]]:
+    """What stands against arming, and what would but for a waiver, each in words with a style; while DISARMED."""
+    found = state.get("preflight") or {}
+    if state.get("mode") != "DISARMED":
+        return []
+    failing = [(words, "yellow") for words in found.get("failing", {}).values()]
+    return failing + [(f"waived {name.lower()}: {words}", "") for name, words in found.get("waived", {}).items()]
+
+
+def e_stop(state: dict[str, Any]) -> list[str]:
+    """Inputs of the emergency stop that are pressed or not seen, in words; looked at while not armed."""
+    failing = (state.get("preflight") or {}).get("failing", {})
+    looked_at = state.get("mode") in ("DISARMED", "FAULT")
+    return [words for name, words in failing.items() if looked_at and name.startswith("E_STOP")]
+
+
+def recorder(state: dict[str, Any]) -> tuple[str, str]:
+    """What is kept, and where, with a style."""
+    audit = state.get("audit")
+    if not audit:
+        return "nothing is recorded", "yellow"
+    entries, failed = int(audit.get("entries") or 0), int(audit.get("failures") or 0)
+    parts, failures = [f"audit log {quantity.count(entries, 'entry', 'entries')}"], failed
+    if recording := state.get("recording"):
+        parts.append(f"recording {recording.get('file') or 'not yet begun'}")
+        if lost := recording.get("records_lost"):
+            parts.append(f"{quantity.count(lost, 'record')} lost")
+            failures += 1
+    if failed:
+        parts.append(f"{quantity.count(failed, 'write')} failed")
+    if dump := state.get("trip_dump"):
+        parts.append(f"trip dump {dump}")
+    return ", ".join(parts), "yellow" if failures else ""
+
+
+def counters(state: dict[str, Any]) -> str:
+    """What has gone wrong on the bus so far."""
+    frames = f"frames lost {state['frames_lost']}, refused {state['frames_refused']}, unsent {state['send_failures']}"
+    return f"{frames}, error frames {state['error_frames']}"
+
+
+def clock(wall_ns: int) -> str:
+    """Local wall-clock time to the tenth of a second."""
+    import datetime
+
+    moment = datetime.datetime.fromtimestamp(wall_ns / 1e9).astimezone()
+    return f"{moment:%H:%M:%S}.{moment.microsecond // 100_000}"
