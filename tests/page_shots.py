@@ -18,14 +18,14 @@ import time
 from playwright.sync_api import Browser
 
 from tests import daemons
-from tests.page.pages import PATIENT, Server, Sight, browser, look, serving
+from tests.page.pages import PATIENT, Server, Snapshot, browser, look, serving
 
 BROWSER_PACKAGES = ("chromium", "fonts-dejavu-core")
 SIZES = ((1920, 1080), (1024, 768), (820, 1180))
 THEMES = ("light", "dark")
 
 
-def shoot(seen: Sight, folder: pathlib.Path, name: str) -> None:
+def shoot(seen: Snapshot, folder: pathlib.Path, name: str) -> None:
     """A picture of what the screen shows, and of the whole page where it is longer."""
     seen.page.screenshot(path=folder / f"{name}.png")
     if seen.run("document.documentElement.scrollHeight > innerHeight + 10"):

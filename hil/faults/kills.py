@@ -21,12 +21,12 @@ SEED = 1
 SHARES = ((CONTROL, 0.5), (GATEWAY, 0.3), (SUPERVISOR, 0.2))
 SIGNALS = (signal.SIGKILL, signal.SIGSTOP)
 LONGEST_WAIT_S = 0.6
-"""After a mode was entered, until the blow falls; TENSIONING and RELEASING go on for longer."""
+"""After a mode was entered, until the interference falls; TENSIONING and RELEASING go on for longer."""
 
 
 @dataclass(frozen=True)
 class Kill:
-    """One blow, and what came of it."""
+    """One interference, and what came of it."""
 
     victim: str
     signal: str
@@ -37,7 +37,7 @@ class Kill:
 
     @property
     def reached(self) -> bool:
-        """The blow fell, and was watched."""
+        """The interference fell, and was watched."""
         return math.isfinite(self.tension_off_pct)
 
     def as_dict(self) -> dict[str, object]:
@@ -64,7 +64,7 @@ def play(settings: RigSettings, count: int, advance: Advance, seed: int = SEED) 
 
 
 def _strike(rig: Live, chance: random.Random, found: list[Kill], advance: Advance) -> bool:
-    """One blow; whether rig and daemon are fit for another."""
+    """One interference; whether rig and daemon are fit for another."""
     mode = Mode(len(found) % len(Mode))
     victim = chance.choices([name for name, _ in SHARES], [share for _, share in SHARES])[0]
     number = chance.choice(SIGNALS)

@@ -25,7 +25,7 @@ from rigctl.client.connection import Client, NoDaemonError
 from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Fault
-from rigctl.demo import test_rig as rehearsal
+from rigctl.demo import live_rig
 from rigctl.devices import objects
 from rigctl.devices.objects import AiStatus
 from rigctl.ipc.ring import RingReader
@@ -53,9 +53,9 @@ class Live:
         self.folder = folder
         self.file = folder / "rig.yaml"
         name = f"faults_{secrets.token_hex(4)}"
-        played = rehearsal.own(settings, "faults").model_copy(update={"rig": name})
+        played = live_rig.own(settings, "faults").model_copy(update={"rig": name})
         bus = played.can.model_copy(update={"channel": str(folder / "bus.sock")})
-        rehearsal.rig_file(played.model_copy(update={"can": bus}), folder)
+        live_rig.rig_file(played.model_copy(update={"can": bus}), folder)
         self.endpoint = played.telemetry.listen
         self.log = folder / "daemon.log"
         self._environment = wall_clock.prepare(folder)
@@ -148,7 +148,7 @@ class Live:
     def _run_id(self) -> str:
         """Of the daemon that was started here; no other is commanded."""
         assert self.daemon is not None
-        if (run_id := rehearsal.run_id_of(self.daemon, self.rig)) is None:
+        if (run_id := live_rig.run_id_of(self.daemon, self.rig)) is None:
             raise NoDaemonError("the daemon that was started here does not run")
         return run_id
 

@@ -37,7 +37,7 @@ BEFORE_S = 0.05
 NATURAL = {Mode.TENSIONING: {Mode.COMPENSATING}, Mode.RELEASING: {Mode.HOLD}}
 """Modes that end by themselves."""
 
-Blow = Callable[[Live], AbstractContextManager[int]]
+Interference = Callable[[Live], AbstractContextManager[int]]
 """What is done to the daemon while the context lasts; it gives the moment at which it fell, CLOCK_MONOTONIC in ns."""
 
 
@@ -47,7 +47,7 @@ class ProcessFault:
 
     id: str
     what: str
-    blow: Blow
+    interference: Interference
     expected: Expected
     within_ms: float = DRIVE_STOPS_MS
     """Until the stroke stands, where it has to."""
@@ -57,11 +57,11 @@ class ProcessFault:
 
 @dataclass(frozen=True)
 class Seen:
-    """What came of a blow, from the truth: from just before it until the rig was judged."""
+    """What came of a interference, from the truth: from just before it until the rig was judged."""
 
     mode_after: Mode
     fault: str
-    stopped_ms: float  # from the blow until the stroke stood
+    stopped_ms: float  # from the interference until the stroke stood
     moved_mm: float
     tension_off_n: float  # from what it was
     setpoint_off_n: float  # from the loop's set-point, while it ticked
@@ -71,11 +71,11 @@ class Seen:
     carried: bool
 
 
-def kills(victim: str, number: signal.Signals) -> Blow:
+def kills(victim: str, number: signal.Signals) -> Interference:
     """A signal to one of the daemon's processes; one that is stopped goes on afterwards."""
 
     @contextmanager
-    def blow(rig: Live) -> Any:
+    def interference(rig: Live) -> Any:
         pid = rig.pid(victim)
         at_ns = time.monotonic_ns()
         give(pid, number)
@@ -83,7 +83,7 @@ def kills(victim: str, number: signal.Signals) -> Blow:
         if number is signal.SIGSTOP:
             give(pid, signal.SIGCONT)
 
-    return blow
+    return interference
 
 
 @contextmanager
@@ -124,11 +124,11 @@ def _ended(rig: Live) -> None:
         raise LiveError("the daemon does not end") from None
 
 
-def config_replaced(*, control_killed: bool) -> Blow:
+def config_replaced(*, control_killed: bool) -> Interference:
     """Somebody writes another rig's figures over the rig file, and (or) the loop has to start again."""
 
     @contextmanager
-    def blow(rig: Live) -> Any:
+    def interference(rig: Live) -> Any:
         good = rig.file.read_text()
         other = yaml.safe_load(good)
         other["plant"]["spring_n_mm"], other["tension_cell"]["node"] = OTHER_SPRING_N_MM, OTHER_NODE
@@ -142,20 +142,20 @@ def config_replaced(*, control_killed: bool) -> Blow:
         finally:
             rig.file.write_text(good)
 
-    return blow
+    return interference
 
 
-def clock_stepped(seconds: float) -> Blow:
+def clock_stepped(seconds: float) -> Interference:
     """The wall clock of all processes jumps, as when somebody sets it, and jumps back."""
 
     @contextmanager
-    def blow(rig: Live) -> Any:
+    def interference(rig: Live) -> Any:
         at_ns = time.monotonic_ns()
         wall_clock.step(rig.folder, round(seconds * 1e9))
         yield at_ns
         wall_clock.step(rig.folder, 0)
 
-    return blow
+    return interference
 
 
 CATALOGUE = (
@@ -221,7 +221,7 @@ def row_of(rig: Live, fault: ProcessFault, mode: Mode) -> Row:
     rig.enter(mode)
     time.sleep(0.2)
     expected = fault.expected[mode]
-    came = strike(rig, fault.blow, comes_back=not fault.restart)
+    came = strike(rig, fault.interference, comes_back=not fault.restart)
     if fault.restart:
         rig.start_daemon()
     reaction, findings = judged(expected, came, mode, fault.within_ms)
@@ -242,10 +242,10 @@ def row_of(rig: Live, fault: ProcessFault, mode: Mode) -> Row:
     )
 
 
-def strike(rig: Live, blow: Blow, *, comes_back: bool) -> Seen:
+def strike(rig: Live, interference: Interference, *, comes_back: bool) -> Seen:
     """Do something to the daemon and watch the truth until it ticks again (or for a moment)."""
     records = rig.runtime.record_reader()
-    with blow(rig) as at_ns:
+    with interference(rig) as at_ns:
         time.sleep(WATCHED_S)
     until = time.monotonic() + BACK_S
     while comes_back and not rig.ticking():
@@ -261,7 +261,7 @@ def strike(rig: Live, blow: Blow, *, comes_back: bool) -> Seen:
 
 
 def seen(truth: npt.NDArray[Any], ticks: npt.NDArray[Any], at_ns: int, after: Mode, fault: str) -> Seen:
-    """What the truth and the loop's records say of a blow at ``at_ns``.
+    """What the truth and the loop's records say of a interference at ``at_ns``.
 
     Raises:
         LiveError: no truth since then.
@@ -289,7 +289,7 @@ def seen(truth: npt.NDArray[Any], ticks: npt.NDArray[Any], at_ns: int, after: Mo
 
 
 def judged(expected: Reaction, seen: Seen, mode: Mode, within_ms: float = DRIVE_STOPS_MS) -> tuple[Reaction, list[str]]:
-    """What a blow came to, and what is not as it should be."""
+    """What a interference came to, and what is not as it should be."""
     findings = [] if seen.carried else ["load not carried"]
     if expected is Reaction.DRIVE_STOPS:
         reaction = Reaction.DRIVE_STOPS if seen.stopped_ms <= within_ms else Reaction.MOVES

@@ -126,11 +126,11 @@ def floor_noise(noise: kinds.FloorNoise, duration_s: float) -> Track:
     return _passing(waves, noise.start_s, noise.duration_s, noise.fade_s, duration_s)
 
 
-def impulse(blow: kinds.Impulse) -> Track:
+def impulse(kind: kinds.Impulse) -> Track:
     """Force on the payload, N: half a sine whose area is the impulse."""
-    force = 0.5 * math.pi * blow.impulse_n_s / blow.duration_s
-    end = blow.at_s + blow.duration_s
-    return Track(tones=np.array([(force, math.pi / blow.duration_s, 0.0, blow.at_s, end)]), end=end)
+    force = 0.5 * math.pi * kind.impulse_n_s / kind.duration_s
+    end = kind.at_s + kind.duration_s
+    return Track(tones=np.array([(force, math.pi / kind.duration_s, 0.0, kind.at_s, end)]), end=end)
 
 
 def jolt(step: kinds.Jolt) -> Track:

@@ -157,7 +157,7 @@ class FloorNoise(_Passing):
 
 
 class Impulse(Settings):
-    """A blow on the payload: half a sine of force. Needs a mechanism that gives way along that axis."""
+    """An impulse on the payload: half a sine of force. Needs a mechanism that gives way along that axis."""
 
     kind: Literal["impulse"]
     axis: Literal["tangential", "normal", "vertical"] = Field(

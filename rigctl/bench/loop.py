@@ -15,7 +15,7 @@ import numpy as np
 from rigctl.bench import cyclictest
 from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode, Verb
-from rigctl.demo.test_rig import Rehearsal, RehearsalError, own, rehearse
+from rigctl.demo.live_rig import LiveRig, LiveRigError, own, start_live_rig
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.metrics import tension_error as metrics
 
@@ -57,7 +57,7 @@ class Rate:
         return {"loop": self.loop, **more}
 
 
-def rehearsed(settings: RigSettings, rate_hz: int) -> RigSettings:
+def bench_settings(settings: RigSettings, rate_hz: int) -> RigSettings:
     """The rig's settings for a bench: another name, port and folders than the rig's own.
 
     The simulated bus has no bit timing: 4 kHz would be 170 % of 1 Mbit/s. The design is judged at the rig's own rate.
@@ -82,7 +82,7 @@ def measure(settings: RigSettings, rate_hz: int, seconds: float, advance: Callab
         advance: is told the seconds that have passed, and what is done.
 
     Raises:
-        RehearsalError: the loop did not come to compensating, or did not stay there.
+        LiveRigError: the loop did not come to compensating, or did not stay there.
     """
     slices, rounds = [], []
     for _ in range(ROUNDS):
@@ -98,29 +98,29 @@ def measure(settings: RigSettings, rate_hz: int, seconds: float, advance: Callab
 def _loop(settings: RigSettings, rate_hz: int, seconds: float) -> Any:
     with contextlib.ExitStack() as stack:
         folder = pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rigctl-bench-")))
-        rehearsal = stack.enter_context(rehearse(rehearsed(settings, rate_hz), folder, quiet=True))
-        tension(rehearsal)
-        return records_of(rehearsal.settings.rig, seconds)
+        live_rig = stack.enter_context(start_live_rig(bench_settings(settings, rate_hz), folder, quiet=True))
+        tension(live_rig)
+        return records_of(live_rig.settings.rig, seconds)
 
 
-def tension(rehearsal: Rehearsal) -> None:
+def tension(live_rig: LiveRig) -> None:
     """Take the rig to COMPENSATING.
 
     Raises:
-        RehearsalError: it did not come there.
+        LiveRigError: it did not come there.
     """
-    rehearsal.command(Verb.ARM, OPERATOR)
-    rehearsal.command(Verb.TARGET, OPERATOR, TARGET_N)
-    answer = rehearsal.command(Verb.TENSION, OPERATOR)
+    live_rig.command(Verb.ARM, OPERATOR)
+    live_rig.command(Verb.TARGET, OPERATOR, TARGET_N)
+    answer = live_rig.command(Verb.TENSION, OPERATOR)
     until = time.monotonic() + TENSIONED_LIMIT_S
     mode = Mode.TENSIONING.name
     while mode == Mode.TENSIONING.name and time.monotonic() < until:
         time.sleep(_LOOK_S)
-        state = rehearsal.state()
+        state = live_rig.state()
         if state.get("t_ns", 0) >= answer["t_ns"]:  # none from before the command
             mode = str(state.get("mode"))
     if mode != Mode.COMPENSATING.name:
-        raise RehearsalError(f"tensioning ended in {mode}: {state.get('fault_text') or 'not in time'}")
+        raise LiveRigError(f"tensioning ended in {mode}: {state.get('fault_text') or 'not in time'}")
 
 
 def records_of(rig: str, seconds: float) -> Any:

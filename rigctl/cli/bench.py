@@ -37,14 +37,14 @@ def bench(file: File, seconds: Seconds = 30.0, rate: Rates = None, json: Json = 
 
     from rigctl.bench import loop
     from rigctl.cli.progress import progress
-    from rigctl.demo.test_rig import RehearsalError
+    from rigctl.demo.live_rig import LiveRigError
 
     _check_alone()
     rates = list(dict.fromkeys(rate or [settings.loop.rate_hz]))
     try:
         with progress("bench", 2.0 * seconds * len(rates)) as advance:
             measured = [loop.measure(settings, rate_hz, seconds, advance) for rate_hz in rates]
-    except RehearsalError as error:
+    except LiveRigError as error:
         end(BAD, f"bench: {error}")
     except KeyboardInterrupt:
         end(BAD, "bench interrupted: its daemon and its simulated rig are ended")

@@ -9,9 +9,9 @@ from rich.table import Table
 
 from rigctl.config.rig_file import DemoSettings, RigSettings
 from rigctl.control.modes import Mode
+from rigctl.demo.live_rig import own
 from rigctl.demo.script import Moment
 from rigctl.demo.summary import Summary, rows
-from rigctl.demo.test_rig import own
 from rigctl.ipc.runtime_folder import daemons
 
 GIVES_WAY = 20
@@ -52,7 +52,7 @@ def run(
 
 
 def own_settings(settings: RigSettings, recordings: pathlib.Path) -> RigSettings:
-    """The demo's own settings, see `rigctl.demo.test_rig.own`; its recording goes to ``recordings``.
+    """The demo's own settings, see `rigctl.demo.live_rig.own`; its recording goes to ``recordings``.
 
     Beside a daemon that runs on this computer, whose loop may hold a load, the demo's loop gives way.
     """

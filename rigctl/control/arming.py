@@ -14,7 +14,7 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 from rigctl.config.rig_file import RigSettings
-from rigctl.control.safety import Check, Sight
+from rigctl.control.safety import Check, Snapshot
 
 STILL_NS = 200_000_000
 STILL_MM = 0.02
@@ -57,7 +57,7 @@ class Awaited(NamedTuple):
     """One row: the check that names it, and whether it is met."""
 
     check: Check
-    met: Callable[[Sight, RigSettings], bool]
+    met: Callable[[Snapshot, RigSettings], bool]
 
 
 AWAITED = (
@@ -68,20 +68,20 @@ AWAITED = (
 AWAITED_CHECKS = Check.SEQUENCE_RUNNING | Check.NOT_AT_STANDSTILL
 
 
-def awaited(sight: Sight, settings: RigSettings) -> Check:
+def awaited(snapshot: Snapshot, settings: RigSettings) -> Check:
     """Rows that are not met now."""
     found = Check(0)
     for row in AWAITED:
-        if not row.met(sight, settings):
+        if not row.met(snapshot, settings):
             found |= row.check
     return found
 
 
-def stop_running(sight: Sight, settings: RigSettings) -> bool:
+def stop_running(snapshot: Snapshot, settings: RigSettings) -> bool:
     """A stop has begun and not ended: the drive has power, its brake closes, or the stroke has yet to come to rest."""
-    if sight.off_ns >= max(REACTION_NS, settings.cylinder.brake_delay_ms * 1_000_000):
+    if snapshot.off_ns >= max(REACTION_NS, settings.cylinder.brake_delay_ms * 1_000_000):
         return False
-    return bool(awaited(sight, settings))
+    return bool(awaited(snapshot, settings))
 
 
 class Step(Enum):
@@ -114,25 +114,25 @@ class Sequence:
         self._anchor_mm, self.tested = None, None
         self._over = not self._settings.cylinder.brake_test
 
-    def step(self, t_ns: int, sight: Sight, *, slack: bool) -> Step:
+    def step(self, t_ns: int, snapshot: Snapshot, *, slack: bool) -> Step:
         """One tick; the drive may be switched on when it says READY."""
         if self._anchor_mm is not None and not self._over:
-            return self._test(t_ns, sight)
-        if awaited(sight, self._settings):
+            return self._test(t_ns, snapshot)
+        if awaited(snapshot, self._settings):
             return Step.LATE if t_ns >= self._until_ns else Step.WAIT
-        if self._over or sight.brake_slip_known:
+        if self._over or snapshot.brake_slip_known:
             return Step.READY
-        self.tension_n, self.moved_mm = sight.tension_n, 0.0
+        self.tension_n, self.moved_mm = snapshot.tension_n, 0.0
         if slack:
             self.tested, self._over = False, True
             return Step.READY
-        self._anchor_mm, self._test_ns = sight.stroke_mm, t_ns
+        self._anchor_mm, self._test_ns = snapshot.stroke_mm, t_ns
         return Step.WAIT
 
-    def _test(self, t_ns: int, sight: Sight) -> Step:
+    def _test(self, t_ns: int, snapshot: Snapshot) -> Step:
         """The load hangs on the closed brake, the motor has no power: the stroke must not move."""
         assert self._anchor_mm is not None
-        self.moved_mm = sight.stroke_mm - self._anchor_mm
+        self.moved_mm = snapshot.stroke_mm - self._anchor_mm
         if not abs(self.moved_mm) <= BRAKE_TEST_MM:
             self._over = True
             return Step.SLIPPED

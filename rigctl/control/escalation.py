@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from rigctl.config.rig_file import RigSettings
-from rigctl.control.safety import BRAKE_SLIP_MM_S, Action, Fault, Sight, Trip
+from rigctl.control.safety import BRAKE_SLIP_MM_S, Action, Fault, Snapshot, Trip
 from rigctl.control.stroke_hold import AUTHORITY_MM_S
 
 _MS = 1_000_000
@@ -66,7 +66,7 @@ class Step:
 
     symptom: Symptom
     action: Action
-    value: Callable[[Sight, Since, Bounds], float]
+    value: Callable[[Snapshot, Since, Bounds], float]
     limit: float | None  # None: Bounds.rise_n
     wait_ns: int
     persistence_ns: int
@@ -83,32 +83,32 @@ class Step:
         return self.wait_ns + (0 if self.action is Action.RAMP_DOWN else bounds.rest_ns)
 
 
-def _rise_n(sight: Sight, since: Since, _bounds: Bounds) -> float:
-    return sight.tension_n - since.tension_n
+def _rise_n(snapshot: Snapshot, since: Since, _bounds: Bounds) -> float:
+    return snapshot.tension_n - since.tension_n
 
 
-def _rise_beyond_n(sight: Sight, since: Since, bounds: Bounds) -> float:
-    return sight.tension_n - since.tension_n if sight.tension_n > bounds.high_n else 0.0
+def _rise_beyond_n(snapshot: Snapshot, since: Since, bounds: Bounds) -> float:
+    return snapshot.tension_n - since.tension_n if snapshot.tension_n > bounds.high_n else 0.0
 
 
-def _late_s(sight: Sight, since: Since, bounds: Bounds) -> float:
-    return (sight.t_ns - since.t_ns) * 1e-9 - 2.0 * max(0.0, since.tension_n) / bounds.ramp_n_s
+def _late_s(snapshot: Snapshot, since: Since, bounds: Bounds) -> float:
+    return (snapshot.t_ns - since.t_ns) * 1e-9 - 2.0 * max(0.0, since.tension_n) / bounds.ramp_n_s
 
 
-def _speed_mm_s(sight: Sight, _since: Since, bounds: Bounds) -> float:
-    return abs(sight.speed_mm_s) if sight.drive_age_ns <= bounds.stale_ns else 0.0
+def _speed_mm_s(snapshot: Snapshot, _since: Since, bounds: Bounds) -> float:
+    return abs(snapshot.speed_mm_s) if snapshot.drive_age_ns <= bounds.stale_ns else 0.0
 
 
-def _unseen_s(sight: Sight, _since: Since, bounds: Bounds) -> float:
-    return max(0, sight.drive_age_ns - bounds.stale_ns) * 1e-9
+def _unseen_s(snapshot: Snapshot, _since: Since, bounds: Bounds) -> float:
+    return max(0, snapshot.drive_age_ns - bounds.stale_ns) * 1e-9
 
 
-def _drift_mm(sight: Sight, since: Since, _bounds: Bounds) -> float:
-    return abs(sight.stroke_mm - since.stroke_mm) if since.stroke_mm is not None else 0.0
+def _drift_mm(snapshot: Snapshot, since: Since, _bounds: Bounds) -> float:
+    return abs(snapshot.stroke_mm - since.stroke_mm) if since.stroke_mm is not None else 0.0
 
 
-def _stays_on(sight: Sight, _since: Since, _bounds: Bounds) -> float:
-    return not (sight.drive_off or sight.drive_faulted)
+def _stays_on(snapshot: Snapshot, _since: Since, _bounds: Bounds) -> float:
+    return not (snapshot.drive_off or snapshot.drive_faulted)
 
 
 STEPS = (
@@ -162,7 +162,7 @@ class Escalator:
         self._bad_ns: dict[Symptom, int] = {}
         self._said: set[Symptom] = set()
 
-    def look(self, fault: Fault, action: Action, sight: Sight, t_ns: int) -> Escalation | None:
+    def look(self, fault: Fault, action: Action, snapshot: Snapshot, t_ns: int) -> Escalation | None:
         """One tick with ``fault`` latched and ``action`` taken; what has not helped, once each."""
         if fault is Fault.NONE:
             self._latched = None
@@ -170,17 +170,17 @@ class Escalator:
         since, bounds = self._since, self._bounds
         if self._latched != (fault, action):
             self._latched = fault, action
-            self._since = since = Since(t_ns, sight.tension_n)
+            self._since = since = Since(t_ns, snapshot.tension_n)
             self._bad_ns.clear()
             self._said.clear()
         for step in self._steps[action]:
             if t_ns - since.t_ns < step.waits_ns(bounds):
                 continue
             if since.stroke_mm is None:
-                since.stroke_mm = sight.stroke_mm
+                since.stroke_mm = snapshot.stroke_mm
             symptom = step.symptom
             limit = step.bound(bounds)
-            if not (value := step.value(sight, since, bounds)) > limit:
+            if not (value := step.value(snapshot, since, bounds)) > limit:
                 self._bad_ns.pop(symptom, None)
                 continue
             if t_ns - self._bad_ns.setdefault(symptom, t_ns) < step.persistence_ns or symptom in self._said:

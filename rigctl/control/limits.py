@@ -9,12 +9,12 @@ from operator import attrgetter
 from rigctl.config.limits_section import SIGNALS, LimitSettings
 from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode
-from rigctl.control.safety import ARMED, Action, Fault, Row, Sight, status_stale_ns
+from rigctl.control.safety import ARMED, Action, Fault, Row, Snapshot, status_stale_ns
 
 RATE_S = 0.02  # a rate is that of the signal low-passed by this
 _GAP_NS = 100_000_000
 
-VALUES: dict[str, Callable[[Sight], float]] = {
+VALUES: dict[str, Callable[[Snapshot], float]] = {
     "tension_n": lambda x: x.tension_n,
     "tension_rate_n_s": lambda x: abs(x.tension_rate_n_s),
     "vertical_error_n": lambda x: abs(x.vertical_error_n),
@@ -37,9 +37,9 @@ VALUES: dict[str, Callable[[Sight], float]] = {
     "error_frames": lambda x: float(x.error_frames),
     "command_age_s": lambda x: x.command_age_ns * 1e-9,
 }
-"""How each signal of `rigctl.config.limits_section.SIGNALS` is read off the sight."""
+"""How each signal of `rigctl.config.limits_section.SIGNALS` is read off the snapshot."""
 
-Age = Callable[[Sight], float]
+Age = Callable[[Snapshot], float]
 _CELL: Age = attrgetter("cell_age_ns")
 _SLOPE: Age = attrgetter("inclination_age_ns")
 _DRIVE: Age = attrgetter("drive_age_ns")
@@ -64,15 +64,15 @@ MEASURED: dict[str, tuple[str, Age]] = {
 class Rate:
     """Rate of change of a signal, per second, absolute; starts anew after a pause."""
 
-    def __init__(self, value: Callable[[Sight], float]) -> None:
+    def __init__(self, value: Callable[[Snapshot], float]) -> None:
         self._value = value
         self._smooth = math.nan
         self._t_ns = 0
 
-    def __call__(self, sight: Sight) -> float:
+    def __call__(self, snapshot: Snapshot) -> float:
         """The rate now; call it every tick."""
-        value, passed_ns = self._value(sight), sight.t_ns - self._t_ns
-        self._t_ns = sight.t_ns
+        value, passed_ns = self._value(snapshot), snapshot.t_ns - self._t_ns
+        self._t_ns = snapshot.t_ns
         if not math.isfinite(value):
             return math.nan
         if not math.isfinite(self._smooth) or not 0 <= passed_ns <= _GAP_NS:
@@ -122,7 +122,7 @@ def _rows_of(limit: LimitSettings) -> list[Row]:
     modes = frozenset(Mode[name] for name in limit.modes)
     action = Action[limit.action.upper()]
 
-    def row(read: Callable[[Sight], float], bound: float, words: str, sign: float = 1.0) -> Row:
+    def row(read: Callable[[Snapshot], float], bound: float, words: str, sign: float = 1.0) -> Row:
         text = f"{limit.signal} {words}"
         return Row(Fault.LIMIT, read, sign * bound, persistence_ns, modes, unit, action, text, sign)
 

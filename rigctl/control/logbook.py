@@ -67,9 +67,9 @@ class Logbook:
         ``work_ns`` is the tick before's, ``command_seq`` and ``hold_seq`` the last command and hold taken.
         ``causes``: see `rigctl.control.safety.Watch.standing`.
         """
-        inbox, sight, kalman, slope = observer.inbox, observer.sight, observer.filter, observer.inclination
+        inbox, snapshot, kalman, slope = observer.inbox, observer.snapshot, observer.filter, observer.inclination
         x = kalman.state
-        flags = law.limits | (_ENABLED if sight.drive_enabled else 0) | (_ARMING if arming else 0)
+        flags = law.limits | (_ENABLED if snapshot.drive_enabled else 0) | (_ARMING if arming else 0)
         flags |= 0 if stroke_known else _UNCONFIRMED
         flags |= _STOPPING if machine.stopping else 0
         self._rings.records.write(
@@ -83,16 +83,16 @@ class Logbook:
             flags,
             inbox.tension_n,
             inbox.reading_n,
-            sight.cell_age_ns,
-            inbox.cell_quality | (_STALE if sight.cell_age_ns > self._stale_ns else 0),
+            snapshot.cell_age_ns,
+            inbox.cell_quality | (_STALE if snapshot.cell_age_ns > self._stale_ns else 0),
             inbox.tangential_rad,
             inbox.normal_rad,
-            sight.inclination_age_ns,
-            inbox.slope_quality | (_STALE if sight.inclination_age_ns > self._slope_stale_ns else 0),
+            snapshot.inclination_age_ns,
+            inbox.slope_quality | (_STALE if snapshot.inclination_age_ns > self._slope_stale_ns else 0),
             inbox.stroke_mm,
             inbox.speed_mm_s,
-            sight.drive_age_ns,
-            _STALE if sight.drive_age_ns > self._stale_ns else 0,
+            snapshot.drive_age_ns,
+            _STALE if snapshot.drive_age_ns > self._stale_ns else 0,
             inbox.statusword,
             outbox.controlword,
             law.command_mm_s,
@@ -130,9 +130,9 @@ class Logbook:
             inbox.rail_rad,
             inbox.rail_quality | (_STALE if observer.rail_age_ns > observer.rail_stale_ns else 0),
             observer.run_out_mm_s,
-            sight.drive_current_a,
-            sight.drive_temperature_c,
-            sight.failed_checks,
+            snapshot.drive_current_a,
+            snapshot.drive_temperature_c,
+            snapshot.failed_checks,
             command_seq,
             hold_seq,
             causes,

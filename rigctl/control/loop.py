@@ -99,9 +99,9 @@ class Loop:
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._failing = 0  # ticks in a row that ended in an exception
         logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.cursor)
-        self.observer.sight.host_checks = host_checks
+        self.observer.snapshot.host_checks = host_checks
         if correction is not None:
-            self.observer.sight.calibration_overdue = correction.overdue
+            self.observer.snapshot.calibration_overdue = correction.overdue
             self._orders.correct(correction, started_ns)
 
     @property
@@ -135,42 +135,42 @@ class Loop:
             self.tick()
 
     def _receive(self, t_ns: int, now_ns: int, skipped: int) -> None:
-        law, sight, machine = self.law, self.observer.sight, self.machine
+        law, snapshot, machine = self.law, self.observer.snapshot, self.machine
         self.inbox.drain(now_ns, self.outbox.syncs)
         self._logbook.tick += 1 + skipped
         self.observer.look(now_ns, skipped)
-        sent_mm_s = law.command_mm_s if sight.drive_enabled else 0.0
-        self._plausibility.look(self.inbox, sight, sent_mm_s, ticks=1 + skipped, slack=self.observer.slack)
-        sight.lateness_ns, sight.command_age_ns = now_ns - t_ns, t_ns - self._commanded_ns
+        sent_mm_s = law.command_mm_s if snapshot.drive_enabled else 0.0
+        self._plausibility.look(self.inbox, snapshot, sent_mm_s, ticks=1 + skipped, slack=self.observer.slack)
+        snapshot.lateness_ns, snapshot.command_age_ns = now_ns - t_ns, t_ns - self._commanded_ns
         regulated = machine.mode is Mode.TENSIONING or machine.mode is Mode.COMPENSATING
         compensating = machine.mode is Mode.COMPENSATING
-        sight.travel_mm = self.inbox.stroke_mm - self._travel_from_mm if compensating else 0.0
+        snapshot.travel_mm = self.inbox.stroke_mm - self._travel_from_mm if compensating else 0.0
         tight = regulated and not self.observer.slack
-        sight.vertical_error_n = self.inbox.tension_n * self.observer.cosine - law.setpoint_n if tight else 0.0
-        sight.stroke_limited = law.limits & Flag.LIMITED_STROKE.value != 0
-        sight.rope_lost = law.rope_lost
-        sight.drive_wanted = machine.drive_wanted and not machine.stopping
+        snapshot.vertical_error_n = self.inbox.tension_n * self.observer.cosine - law.setpoint_n if tight else 0.0
+        snapshot.stroke_limited = law.limits & Flag.LIMITED_STROKE.value != 0
+        snapshot.rope_lost = law.rope_lost
+        snapshot.drive_wanted = machine.drive_wanted and not machine.stopping
         asked = self.outbox.controlword == Controlword.ENABLE_OPERATION
-        sight.drive_powered = sight.drive_powered and not asked  # motion we ask for is ours; the latch watches it
-        self._went_off = not asked and (self._went_off or sight.drive_off)
-        heard = sight.drive_age_ns <= self._stale_ns  # a drive that is not heard may have obeyed long ago
-        sight.drive_unasked = heard and sight.drive_enabled and self._went_off
-        sight.drive_lingers = heard and sight.drive_enabled and not asked
+        snapshot.drive_powered = snapshot.drive_powered and not asked  # motion we ask for is ours; the latch watches it
+        self._went_off = not asked and (self._went_off or snapshot.drive_off)
+        heard = snapshot.drive_age_ns <= self._stale_ns  # a drive that is not heard may have obeyed long ago
+        snapshot.drive_unasked = heard and snapshot.drive_enabled and self._went_off
+        snapshot.drive_lingers = heard and snapshot.drive_enabled and not asked
         homed, readback, inbox = self.homed, self.readback, self.inbox
         if inbox.drive_fresh:
             found = homed.look(inbox.stroke_mm, inbox.speed_mm_s, now_ns)
             if found is not None:
                 self._logbook.stroke(now_ns, found)
-        sight.stroke_unconfirmed, sight.stroke_jump_mm = homed.doubted, homed.jump_mm
+        snapshot.stroke_unconfirmed, snapshot.stroke_jump_mm = homed.doubted, homed.jump_mm
         self._watch_stroke(now_ns)
-        sight.settings_lost, sight.disobeys = len(readback.lost), readback.disobeys
-        sight.settings_words = readback.worst
+        snapshot.settings_lost, snapshot.disobeys = len(readback.lost), readback.disobeys
+        snapshot.settings_words = readback.worst
         if not self._signs.passed and machine.mode is Mode.TENSIONING:
             self._check_signs(now_ns)
 
     def _decide(self, t_ns: int, estimate: Estimate) -> None:
-        machine, sight, law, orders = self.machine, self.observer.sight, self.law, self._orders
-        trip = self._watch.trips(sight, machine.mode, t_ns)
+        machine, snapshot, law, orders = self.machine, self.observer.snapshot, self.law, self._orders
+        trip = self._watch.trips(snapshot, machine.mode, t_ns)
         if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
             self._tripped = trip
             self._logbook.trip(t_ns, Kind.TRIP, trip)
@@ -180,7 +180,7 @@ class Loop:
             self._stop_until = t_ns + STOP_LIMIT_NS
             machine.stop()
         orders.prepare(t_ns)
-        machine.follow_drive(sight.drive_enabled, t_ns)
+        machine.follow_drive(snapshot.drive_enabled, t_ns)
         orders.attend(t_ns)
         if machine.mode is Mode.TENSIONING and law.tensioned(estimate):
             if self._signs.passed:
@@ -193,12 +193,12 @@ class Loop:
 
     def _begin_modes(self, estimate: Estimate) -> None:
         """What begins with a change of mode."""
-        machine, law, sight = self.machine, self.law, self.observer.sight
+        machine, law, snapshot = self.machine, self.law, self.observer.snapshot
         for change in machine.changes:
             if change.before is Mode.FAULT or change.event is Event.ENABLED:
                 self._stroke_hold.follow()  # acknowledged; or the motor takes the load over from the brake
             if change.before is Mode.FAULT or change.after in (Mode.HOLD, Mode.FAULT):
-                self._plausibility.forget_stretch(sight)
+                self._plausibility.forget_stretch(snapshot)
             if change.after is Mode.COMPENSATING:
                 self._travel_from_mm = estimate.stroke_mm
             if change.after in (Mode.TENSIONING, Mode.RELEASING):
@@ -216,7 +216,7 @@ class Loop:
 
     def _speed(self, estimate: Estimate) -> float:
         law, mode, cosine, trial = self.law, self.machine.mode, self.observer.cosine, self._orders.trial
-        if not self.observer.sight.drive_enabled:
+        if not self.observer.snapshot.drive_enabled:
             law.follow_speed(0.0)
             law.hold(estimate, self._correction(powered=False))
             speed_mm_s = 0.0
@@ -234,15 +234,15 @@ class Loop:
         return speed_mm_s
 
     def _send(self, t_ns: int, speed_mm_s: float) -> None:
-        machine, sight, outbox = self.machine, self.observer.sight, self.outbox
+        machine, snapshot, outbox = self.machine, self.observer.snapshot, self.outbox
         if machine.stopping:
             self._finish_stop(t_ns)
-        power = machine.power(t_ns, drive_enabled=sight.drive_enabled, drive_faulted=sight.drive_faulted)
+        power = machine.power(t_ns, drive_enabled=snapshot.drive_enabled, drive_faulted=snapshot.drive_faulted)
         unsafe = outbox.safe_frames < SAFE_FRAMES
-        waits = (self._moving() or unsafe) and t_ns < self._off_until and abs(sight.excursion_mm) <= SAID_MM
-        if power is Power.OFF and sight.drive_enabled and waits:
+        waits = (self._moving() or unsafe) and t_ns < self._off_until and abs(snapshot.excursion_mm) <= SAID_MM
+        if power is Power.OFF and snapshot.drive_enabled and waits:
             power = Power.ON  # stop first, then power off: a brake is no place to stop a moving load
-        elif power is Power.ON and not sight.drive_enabled and unsafe:
+        elif power is Power.ON and not snapshot.drive_enabled and unsafe:
             power = Power.OFF
         elif power is not Power.OFF:
             self._off_until = t_ns + STOP_LIMIT_NS
@@ -281,23 +281,23 @@ class Loop:
 
     def _watch_stroke(self, now_ns: int) -> None:
         """Latch the stroke where it is to stay, and say when it leaves."""
-        hold, machine, sight, trial = self._stroke_hold, self.machine, self.observer.sight, self._orders.trial
-        slips = sight.drive_off and sight.brake_slip_known
+        hold, machine, snapshot, trial = self._stroke_hold, self.machine, self.observer.snapshot, self._orders.trial
+        slips = snapshot.drive_off and snapshot.brake_slip_known
         moves = machine.mode not in _KEEPS or (trial is not None and trial.moves)
-        if moves or slips or sight.stroke_unconfirmed:  # a position that is not believed is not held to
+        if moves or slips or snapshot.stroke_unconfirmed:  # a position that is not believed is not held to
             hold.follow()
         else:
-            hold.watch(now_ns, sight, self.law.command_mm_s)
+            hold.watch(now_ns, snapshot, self.law.command_mm_s)
             if hold.left:
                 self._logbook.event(now_ns, Kind.STROKE_LEFT, machine.mode, value=hold.error_mm, limit=SAID_MM)
-        sight.excursion_mm, sight.doubt_mm = hold.error_mm, hold.doubt_mm
+        snapshot.excursion_mm, snapshot.doubt_mm = hold.error_mm, hold.doubt_mm
 
     def _correction(self, *, powered: bool) -> float:
         """Speed that brings a stroke that is held back to its latch."""
         hold, observer = self._stroke_hold, self.observer
-        speed_mm_s = hold.correct(observer.sight, 1 + observer.just_skipped, powered=powered)
+        speed_mm_s = hold.correct(observer.snapshot, 1 + observer.just_skipped, powered=powered)
         if hold.creeps:
-            self._logbook.event(observer.sight.t_ns, Kind.DRIVE_CREEPS, value=hold.creep_mm_s, limit=CREEP_MM_S)
+            self._logbook.event(observer.snapshot.t_ns, Kind.DRIVE_CREEPS, value=hold.creep_mm_s, limit=CREEP_MM_S)
         return speed_mm_s
 
     def _escalate(self, t_ns: int) -> None:
@@ -305,16 +305,16 @@ class Loop:
         machine, slack = self.machine, self.observer.slack
         over = machine.action is Action.RAMP_DOWN and machine.mode is Mode.FAULT
         action = Action.HOLD if over else machine.action
-        found = self._escalator.look(machine.fault, action, self.observer.sight, t_ns)
+        found = self._escalator.look(machine.fault, action, self.observer.snapshot, t_ns)
         if found is not None:
             self._logbook.event(t_ns, Kind.ESCALATION, found.fault, found.symptom, found.value, found.limit)
             if found.trip is not None:
                 machine.trip(found.trip, t_ns, slack=slack)
 
     def _check_signs(self, now_ns: int) -> None:
-        signs, inbox, sight = self._signs, self.inbox, self.observer.sight
+        signs, inbox, snapshot = self._signs, self.inbox, self.observer.snapshot
         fault = signs.see(self.law.command_mm_s, inbox.stroke_mm, inbox.tension_n)
-        sight.drive_reversed, sight.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
+        snapshot.drive_reversed, snapshot.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
         if signs.passed:
             self._stroke_hold.found_stiffness(signs.slope_n_mm)
             stiffness = self.settings.plant.stiffness_n_mm
@@ -326,7 +326,7 @@ class Loop:
         late = t_ns >= self._stop_until
         if still or late:
             self.machine.power_off()
-        if (still and not arming.awaited(self.observer.sight, self.settings) & Check.SEQUENCE_RUNNING) or late:
+        if (still and not arming.awaited(self.observer.snapshot, self.settings) & Check.SEQUENCE_RUNNING) or late:
             self.finished = True
             inbox = self.inbox
             self._logbook.event(t_ns, Kind.STOPPED, value=number(inbox.stroke_mm), limit=number(inbox.tension_n))

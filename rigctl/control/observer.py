@@ -11,7 +11,7 @@ from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.inbox import Inbox
 from rigctl.control.inclination import InclinationFilter, Stretch
 from rigctl.control.run_out import RunOutTable, stale_ns
-from rigctl.control.safety import EStop, Sight, status_stale_ns
+from rigctl.control.safety import EStop, Snapshot, status_stale_ns
 from rigctl.control.tension import Estimate
 from rigctl.devices.objects import (
     OFF_STATES,
@@ -31,11 +31,11 @@ LEAST_COSINE = 0.5  # a rope at 60 deg: nothing beyond it is believed
 
 
 class Observer:
-    """Reads the inbox; keeps the filters. ``sight`` is for safety, ``estimate`` for the law."""
+    """Reads the inbox; keeps the filters. ``snapshot`` is for safety, ``estimate`` for the law."""
 
     def __init__(self, settings: RigSettings, inbox: Inbox) -> None:
         self.inbox = inbox
-        self.sight = Sight(heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states)
+        self.snapshot = Snapshot(heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states)
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
         self.tension_n = 0.0  # newest good sample
@@ -64,61 +64,61 @@ class Observer:
         return self.tension_n < self._slack_n
 
     def look(self, now_ns: int, skipped: int) -> None:
-        """Take what the inbox holds as this tick's sight; ``skipped`` ticks passed since the last one."""
-        inbox, sight = self.inbox, self.sight
+        """Take what the inbox holds as this tick's snapshot; ``skipped`` ticks passed since the last one."""
+        inbox, snapshot = self.inbox, self.snapshot
         self.just_skipped = skipped
-        sight.t_ns = now_ns
+        snapshot.t_ns = now_ns
         if skipped:
             self.skipped += skipped
             self._skips.append((now_ns, skipped))
         while self._skips and now_ns - self._skips[0][0] > self._window_ns:
             self._skips.popleft()
         state = drive_state(inbox.statusword)
-        sight.tension_n, sight.cell_quality = inbox.tension_n, inbox.cell_quality
-        sight.reading_n = inbox.reading_n
-        sight.cell_age_ns = now_ns - inbox.cell_t_ns
-        sight.inclination_quality = inbox.slope_quality
-        sight.inclination_age_ns = now_ns - inbox.slope_t_ns
-        self.rail_age_ns = sight.rail_age_ns = now_ns - inbox.rail_t_ns
-        sight.stroke_mm, sight.speed_mm_s = inbox.stroke_mm, inbox.speed_mm_s
-        sight.tangential_rad, sight.normal_rad = inbox.tangential_rad, inbox.normal_rad
-        sight.drive_age_ns = now_ns - inbox.drive_t_ns
-        sight.drive_enabled = state is DriveState.OPERATION_ENABLED
-        sight.brake_slip_known &= not sight.drive_enabled
-        sight.drive_off = state in OFF_STATES
-        sight.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
-        if not (sight.drive_off or state is DriveState.FAULT):
+        snapshot.tension_n, snapshot.cell_quality = inbox.tension_n, inbox.cell_quality
+        snapshot.reading_n = inbox.reading_n
+        snapshot.cell_age_ns = now_ns - inbox.cell_t_ns
+        snapshot.inclination_quality = inbox.slope_quality
+        snapshot.inclination_age_ns = now_ns - inbox.slope_t_ns
+        self.rail_age_ns = snapshot.rail_age_ns = now_ns - inbox.rail_t_ns
+        snapshot.stroke_mm, snapshot.speed_mm_s = inbox.stroke_mm, inbox.speed_mm_s
+        snapshot.tangential_rad, snapshot.normal_rad = inbox.tangential_rad, inbox.normal_rad
+        snapshot.drive_age_ns = now_ns - inbox.drive_t_ns
+        snapshot.drive_enabled = state is DriveState.OPERATION_ENABLED
+        snapshot.brake_slip_known &= not snapshot.drive_enabled
+        snapshot.drive_off = state in OFF_STATES
+        snapshot.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
+        if not (snapshot.drive_off or state is DriveState.FAULT):
             self._off_since_ns = None
         elif self._off_since_ns is None:
             self._off_since_ns = now_ns
-        sight.off_ns = 0 if self._off_since_ns is None else now_ns - self._off_since_ns
-        sight.still_ns = self._standstill.look(now_ns, inbox.stroke_mm, inbox.speed_mm_s, sight.drive_age_ns)
+        snapshot.off_ns = 0 if self._off_since_ns is None else now_ns - self._off_since_ns
+        snapshot.still_ns = self._standstill.look(now_ns, inbox.stroke_mm, inbox.speed_mm_s, snapshot.drive_age_ns)
         self._look_at_drive_status(now_ns)
         if self._io_fitted:
-            sight.io_age_ns = now_ns - inbox.io_t_ns
-            sight.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
-        sight.drive_powered = not sight.drive_off and not sight.drive_faulted
-        sight.drive_warning = bool(inbox.statusword & STATUS_WARNING)
-        sight.drive_local = not inbox.statusword & STATUS_REMOTE
-        sight.drive_limited = bool(inbox.statusword & STATUS_INTERNAL_LIMIT)
-        sight.drive_ignores = sight.drive_enabled and not inbox.statusword & STATUS_FOLLOWS
-        sight.rival_age_ns, sight.rival_words = now_ns - inbox.rival_t_ns, inbox.rival_words
-        sight.bus_age_ns = now_ns - inbox.bus_t_ns
-        sight.error_frames = self._recent_error_frames(now_ns)
-        sight.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
-        sight.device_restarted = inbox.restarted
-        sight.sensor_emergency, sight.drive_emergency = inbox.sensor_emergency, inbox.drive_emergency
+            snapshot.io_age_ns = now_ns - inbox.io_t_ns
+            snapshot.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
+        snapshot.drive_powered = not snapshot.drive_off and not snapshot.drive_faulted
+        snapshot.drive_warning = bool(inbox.statusword & STATUS_WARNING)
+        snapshot.drive_local = not inbox.statusword & STATUS_REMOTE
+        snapshot.drive_limited = bool(inbox.statusword & STATUS_INTERNAL_LIMIT)
+        snapshot.drive_ignores = snapshot.drive_enabled and not inbox.statusword & STATUS_FOLLOWS
+        snapshot.rival_age_ns, snapshot.rival_words = now_ns - inbox.rival_t_ns, inbox.rival_words
+        snapshot.bus_age_ns = now_ns - inbox.bus_t_ns
+        snapshot.error_frames = self._recent_error_frames(now_ns)
+        snapshot.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
+        snapshot.device_restarted = inbox.restarted
+        snapshot.sensor_emergency, snapshot.drive_emergency = inbox.sensor_emergency, inbox.drive_emergency
 
     def _look_at_drive_status(self, now_ns: int) -> None:
         """Current, temperature and E-stop, where the drive is asked for them; what is old is not known."""
         if not self._status_stale_ns:
             return
-        inbox, sight = self.inbox, self.sight
-        sight.status_age_ns = now_ns - inbox.drive_status_t_ns
-        stale = sight.status_age_ns > self._status_stale_ns
-        sight.drive_temperature_c = math.nan if stale else inbox.drive_temperature_c
-        sight.drive_current_a = math.nan if stale else inbox.drive_current_a
-        sight.e_stop, sight.e_stop_unseen = inbox.e_stop, stale and self._e_stop_fitted
+        inbox, snapshot = self.inbox, self.snapshot
+        snapshot.status_age_ns = now_ns - inbox.drive_status_t_ns
+        stale = snapshot.status_age_ns > self._status_stale_ns
+        snapshot.drive_temperature_c = math.nan if stale else inbox.drive_temperature_c
+        snapshot.drive_current_a = math.nan if stale else inbox.drive_current_a
+        snapshot.e_stop, snapshot.e_stop_unseen = inbox.e_stop, stale and self._e_stop_fitted
 
     def estimate(self, skipped: int, *, regulated: bool) -> Estimate:
         """What the filters make of it, predicted to when a command acts; ``regulated``: the run-out table may learn.
@@ -148,16 +148,16 @@ class Observer:
             kalman.update(
                 inbox.tension_n if inbox.cell_fresh else None, inbox.speed_mm_s if inbox.drive_fresh else None
             )
-            if kalman.cell.rejects >= UNLOADED_REJECTS and not self.sight.drive_enabled:
+            if kalman.cell.rejects >= UNLOADED_REJECTS and not self.snapshot.drive_enabled:
                 kalman.reset(self.tension_n, inbox.speed_mm_s)
         kalman.predict(1 + skipped)
         slope.pass_ticks(1 + skipped)
-        sight = self.sight
-        sight.rejects = max(kalman.cell.rejects, kalman.drive.rejects)
-        sight.slope_rejects = max(slope.tangential.rejects, slope.normal.rejects)
-        sight.cell_nis = kalman.cell.nis
+        snapshot = self.snapshot
+        snapshot.rejects = max(kalman.cell.rejects, kalman.drive.rejects)
+        snapshot.slope_rejects = max(slope.tangential.rejects, slope.normal.rejects)
+        snapshot.cell_nis = kalman.cell.nis
         tension_n, speed_mm_s, disturbance_mm_s = kalman.ahead()
-        sight.disturbance_mm_s = disturbance_mm_s
+        snapshot.disturbance_mm_s = disturbance_mm_s
         if not math.isfinite(tension_n + speed_mm_s + disturbance_mm_s):
             kalman.reset(self.tension_n, 0.0)
             raise ArithmeticError("the estimate is not finite")

@@ -92,12 +92,12 @@ class Orders:
         if t_ns >= self._look_ns and machine.mode in (Mode.DISARMED, Mode.FAULT) and not machine.arming:
             self._look_ns = t_ns + LOOK_NS
             failing = self.failed_checks()
-            self._observer.sight.failed_checks = int(failing & ~arming.AWAITED_CHECKS or failing)
+            self._observer.snapshot.failed_checks = int(failing & ~arming.AWAITED_CHECKS or failing)
         trial = self.trial
         if trial is None:
             return
         if machine.trial is not None:
-            verdict = trial.see(self._observer.inbox, self._observer.sight)
+            verdict = trial.see(self._observer.inbox, self._observer.snapshot)
             if verdict is None:
                 return
             self._found = number(trial.value), number(trial.spread)
@@ -106,10 +106,10 @@ class Orders:
 
     def prepare(self, t_ns: int) -> None:
         """Go on with what an accepted ARM awaits; the preflight must hold to the end of it."""
-        machine, sight, sequence = self._machine, self._observer.sight, self._sequence
+        machine, snapshot, sequence = self._machine, self._observer.snapshot, self._sequence
         if not machine.awaiting:
             return
-        step = sequence.step(t_ns, sight, slack=self._observer.slack)
+        step = sequence.step(t_ns, snapshot, slack=self._observer.slack)
         if step is arming.Step.SLIPPED:
             machine.refuse_arming(Refusal.BRAKE_SLIPPED)
             trip = Trip(Fault.BRAKE_SLIPS, sequence.moved_mm, arming.BRAKE_TEST_MM, Action.HOLD)
@@ -138,12 +138,12 @@ class Orders:
             elif given.refusal is Refusal.STOP_RUNNING:
                 value = number(self._observer.inbox.speed_mm_s)
             elif given.refusal is Refusal.CAUSE_PRESENT:
-                value = float(self._watch.present(self._observer.sight))
-                checks = self._watch.blocking(self._observer.sight)
+                value = float(self._watch.present(self._observer.snapshot))
+                checks = self._watch.blocking(self._observer.snapshot)
             elif given.refusal is Refusal.LOADED:
                 value = number(self._observer.inbox.reading_n)
             elif given.verb is Verb.CONFIRM_STROKE:
-                value = number(self._observer.sight.stroke_mm)
+                value = number(self._observer.snapshot.stroke_mm)
             elif given.verb in (Verb.TARGET, Verb.TENSION):
                 value = self._law.target_n
             elif given.verb in modes.TRIED_IN and given.refusal is Refusal.NONE:
@@ -159,10 +159,10 @@ class Orders:
     def failed_checks(self, *, near_end: bool = False) -> Check:
         """What stands against arming now; ``near_end``: see `rigctl.control.safety.preflight`."""
         verified = self._verified_at_start and not self._readback.lost
-        sight = self._observer.sight
-        beyond = self._watch.beyond(sight, Mode.HOLD)
-        failing = safety.preflight(sight, self._settings, beyond, supervision_verified=verified, near_end=near_end)
-        return failing | arming.awaited(sight, self._settings)
+        snapshot = self._observer.snapshot
+        beyond = self._watch.beyond(snapshot, Mode.HOLD)
+        failing = safety.preflight(snapshot, self._settings, beyond, supervision_verified=verified, near_end=near_end)
+        return failing | arming.awaited(snapshot, self._settings)
 
     @property
     def _verified_at_start(self) -> bool:
@@ -172,7 +172,7 @@ class Orders:
         machine = self._machine
         if verb is Verb.RESET and machine.mode is Mode.DISARMED and self._arm is None:
             self._readback.forget()  # ARM reads all of it again
-            self._observer.sight.settings_lost, self._observer.sight.disobeys = 0, False
+            self._observer.snapshot.settings_lost, self._observer.snapshot.disobeys = 0, False
         if verb is Verb.ARM and self._arm is None and machine.mode is Mode.DISARMED and not machine.arming:
             judged_later = Check.DRIVE_SUPERVISION | arming.AWAITED_CHECKS
             others = self.failed_checks(near_end=value == 1.0) & ~judged_later
@@ -214,16 +214,16 @@ class Orders:
             self._near_end = value == 1.0
         near_end = verb is Verb.ARM and self._near_end
         failing = self.failed_checks(near_end=near_end)
-        stops = machine.action >= Action.QUICK_STOP or observer.sight.drive_faulted
+        stops = machine.action >= Action.QUICK_STOP or observer.snapshot.drive_faulted
         situation = Situation(
             failed_checks=int(failing & ~arming.AWAITED_CHECKS),
-            stop_running=stops and arming.stop_running(observer.sight, settings),
+            stop_running=stops and arming.stop_running(observer.snapshot, settings),
             fault_latched=machine.fault is not Fault.NONE,
             value=value,
-            stroke_mm=observer.sight.stroke_mm if observer.sight.drive_age_ns <= self._stale_ns else math.nan,
-            cause_present=self._watch.present(observer.sight) is not Fault.NONE,
-            drive_enabled=observer.sight.drive_enabled and machine.drive_wanted,
-            drive_faulted=observer.sight.drive_faulted,
+            stroke_mm=observer.snapshot.stroke_mm if observer.snapshot.drive_age_ns <= self._stale_ns else math.nan,
+            cause_present=self._watch.present(observer.snapshot) is not Fault.NONE,
+            drive_enabled=observer.snapshot.drive_enabled and machine.drive_wanted,
+            drive_faulted=observer.snapshot.drive_faulted,
             slack=observer.slack,
             unloaded=abs(observer.inbox.reading_n) <= tare_limit_n(settings),
             target_min_n=settings.tension.target_min_n,
@@ -232,25 +232,25 @@ class Orders:
         fault, was_arming = machine.fault, machine.arming
         machine.command(id_, verb, situation, t_ns)
         if machine.arming and not was_arming:  # what is shown while armed is what was found then
-            observer.sight.failed_checks = situation.failed_checks
+            observer.snapshot.failed_checks = situation.failed_checks
             machine.awaiting = True
             self._sequence.begin(t_ns)
         self.trial = trials.begin(machine.trial, settings, observer.inbox) if machine.trial is not None else None
         if fault is not machine.fault:
-            sight = observer.sight
-            slides = sight.off_ns >= arming.REACTION_NS and sight.still_ns < arming.STILL_NS  # on a closed brake
-            sight.brake_slip_known |= slides or fault in (Fault.STROKE_MOVES, Fault.BRAKE_SLIPS)
+            snapshot = observer.snapshot
+            slides = snapshot.off_ns >= arming.REACTION_NS and snapshot.still_ns < arming.STILL_NS  # on a closed brake
+            snapshot.brake_slip_known |= slides or fault in (Fault.STROKE_MOVES, Fault.BRAKE_SLIPS)
             self._logbook.event(t_ns, Kind.RESET, fault)
         done = bool(machine.answers) and machine.answers[-1].refusal is Refusal.NONE
         if verb is Verb.TARGET and done:
             self._law.target_n = value
         elif verb is Verb.CONFIRM_STROKE and done:
-            self._logbook.stroke(t_ns, self._homed.confirm(observer.sight.stroke_mm))
+            self._logbook.stroke(t_ns, self._homed.confirm(observer.snapshot.stroke_mm))
 
     def _set(self, setting: Setting, value: float, t_ns: int) -> Refusal:
         """What is on record takes effect: within its bounds, and what changes the reading only at standstill."""
         if setting is Setting.OVERDUE:
-            self._observer.sight.calibration_overdue = value != 0.0
+            self._observer.snapshot.calibration_overdue = value != 0.0
             return Refusal.NONE
         if setting is Setting.HOST_CHECKS:
             return self._take_host_checks(value)
@@ -271,9 +271,9 @@ class Orders:
     def _take_host_checks(self, value: float) -> Refusal:
         """Bits of the checks that fail among those the loop cannot make itself."""
         known = value >= 0.0 and value.is_integer() and not int(value) & ~int(HOST_CHECKS)
-        sight = self._observer.sight
-        sight.host_checks = int(value) if known else int(Check.HOST)
-        sight.failed_checks = sight.failed_checks & ~int(HOST_CHECKS) | sight.host_checks
+        snapshot = self._observer.snapshot
+        snapshot.host_checks = int(value) if known else int(Check.HOST)
+        snapshot.failed_checks = snapshot.failed_checks & ~int(HOST_CHECKS) | snapshot.host_checks
         return Refusal.NONE if known else Refusal.OUT_OF_RANGE
 
     def _set_gain(self, setting: Setting, value: float, t_ns: int) -> Refusal:

@@ -9,7 +9,7 @@ import math
 
 from rigctl.config.rig_file import RigSettings
 from rigctl.control.inbox import Inbox
-from rigctl.control.safety import Sight
+from rigctl.control.safety import Snapshot
 
 STROKE_MEMORY_S = 1.0
 CONTRADICTION_MEMORY_S = 0.2
@@ -21,7 +21,7 @@ LATCH_TICKS = 1  # what the drive latches in a tick is read in the next
 
 
 class Plausibility:
-    """Writes seven figures into the sight.
+    """Writes seven figures into the snapshot.
 
     ``speed_error_mm_s``: drive's speed against the model of the drive (lag and delay of the plant) under the commands
     sent. ``stroke_error_mm``: the same, of the position. ``contradiction_mm``: position against the speed reported
@@ -46,10 +46,10 @@ class Plausibility:
         self._unrest_share = dt / UNREST_S
         self._unheard, self._modelled_mm = 0, 0.0  # ticks since the drive's newest word, and the model's way in them
 
-    def look(self, inbox: Inbox, sight: Sight, command_mm_s: float, *, ticks: int, slack: bool) -> None:
+    def look(self, inbox: Inbox, snapshot: Snapshot, command_mm_s: float, *, ticks: int, slack: bool) -> None:
         """One tick, ``ticks`` after the last; ``command_mm_s`` is what was sent in the last one."""
         if inbox.cell_fresh:
-            self._look_at_cell(inbox, sight)
+            self._look_at_cell(inbox, snapshot)
         self._modelled_mm += self._model(command_mm_s, ticks)
         self._unheard += ticks
         moved_mm = said_mm = modelled_mm = 0.0
@@ -59,18 +59,18 @@ class Plausibility:
                 said_mm = inbox.speed_mm_s * self._unheard * self._dt
                 modelled_mm = self._modelled_mm
             self._stroke_mm, self._unheard, self._modelled_mm = inbox.stroke_mm, 0, 0.0
-        if sight.drive_enabled:
-            sight.speed_error_mm_s = abs(inbox.speed_mm_s - self._model_mm_s)
-            sight.stroke_error_mm = self._stroke_keep * sight.stroke_error_mm + moved_mm - modelled_mm
+        if snapshot.drive_enabled:
+            snapshot.speed_error_mm_s = abs(inbox.speed_mm_s - self._model_mm_s)
+            snapshot.stroke_error_mm = self._stroke_keep * snapshot.stroke_error_mm + moved_mm - modelled_mm
         else:
             self._model_mm_s = inbox.speed_mm_s
-            sight.speed_error_mm_s = sight.stroke_error_mm = 0.0
-        sight.contradiction_mm = self._contradiction_keep * sight.contradiction_mm + moved_mm - said_mm
-        self._look_at_stretch(inbox, sight, moved_mm, slack)
+            snapshot.speed_error_mm_s = snapshot.stroke_error_mm = 0.0
+        snapshot.contradiction_mm = self._contradiction_keep * snapshot.contradiction_mm + moved_mm - said_mm
+        self._look_at_stretch(inbox, snapshot, moved_mm, slack)
 
-    def forget_stretch(self, sight: Sight) -> None:
+    def forget_stretch(self, snapshot: Snapshot) -> None:
         """What was unexplained before is acknowledged, or was of another mode."""
-        sight.unexplained_mm = 0.0
+        snapshot.unexplained_mm = 0.0
 
     def _model(self, command_mm_s: float, ticks: int) -> float:
         """Let the modelled drive go on; how far it moves, in mm."""
@@ -87,23 +87,23 @@ class Plausibility:
             travel_mm += (rest * command_mm_s + left_mm_s * (1.0 - keep) * (1.0 - self._share) / self._share) * self._dt
         return travel_mm
 
-    def _look_at_cell(self, inbox: Inbox, sight: Sight) -> None:
+    def _look_at_cell(self, inbox: Inbox, snapshot: Snapshot) -> None:
         step_n = abs(inbox.reading_n - self._repeated_n)
-        sight.cell_repeats = sight.cell_repeats + 1 if step_n == 0.0 else 0
+        snapshot.cell_repeats = snapshot.cell_repeats + 1 if step_n == 0.0 else 0
         self._repeated_n = inbox.reading_n
         if math.isfinite(step_n):
-            sight.cell_unrest_n += (min(step_n, self._largest_n) - sight.cell_unrest_n) * self._unrest_share
+            snapshot.cell_unrest_n += (min(step_n, self._largest_n) - snapshot.cell_unrest_n) * self._unrest_share
         if not math.isfinite(self._smooth_n):
             self._smooth_n = inbox.tension_n
-        sight.tension_rate_n_s = (inbox.tension_n - self._smooth_n) / RATE_S
+        snapshot.tension_rate_n_s = (inbox.tension_n - self._smooth_n) / RATE_S
         self._smooth_n += (inbox.tension_n - self._smooth_n) * min(1.0, self._dt / RATE_S)
 
-    def _look_at_stretch(self, inbox: Inbox, sight: Sight, moved_mm: float, slack: bool) -> None:
-        if not sight.drive_enabled or not math.isfinite(self._tension_n):
-            sight.unexplained_mm = 0.0
+    def _look_at_stretch(self, inbox: Inbox, snapshot: Snapshot, moved_mm: float, slack: bool) -> None:
+        if not snapshot.drive_enabled or not math.isfinite(self._tension_n):
+            snapshot.unexplained_mm = 0.0
         else:  # a slack rope takes up stroke without a word, but does not lose tension either
             gained_mm = (inbox.tension_n - self._tension_n) / self._stiffness if inbox.cell_fresh else 0.0
             explained_mm = 0.0 if slack else moved_mm
-            sight.unexplained_mm = self._stretch_keep * sight.unexplained_mm + gained_mm - explained_mm
+            snapshot.unexplained_mm = self._stretch_keep * snapshot.unexplained_mm + gained_mm - explained_mm
         if inbox.cell_fresh:
             self._tension_n = inbox.tension_n

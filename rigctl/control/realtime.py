@@ -50,7 +50,7 @@ def leave() -> None:
 
 
 def freeze_garbage_collector() -> Applied:
-    """Collect once, move what is left out of the collector's sight, and switch it off: no tick pays for it."""
+    """Collect once, move what is left out of the collector's snapshot, and switch it off: no tick pays for it."""
     gc.collect()
     gc.freeze()
     gc.disable()

@@ -121,7 +121,7 @@ HOST_CHECKS = Check.TARE | Check.MARGINS | Check.REALTIME | Check.DISK | Check.H
 
 
 @dataclass(slots=True)
-class Sight:
+class Snapshot:
     """What one tick sees: values, ages in ns, quality bits (0 good), counters."""
 
     t_ns: int = 0
@@ -200,14 +200,14 @@ class Sight:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table: tripped when ``value(sight) > limit`` for ``persistence_ns``, in ``modes``.
+    """One line of the table: tripped when ``value(snapshot) > limit`` for ``persistence_ns``, in ``modes``.
 
     ``text``: for a row of the rig file, what is beyond its limit. ``sign``: -1 where the row watches a lower limit, so
     that found value and limit are shown as they are.
     """
 
     fault: Fault
-    value: Callable[[Sight], float]
+    value: Callable[[Snapshot], float]
     limit: float
     persistence_ns: int
     modes: frozenset[Mode]
@@ -215,11 +215,11 @@ class Row:
     action: Action = Action.HOLD
     text: str = ""
     sign: float = 1.0
-    words: Callable[[Sight], str] | None = None  # what the trip says beside value and limit
+    words: Callable[[Snapshot], str] | None = None  # what the trip says beside value and limit
 
-    def trip(self, value: float, sight: Sight | None = None) -> Trip:
-        """What it trips with; without a ``sight`` that is looked at, in its own text only."""
-        text = self.words(sight) if self.words is not None and sight is not None else self.text
+    def trip(self, value: float, snapshot: Snapshot | None = None) -> Trip:
+        """What it trips with; without a ``snapshot`` that is looked at, in its own text only."""
+        text = self.words(snapshot) if self.words is not None and snapshot is not None else self.text
         return Trip(self.fault, self.sign * float(value), self.sign * float(self.limit), self.action, text)
 
 
@@ -279,9 +279,9 @@ _POWERED = "the stroke moves under power"
 _DEVICE_WORDS = {"cylinder": "cylinder drive", "io": "I/O node"}
 
 
-def _highest_n(sight: Sight) -> float:
+def _highest_n(snapshot: Snapshot) -> float:
     """A correction of the cell can bring this trip forward, never put it off."""
-    return max(sight.tension_n, sight.reading_n)
+    return max(snapshot.tension_n, snapshot.reading_n)
 
 
 def table(settings: RigSettings) -> tuple[Row, ...]:
@@ -366,7 +366,7 @@ def _rail_rows(settings: RigSettings) -> tuple[Row, ...]:
     """Only feed-forward hangs on the rail's angle, and ends with it: no reason to hold, but to say so."""
     if (rail := settings.rail_encoder) is None:
         return ()
-    ages: tuple[tuple[str, Callable[[Sight], float], float], ...] = (
+    ages: tuple[tuple[str, Callable[[Snapshot], float], float], ...] = (
         ("rail_age_ms", lambda x: x.rail_age_ns, stale_ns(rail)),
         ("rail_heartbeat_age_ms", _silence(rail.node), HEARTBEAT_SILENT_NS),
     )
@@ -392,29 +392,29 @@ def _node_rows(settings: RigSettings) -> tuple[Row, ...]:
     return tuple(rows)
 
 
-def _in_ms(age: Callable[[Sight], float]) -> Callable[[Sight], float]:
+def _in_ms(age: Callable[[Snapshot], float]) -> Callable[[Snapshot], float]:
     return lambda x: age(x) / _MS
 
 
-def _silence(node: int) -> Callable[[Sight], float]:
+def _silence(node: int) -> Callable[[Snapshot], float]:
     return lambda x: x.t_ns - x.heartbeats_t_ns.get(node, x.t_ns)
 
 
-def _wrong_state(node: int) -> Callable[[Sight], float]:
+def _wrong_state(node: int) -> Callable[[Snapshot], float]:
     return lambda x: 0 if (state := x.node_states.get(node, _OPERATIONAL)) == _OPERATIONAL else state
 
 
-def _unbraked_mm_s(sight: Sight) -> float:
-    unpowered = sight.drive_off or sight.drive_faulted
-    return abs(sight.speed_mm_s) if unpowered and not sight.brake_slip_known else 0.0
+def _unbraked_mm_s(snapshot: Snapshot) -> float:
+    unpowered = snapshot.drive_off or snapshot.drive_faulted
+    return abs(snapshot.speed_mm_s) if unpowered and not snapshot.brake_slip_known else 0.0
 
 
-def _powered_mm_s(sight: Sight) -> float:
-    return abs(sight.speed_mm_s) if sight.drive_powered else 0.0
+def _powered_mm_s(snapshot: Snapshot) -> float:
+    return abs(snapshot.speed_mm_s) if snapshot.drive_powered else 0.0
 
 
-def _dropped_out(sight: Sight) -> float:
-    return sight.drive_wanted and not sight.drive_enabled
+def _dropped_out(snapshot: Snapshot) -> float:
+    return snapshot.drive_wanted and not snapshot.drive_enabled
 
 
 @dataclass(frozen=True)
@@ -450,7 +450,7 @@ class Watch:
         )
         self.causes: list[tuple[Trip, bool]] = []  # of these, as ``crossed``
 
-    def trips(self, sight: Sight, mode: Mode, t_ns: int) -> Trip | None:
+    def trips(self, snapshot: Snapshot, mode: Mode, t_ns: int) -> Trip | None:
         """The strongest of the rows that have been bad for their persistence, among equals the first; or None."""
         strongest: Trip | None = None
         since = self._since
@@ -459,7 +459,7 @@ class Watch:
             for i in self._unwatched[mode]:
                 self._ends(i, watched=False)
         for i, read, limit in self._watched[mode]:
-            if not (value := read(sight)) > limit:
+            if not (value := read(snapshot)) > limit:
                 if since[i] is not None:
                     self._ends(i)
                 continue
@@ -470,44 +470,44 @@ class Watch:
                 continue
             if not self._logged[i] and t_ns >= self._quiet_until[i]:
                 self._quiet_until[i] = t_ns + LOG_AGAIN_NS
-                self._log(i, row.trip(value, sight), begins=True)
+                self._log(i, row.trip(value, snapshot), begins=True)
             if row.action is Action.LOG:
                 continue
             if not self._stands[i]:
                 self._stands[i] = True
                 self.standing |= 1 << row.fault
             if strongest is None or row.action > strongest.action:
-                strongest = row.trip(value, sight)
+                strongest = row.trip(value, snapshot)
         return strongest
 
-    def beyond(self, sight: Sight, mode: Mode) -> set[Fault]:
+    def beyond(self, snapshot: Snapshot, mode: Mode) -> set[Fault]:
         """Faults that would come, sooner or later, if the rig were in ``mode``."""
         return {
             row.fault
             for row in self._rows
-            if mode in row.modes and row.action is not Action.LOG and row.value(sight) > row.limit
+            if mode in row.modes and row.action is not Action.LOG and row.value(snapshot) > row.limit
         }
 
-    def present(self, sight: Sight) -> Fault:
+    def present(self, snapshot: Snapshot) -> Fault:
         """First cause that is there at this instant, whatever the mode; what keeps a fault from being reset.
 
         A fault of the drive itself is not one: the reset is what clears it. Nor is what only a mode can show.
         """
-        return next(self._blocking(sight), Fault.NONE)
+        return next(self._blocking(snapshot), Fault.NONE)
 
-    def blocking(self, sight: Sight) -> int:
+    def blocking(self, snapshot: Snapshot) -> int:
         """All causes that keep a fault from being reset at this instant, bits 1 << fault."""
         found = 0
-        for fault in self._blocking(sight):
+        for fault in self._blocking(snapshot):
             found |= 1 << fault
         return found
 
-    def _blocking(self, sight: Sight) -> Iterator[Fault]:
+    def _blocking(self, snapshot: Snapshot) -> Iterator[Fault]:
         for row, stands in zip(self._rows, self._stands, strict=True):
             if row.fault not in BLOCK_RESET or row.text is _LIMITS:
                 continue  # a limit of the drive's own may stand until its fault is reset; arming is barred by it
             ours = row.text in (_LINGERS, _POWERED) and not stands  # for the moment a drive takes to go off
-            if row.value(sight) > row.limit and not ours:
+            if row.value(snapshot) > row.limit and not ours:
                 yield row.fault
 
     def _ends(self, i: int, *, watched: bool = True) -> None:
@@ -544,7 +544,7 @@ _LIMITED = frozenset({Fault.LIMIT, Fault.LIMIT_UNSEEN})
 
 
 def preflight(
-    sight: Sight, settings: RigSettings, beyond: set[Fault], *, supervision_verified: bool, near_end: bool = False
+    snapshot: Snapshot, settings: RigSettings, beyond: set[Fault], *, supervision_verified: bool, near_end: bool = False
 ) -> Check:
     """Checks that fail now; arming needs none to. ``beyond``: `Watch.beyond` of HOLD, the mode that arming leads to.
 
@@ -553,34 +553,34 @@ def preflight(
     s = settings.safety
     cylinder, margin_mm = settings.cylinder, settings.preflight.stroke_margin_mm
     low, high = cylinder.stroke_min_mm - STROKE_SPARE_MM, cylinder.stroke_max_mm + STROKE_SPARE_MM
-    inside = cylinder.stroke_min_mm + margin_mm <= sight.stroke_mm <= cylinder.stroke_max_mm - margin_mm
-    in_range = low <= sight.stroke_mm <= high
+    inside = cylinder.stroke_min_mm + margin_mm <= snapshot.stroke_mm <= cylinder.stroke_max_mm - margin_mm
+    in_range = low <= snapshot.stroke_mm <= high
     failing = {
-        Check.CELL_STALE: sight.cell_age_ns > s.stale_ms * _MS,
-        Check.CELL_INVALID: sight.cell_quality != 0,
-        Check.INCLINATION_STALE: sight.inclination_age_ns > s.inclination_stale_ms * _MS,
-        Check.INCLINATION_INVALID: sight.inclination_quality != 0,
-        Check.DRIVE_STALE: sight.drive_age_ns > s.stale_ms * _MS,
-        Check.DRIVE_FAULT: sight.drive_faulted,
-        Check.TENSION_HIGH: not _highest_n(sight) <= s.tension_high_n,
+        Check.CELL_STALE: snapshot.cell_age_ns > s.stale_ms * _MS,
+        Check.CELL_INVALID: snapshot.cell_quality != 0,
+        Check.INCLINATION_STALE: snapshot.inclination_age_ns > s.inclination_stale_ms * _MS,
+        Check.INCLINATION_INVALID: snapshot.inclination_quality != 0,
+        Check.DRIVE_STALE: snapshot.drive_age_ns > s.stale_ms * _MS,
+        Check.DRIVE_FAULT: snapshot.drive_faulted,
+        Check.TENSION_HIGH: not _highest_n(snapshot) <= s.tension_high_n,
         Check.STROKE_RANGE: not in_range,
         Check.STROKE_NEAR_END: in_range and not inside and not near_end,
         Check.DRIVE_SUPERVISION: not supervision_verified,
-        Check.CALIBRATION: sight.calibration_overdue,
-        Check.E_STOP: sight.e_stop & EStop.DRIVE,
-        Check.E_STOP_IO: sight.e_stop & EStop.IO_NODE,
+        Check.CALIBRATION: snapshot.calibration_overdue,
+        Check.E_STOP: snapshot.e_stop & EStop.DRIVE,
+        Check.E_STOP_IO: snapshot.e_stop & EStop.IO_NODE,
         Check.CELL_IMPLAUSIBLE: not beyond.isdisjoint(_IMPLAUSIBLE),
         Check.EMERGENCY: not beyond.isdisjoint(_EMERGENCY),
         Check.LIMIT: not beyond.isdisjoint(_LIMITED),
         Check.RIVAL: Fault.RIVAL in beyond,
-        Check.STROKE_UNCONFIRMED: sight.stroke_unconfirmed,
-        Check.E_STOP_UNSEEN: sight.e_stop_unseen,
+        Check.STROKE_UNCONFIRMED: snapshot.stroke_unconfirmed,
+        Check.E_STOP_UNSEEN: snapshot.e_stop_unseen,
         Check.E_STOP_IO_UNSEEN: Fault.E_STOP_UNSEEN in beyond,
         Check.STATUS_STALE: Fault.STATUS_STALE in beyond,
-        Check.DRIVE_REFUSES: Fault.DRIVE_REFUSES in beyond or sight.drive_unasked,
+        Check.DRIVE_REFUSES: Fault.DRIVE_REFUSES in beyond or snapshot.drive_unasked,
         Check.NODE_NOT_OPERATIONAL: Fault.NODE_NOT_OPERATIONAL in beyond,
     }
-    result = Check(sight.host_checks)
+    result = Check(snapshot.host_checks)
     for check, fails in failing.items():
         if fails:
             result |= check

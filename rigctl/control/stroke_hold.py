@@ -13,7 +13,7 @@ import math
 
 from rigctl.config.rig_file import RigSettings
 from rigctl.control.plausibility import STROKE_MEMORY_S
-from rigctl.control.safety import CONTRADICTION_MM, STROKE_ERROR_MM, Sight
+from rigctl.control.safety import CONTRADICTION_MM, STROKE_ERROR_MM, Snapshot
 
 SAID_MM, OVER_MM = 0.2, 0.1  # an excursion is told beyond the first, and is over within the second
 DEAD_ZONE_MM = 0.02  # no correction within it: the encoder's noise and the drive's dead band make no motion
@@ -75,19 +75,19 @@ class StrokeHold:
         self._windows, self._creeps_s = 0, 0.0
         self._tight = False
 
-    def watch(self, t_ns: int, sight: Sight, command_mm_s: float) -> None:
+    def watch(self, t_ns: int, snapshot: Snapshot, command_mm_s: float) -> None:
         """One tick in which the stroke is to be kept; ``command_mm_s`` is what was last commanded.
 
         A stroke that still moves is latched where it comes to rest, within what a stop may take: a stop ends without
         being pulled back, and a drive that does not stop does not take the latch along.
         """
         self.left = False
-        stroke_mm = sight.stroke_mm
+        stroke_mm = snapshot.stroke_mm
         if not math.isfinite(stroke_mm):
             return
         if not math.isfinite(self.reference_mm):
             if self._settles_ns is None:
-                self._begin(t_ns, stroke_mm, sight.speed_mm_s, command_mm_s)
+                self._begin(t_ns, stroke_mm, snapshot.speed_mm_s, command_mm_s)
             if self._settles_ns is None or t_ns < self._settles_ns:
                 return
             self.reference_mm = max(self._low_mm, min(self._high_mm, stroke_mm))
@@ -95,19 +95,19 @@ class StrokeHold:
         distance_mm = abs(self.error_mm)
         self.left = distance_mm > SAID_MM and not self._told
         self._told = distance_mm > SAID_MM or (self._told and distance_mm > OVER_MM)
-        self._doubted |= abs(sight.contradiction_mm) > CONTRADICTION_MM
+        self._doubted |= abs(snapshot.contradiction_mm) > CONTRADICTION_MM
 
-    def correct(self, sight: Sight, ticks: int, *, powered: bool) -> float:
+    def correct(self, snapshot: Snapshot, ticks: int, *, powered: bool) -> float:
         """Speed in mm/s that brings the stroke back to the latch, 0 where its position is not known or not believed.
 
         Bounded by `AUTHORITY_MM_S`; the law's limits come after it.
 
         Args:
-            sight: of this tick.
+            snapshot: of this tick.
             ticks: since the last call.
             powered: the drive is on and is to stay on.
         """
-        known = math.isfinite(self.reference_mm) and sight.drive_age_ns <= self._stale_ns and not self._doubted
+        known = math.isfinite(self.reference_mm) and snapshot.drive_age_ns <= self._stale_ns and not self._doubted
         self.creeps = False
         if not (known and powered):
             self.command_mm_s = 0.0
@@ -123,7 +123,7 @@ class StrokeHold:
         self._creeps_s = self._creeps_s + passed_s if abs(self._integral_mm_s) > CREEP_MM_S else 0.0
         self.creeps = self._creeps_s > CREEP_S and not self._creep_told
         self._creep_told |= self.creeps
-        self._question(sight, passed_s)
+        self._question(snapshot, passed_s)
         return self.command_mm_s
 
     @property
@@ -145,25 +145,25 @@ class StrokeHold:
         return speed_mm_s * self._stop_s + speed_mm_s**2 / (2.0 * self._deceleration)
 
     # -- does the correction hold the load, or move it? ---------------------------------------------------------
-    def _question(self, sight: Sight, passed_s: float) -> None:
+    def _question(self, snapshot: Snapshot, passed_s: float) -> None:
         """A drive that creeps is corrected, and load and reported speed rest; after a position that drifts, they move.
 
         Without load only the reported speed can tell: nothing hangs on the rope then.
         """
-        tight = sight.tension_n >= self._slack_n and not sight.cell_quality
+        tight = snapshot.tension_n >= self._slack_n and not snapshot.cell_quality
         if tight is not self._tight:
-            self._tight, self._smooth_n = tight, sight.tension_n
+            self._tight, self._smooth_n = tight, snapshot.tension_n
             self._from_mm = math.nan
-        self._smooth_n += (sight.tension_n - self._smooth_n) * self._share
+        self._smooth_n += (snapshot.tension_n - self._smooth_n) * self._share
         if not math.isfinite(self._from_mm):
-            self._from_mm, self._from_n = sight.stroke_mm, self._smooth_n
+            self._from_mm, self._from_n = snapshot.stroke_mm, self._smooth_n
             self._corrected_mm = self._said_mm = 0.0
         self._corrected_mm += self.command_mm_s * passed_s
-        self._said_mm += sight.speed_mm_s * passed_s
+        self._said_mm += snapshot.speed_mm_s * passed_s
         corrected_mm = self._corrected_mm
         if abs(corrected_mm) < WINDOW_MM:
             return
-        moved_mm = sight.stroke_mm - self._from_mm
+        moved_mm = snapshot.stroke_mm - self._from_mm
         stretch_mm = (self._smooth_n - self._from_n) / self._stiffness if tight else moved_mm
         shares = ((self._said_mm - moved_mm) / corrected_mm, (stretch_mm - moved_mm) / corrected_mm)
         self._windows = self._windows + 1 if any(AGREES < share < AGREES_TOO_WELL for share in shares) else 0

@@ -12,7 +12,7 @@ from typing import Protocol
 from rigctl.config.rig_file import RigSettings
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Refusal, Verb
-from rigctl.control.safety import Sight
+from rigctl.control.safety import Snapshot
 from rigctl.ipc.correction import tare_limit_n
 
 AVERAGED_S = 1.0
@@ -51,7 +51,7 @@ class Trial(Protocol):
     def spread(self) -> float:
         """How much that varied."""
 
-    def see(self, inbox: Inbox, sight: Sight) -> Refusal | None:
+    def see(self, inbox: Inbox, snapshot: Snapshot) -> Refusal | None:
         """One tick."""
 
 
@@ -84,9 +84,9 @@ class Average:
         mean = self._sum / self.samples
         return math.sqrt(max(0.0, self._squares / self.samples - mean * mean))
 
-    def see(self, inbox: Inbox, sight: Sight) -> Refusal | None:
+    def see(self, inbox: Inbox, snapshot: Snapshot) -> Refusal | None:
         """Take the tick's sample, if there is one."""
-        if sight.cell_quality or sight.cell_age_ns > self._stale_ns:
+        if snapshot.cell_quality or snapshot.cell_age_ns > self._stale_ns:
             return Refusal.NO_SAMPLES
         if abs(inbox.speed_mm_s) > STILL_MM_S:
             return Refusal.UNSTEADY
@@ -142,7 +142,7 @@ class Excitation:
         """How long it has taken, in s."""
         return self._ticks / self._rate
 
-    def see(self, inbox: Inbox, _sight: Sight) -> Refusal | None:
+    def see(self, inbox: Inbox, _snapshot: Snapshot) -> Refusal | None:
         """Choose this tick's speed, within the bounds."""
         strays_n, strays_mm = abs(inbox.tension_n - self._start_n), abs(inbox.stroke_mm - self._start_mm)
         if not (self._fits and strays_n <= self._stray_n and strays_mm <= self._stroke_mm + STRAY_MM):

@@ -22,9 +22,9 @@ from hil import truth as truth_log
 from rigctl.client.connection import NoDaemonError
 from rigctl.config.rig_file import DemoSettings, RigSettings
 from rigctl.control.modes import Mode, Verb
+from rigctl.demo.live_rig import STOP_LIMIT_S, LiveRig, LiveRigError, process, start_live_rig
 from rigctl.demo.script import DemoError, Moment, Show, play
 from rigctl.demo.summary import Summary, Telemetry, summarise
-from rigctl.demo.test_rig import STOP_LIMIT_S, Rehearsal, RehearsalError, process, rehearse
 from rigctl.devices import objects as od
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
@@ -37,8 +37,8 @@ STATE_LIMIT_S = 2.0
 class LiveStage:
     """`Stage` on real processes: commands over Zenoh, the move by SDO to the simulator's own node."""
 
-    def __init__(self, rehearsal: Rehearsal, records: RingReader, simulator: canopen.RemoteNode) -> None:
-        self._rehearsal, self._client = rehearsal, rehearsal.client
+    def __init__(self, live_rig: LiveRig, records: RingReader, simulator: canopen.RemoteNode) -> None:
+        self._rehearsal, self._client = live_rig, live_rig.client
         self._states = self._client.follow(self._client.keys.state)
         self._reader = records
         self._simulator = simulator
@@ -139,18 +139,18 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
     with tempfile.TemporaryDirectory(prefix="rigctl-demo-") as folder, contextlib.ExitStack() as stack:
         truth_file = pathlib.Path(folder) / "truth"
         try:
-            rehearsal = stack.enter_context(rehearse(settings, pathlib.Path(folder), "--truth", str(truth_file)))
+            live_rig = stack.enter_context(start_live_rig(settings, pathlib.Path(folder), "--truth", str(truth_file)))
             where = ("--connect", settings.telemetry.listen, "--rig", settings.rig)
             counter = stack.enter_context(process("rigctl.client.counter", *where, stdout=subprocess.PIPE))
             records = Runtime.of(settings.rig).record_reader(from_start=True)
-            with _simulator(rehearsal.settings) as simulator:
-                stage = LiveStage(rehearsal, records, simulator)
+            with _simulator(live_rig.settings) as simulator:
+                stage = LiveStage(live_rig, records, simulator)
                 play(stage, demo, show)
                 telemetry = _count(counter)
                 stage.pass_time(0.0)
                 recording = _recording(settings)
-            rehearsal.end()
-        except RehearsalError as error:
+            live_rig.end()
+        except LiveRigError as error:
             raise DemoError(str(error)) from None
         except can.CanError as error:
             raise DemoError(f"the simulated rig has gone: {error}") from None

@@ -47,7 +47,7 @@ class Active:
 
     @property
     def written(self) -> dict[str, Any]:
-        """What supervisor and clerk wrote down: settings and the design in use, as last looked at."""
+        """What supervisor and calibration wrote down: settings and the design in use, as last looked at."""
         return self._files[ACTIVE].value
 
     @property

@@ -1,4 +1,4 @@
-"""The clerk: puts on record what trials found, in a thread of its own, so that no command ever waits for a disk.
+"""The calibration: puts on record what trials found, in a thread of its own, so that no command ever waits for a disk.
 
 First on record, then in force: what cannot be written down changes nothing, and what the loop then refuses is
 withdrawn by another entry.
@@ -45,13 +45,13 @@ class Filed:
     design: dict[str, Any] | None = None  # of other gains
 
 
-class Clerk:
+class CalibrationService:
     """Keeps the ledger of one rig. ``file`` and ``withdraw`` return at once; results come by ``done``."""
 
     def __init__(self, runtime: Runtime, settings: RigSettings) -> None:
         self._runtime, self._settings = runtime, settings
         self._work: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._serve, name="clerk", daemon=True)
+        self._thread = threading.Thread(target=self._serve, name="calibration", daemon=True)
         self._showing = threading.Lock()
         self._look_ns = self._settle_ns = 0
         self._seen_ledger = self._tell_overdue = False
@@ -69,7 +69,7 @@ class Clerk:
         return findings.impossible(self._settings, request)
 
     def file(self, request: Request, reply: Any, done: Callable[[Filed], None]) -> None:
-        """Put on record what the loop's ``reply`` says, then call ``done`` in the clerk's thread."""
+        """Put on record what the loop's ``reply`` says, then call ``done`` in the calibration service's thread."""
         measured = Measured(float(reply["value"]), float(reply["spread"]), time.time_ns())
         t_ns = int(reply["t_ns"])
         self._work.put(lambda: done(self._file(request, measured, t_ns)))

@@ -1,4 +1,7 @@
-"""The desk: takes command queries, hands them to the loop through the ring, answers them. One thread, many at once."""
+"""The command server: takes command queries, hands them to the loop through the ring, and answers them.
+
+One thread serves many commands at once.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +21,14 @@ import zenoh
 from rigctl.commission.preflight import Preflight
 from rigctl.config.one_line import on_one_line
 from rigctl.control.modes import FILED, Setting, Verb
-from rigctl.gateway.calibration_service import Clerk, Filed
+from rigctl.gateway.calibration_service import CalibrationService, Filed
 from rigctl.gateway.command_rate import Flow
-from rigctl.gateway.lease_service import Keeper
+from rigctl.gateway.lease_service import LeaseService
 from rigctl.ipc import ledger
-from rigctl.ipc.notes import DeskBook
+from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.record import COMMAND_LIFETIME_NS
 from rigctl.ipc.ring import RingReader, RingWriter
-from rigctl.wire.command_request import Request, RequestError, Sight, answer, parse, refused, silent, verb_of
+from rigctl.wire.command_request import NewestRecord, Request, RequestError, answer, parse, refused, silent, verb_of
 from rigctl.wire.keys import Keys
 from rigctl.wire.lease import ACTS
 from rigctl.wire.lease_request import LeaseRequest, parse_lease
@@ -89,7 +92,7 @@ class LeaseLapsed:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What the clerk has made of a trial's answer; ``message`` is that answer."""
+    """What the calibration service has made of a trial's answer; ``message`` is that answer."""
 
     query: zenoh.Query
     request: Request
@@ -140,7 +143,7 @@ def _by_operator(asked: list[Asked]) -> list[Request]:
     return list({one.request.operator: one.request for one in asked}.values())[:_NAMES_ON_RECORD]
 
 
-class Desk:
+class CommandServer:
     """Queries in, ``COMMAND`` slots out, ``REPLY`` slots in, answers out."""
 
     def __init__(
@@ -148,30 +151,30 @@ class Desk:
         keys: Keys,
         commands: RingWriter,
         replies: RingReader,
-        sight: Callable[[], Sight],
+        newest: Callable[[], NewestRecord],
         limits_n: tuple[float, float],
-        clerk: Clerk,
-        keeper: Keeper,
-        book: DeskBook,
+        calibration: CalibrationService,
+        leases: LeaseService,
+        log: RequestLog,
         preflight: Preflight,
         run_id: str = "",
     ) -> None:
-        """``sight``: what the newest record says; ``limits_n``: lowest and highest target. ``book``: for the record.
+        """``newest``: what the newest record says; ``limits_n``: lowest and highest target. ``log``: for the record.
 
         ``run_id``: of this daemon; a command that is meant for another is refused.
         """
         self._run_id = run_id
-        self._book, self._preflight = book, preflight
-        self._clerk, self._keeper = clerk, keeper
+        self._log, self._preflight = log, preflight
+        self._calibration, self._leases = calibration, leases
         self._keys, self._commands, self._replies = keys, commands, replies
-        self._sight, self._limits_n = sight, limits_n
+        self._newest_record, self._limits_n = newest, limits_n
         self._asked: queue.SimpleQueue[_Any] = queue.SimpleQueue()
         self._holds: deque[Asked] = deque()  # served before all others
         self._hold_ns = 0  # not before is the loop given another
         self._flow = Flow(time.monotonic_ns())
         self._pending: dict[int, Pending] = {}
         self._last_id = 0
-        self._thread = threading.Thread(target=self._serve, name="desk", daemon=True)
+        self._thread = threading.Thread(target=self._serve, name="commands", daemon=True)
 
     def open(self, session: zenoh.Session) -> None:
         """Take queries from ``session``."""
@@ -184,7 +187,7 @@ class Desk:
 
     def look_at_lease(self, now_ns: int) -> None:
         """See that a lease that has lapsed is struck out, also while nobody asks anything."""
-        if self._keeper.has_lapsed(now_ns):
+        if self._leases.has_lapsed(now_ns):
             self._asked.put(LeaseLapsed())
         if self._flow.due(now_ns):
             self._asked.put(Crowded())
@@ -220,7 +223,7 @@ class Desk:
             return
         request = None if isinstance(asked, Refused) else asked.request
         operator, now = request.operator if request is not None else "", time.monotonic_ns()
-        holder = request is not None and self._keeper.is_holder(operator, request.lease, now)
+        holder = request is not None and self._leases.is_holder(operator, request.lease, now)
         if why := self._flow.admit(operator, now, holder=holder):
             send_answer(query, key, refused(on_one_line(name), operator, "too_many", why))
             return
@@ -242,7 +245,7 @@ class Desk:
     def _do(self, asked: Asked | HoldAsked | Crowded | LeaseAsked | LeaseLapsed | Recorded | Refused | Told) -> None:
         match asked:
             case Crowded():
-                self._keeper.note_crowd(self._flow.told(), time.monotonic_ns())
+                self._leases.note_crowd(self._flow.told(), time.monotonic_ns())
             case Asked(query, request):
                 if message := self._meant_for_another(request.run_id, request.verb.name.lower(), request.operator):
                     self._answer(query, request, message)
@@ -250,13 +253,13 @@ class Desk:
                 self._give(query, request)
             case LeaseAsked(query, wanted):
                 message = self._meant_for_another(wanted.run_id, wanted.act.value, wanted.operator)
-                message = message or self._keeper.decide(wanted, time.monotonic_ns())
+                message = message or self._leases.decide(wanted, time.monotonic_ns())
                 send_answer(query, self._keys.command(wanted.act.value), message)
-                self._book.answered(time.monotonic_ns(), 0, self._holder(), message)
+                self._log.answered(time.monotonic_ns(), 0, self._holder(), message)
             case Refused(message):
-                self._book.answered(time.monotonic_ns(), 0, self._holder(), message)
+                self._log.answered(time.monotonic_ns(), 0, self._holder(), message)
             case LeaseLapsed():
-                self._keeper.expire(time.monotonic_ns())
+                self._leases.expire(time.monotonic_ns())
             case Recorded():
                 self._put_in_force(asked)
             case Told(setting, value):
@@ -280,11 +283,11 @@ class Desk:
         if len(self._pending) >= _PENDING_MAX:
             self._answer(query, request, silent(request.verb.name.lower(), request.operator))
             return
-        if (why := self._clerk.impossible(request)) is not None:
+        if (why := self._calibration.impossible(request)) is not None:
             self._answer(query, request, refused(request.verb.name.lower(), request.operator, "not_possible", why))
             return
         now = time.monotonic_ns()
-        admitted = self._keeper.admit(request, now)
+        admitted = self._leases.admit(request, now)
         if not isinstance(admitted, Request):
             self._answer(query, request, admitted)
             return
@@ -295,7 +298,7 @@ class Desk:
         number = self._write(request.verb, request.number)
         self._pending[number] = Pending(query, request, until_ns)
         name = request.verb.name.lower()
-        self._book.given(now, number, name, request.operator, self._holder(), request.number)
+        self._log.given(now, number, name, request.operator, self._holder(), request.number)
 
     def _give_holds(self, now_ns: int) -> None:
         """HOLD is safe: given by anyone, before all else, and never too many; a flood of them becomes a few."""
@@ -307,8 +310,8 @@ class Desk:
         first = asked[0]
         self._pending[number] = Pending(first.query, first.request, now_ns + ANSWER_NS, sharing=tuple(asked[1:]))
         for request in _by_operator(asked):
-            self._book.given(now_ns, number, "hold", request.operator, self._holder(), request.number)
-            self._keeper.note_hold(request, now_ns)
+            self._log.given(now_ns, number, "hold", request.operator, self._holder(), request.number)
+            self._leases.note_hold(request, now_ns)
 
     def _put_in_force(self, recorded: Recorded) -> None:
         """What is on record now takes effect; the operator is answered when the loop has taken it."""
@@ -337,35 +340,39 @@ class Desk:
         for number in [number for number, given in self._pending.items() if self._is_late(given, now_ns)]:
             given = self._pending.pop(number)
             if given.recorded is not None:
-                self._clerk.unanswered(given.recorded.filed)
+                self._calibration.unanswered(given.recorded.filed)
             name, operator = given.request.verb.name.lower(), given.request.operator
             self._answer(given.query, given.request, silent(name, operator), number)
             self._answer_sharing(given, lambda request: silent("hold", request.operator))
 
     def _is_late(self, given: Pending, now_ns: int) -> bool:
         more_ns = 0
-        if given.request.verb is Verb.ARM and now_ns > given.until_ns and self._sight().arming:
+        if given.request.verb is Verb.ARM and now_ns > given.until_ns and self._newest_record().arming:
             more_ns = READ_BACK_NS
         return now_ns > given.until_ns + more_ns
 
     def _answered(self, given: Pending, reply: Any, number: int) -> None:
-        """The loop's reply goes to the operator; that of a trial goes to the clerk first."""
+        """The loop's reply goes to the operator; that of a trial goes to the calibration service first."""
         query, request = given.query, given.request
         try:
             verdict = self._preflight.verdict(time.monotonic_ns())
-            message = answer(request, reply, self._sight(), self._limits_n, verdict.words, verdict.waived)
+            message = answer(request, reply, self._newest_record(), self._limits_n, verdict.words, verdict.waived)
         except (ValueError, KeyError) as error:
             text = f"the control loop's answer makes no sense: {error}"
             message = refused(request.verb.name.lower(), request.operator, "unknown", text)
         if given.recorded is not None:
             if message["accepted"]:
-                self._clerk.put_in_force(given.recorded.filed)
+                self._calibration.put_in_force(given.recorded.filed)
                 message = given.recorded.message
             else:
-                self._clerk.withdraw(given.recorded.filed)
+                self._calibration.withdraw(given.recorded.filed)
                 message["text"] += "; withdrawn from the ledger"
         elif request.verb in FILED and message["accepted"]:
-            self._clerk.file(request, reply, lambda filed: self._asked.put(Recorded(query, request, message, filed)))
+
+            def recorded(filed: Filed) -> None:
+                self._asked.put(Recorded(query, request, message, filed))
+
+            self._calibration.file(request, reply, recorded)
             return
         self._answer(query, request, message, number, given.recorded)
         self._answer_sharing(given, lambda request: {**message, "operator": request.operator})
@@ -374,7 +381,7 @@ class Desk:
         """The answer of a HOLD goes to those who asked for it at the same time; it is on record once."""
         now = time.monotonic_ns()
         for query, request in ((asked.query, asked.request) for asked in given.sharing):
-            message = self._keeper.with_lease(request.operator, request.lease, answer_to(request), now)
+            message = self._leases.with_lease(request.operator, request.lease, answer_to(request), now)
             send_answer(query, self._keys.command("hold"), message)
 
     def _answer(
@@ -382,13 +389,13 @@ class Desk:
         recorded: Recorded | None = None,
     ) -> None:  # fmt: skip
         now = time.monotonic_ns()
-        message = self._keeper.with_lease(request.operator, request.lease, message, now)
+        message = self._leases.with_lease(request.operator, request.lease, message, now)
         send_answer(query, self._keys.command(request.verb.name.lower()), message)
         finding = recorded.filed.finding if recorded is not None else None
         entry = ledger.entry_digest(finding.entry) if finding is not None else ""
-        self._book.answered(now, number, self._holder(), message, entry)
+        self._log.answered(now, number, self._holder(), message, entry)
 
     def _holder(self) -> str:
         """Who holds the lease."""
-        lease = self._keeper.shown(time.monotonic_ns())
+        lease = self._leases.shown(time.monotonic_ns())
         return str(lease["holder"]) if lease is not None else ""

@@ -24,17 +24,17 @@ from rigctl.control.modes import Setting
 from rigctl.control.realtime import die_with_parent
 from rigctl.control.safety import HOST_CHECKS, Fault
 from rigctl.gateway.active import Active, Written
-from rigctl.gateway.calibration_service import Clerk
-from rigctl.gateway.command_server import Desk
-from rigctl.gateway.lease_service import Keeper
+from rigctl.gateway.calibration_service import CalibrationService
+from rigctl.gateway.command_server import CommandServer
+from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.published_position import Cursor
 from rigctl.gateway.streams import EventStream, FastStream, event_publishers, past_block, past_messages
 from rigctl.ipc.ledger import Standing
-from rigctl.ipc.notes import DeskBook
+from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.ipc.termination import Termination
-from rigctl.wire.command_request import sight_of
+from rigctl.wire.command_request import newest_record
 from rigctl.wire.keys import Keys
 from rigctl.wire.schema import schema
 from rigctl.wire.session import SessionError, close, finish, open_client, open_router
@@ -54,7 +54,7 @@ _JSON = zenoh.Encoding.APPLICATION_JSON
 _DROP = zenoh.CongestionControl.DROP
 _LOOK_NS = 500_000_000  # how often the files of the other processes are looked at
 _LINK_S = 1.5  # at most, for links to the routers joined: there at once, but on a busy computer
-_JOIN_S = 0.5  # for what is behind them to come in sight
+_JOIN_S = 0.5  # for what is behind them to come in newest
 
 
 class StateView:
@@ -175,7 +175,7 @@ def _declare_queryables(
 
 
 class Gateway:
-    """Sessions, streams and desk of one rig."""
+    """Sessions, streams and command server of one rig."""
 
     def __init__(self, runtime: Runtime, settings: RigSettings) -> None:
         """Open everything.
@@ -186,7 +186,7 @@ class Gateway:
         keys, now = Keys(settings.rig), time.monotonic_ns()
         socket = f"unixsock-stream/{runtime.gateway_socket}"
         self._session = open_router([settings.telemetry.listen, socket], settings.telemetry.join)
-        self._refuse_a_namesake(keys, settings)
+        self._refuse_duplicate_name(keys, settings)
         # Commands have a session of their own: nothing that happens to the data can hold one up.
         self._command_session = open_client(socket)
         self._period_ns = 1_000_000_000 // settings.telemetry.rate_hz
@@ -206,28 +206,28 @@ class Gateway:
 
         limits_n = (settings.tension.target_min_n, settings.tension.target_max_n)
         self._newest = newest = runtime.record_reader()
-        self._clerk = clerk = Clerk(runtime, settings)
-        self._preflight = Preflight(runtime, settings, lambda: clerk.standing, self._view.doubts.look)
+        self._calibration = calibration = CalibrationService(runtime, settings)
+        self._preflight = Preflight(runtime, settings, lambda: calibration.standing, self._view.doubts.look)
         self._look_ns = 0
         self._tell_ns = now  # not before is the loop told again what the host's checks say
-        self._keeper = Keeper(runtime, settings.telemetry.lease_s, now)
-        self._desk = Desk(
+        self._leases = LeaseService(runtime, settings.telemetry.lease_s, now)
+        self._commands = CommandServer(
             keys,
             runtime.command_writer(),
             runtime.reply_reader(),
-            lambda: sight_of(newest, view.standing),
+            lambda: newest_record(newest, view.standing),
             limits_n,
-            self._clerk,
-            self._keeper,
-            DeskBook(runtime.desk_writer()),
+            self._calibration,
+            self._leases,
+            RequestLog(runtime.request_writer()),
             self._preflight,
             str(self._active.written.get("run_id", "")),
         )
         verdict = self._preflight.verdict(now)
-        lease = self._keeper.shown(now)
-        self._view.newest = self._view.make(now, 0, self._clerk.standing, lease, verdict, self._cursor)
+        lease = self._leases.shown(now)
+        self._view.newest = self._view.make(now, 0, self._calibration.standing, lease, verdict, self._cursor)
         _declare_queryables(self._session, keys, runtime, settings, self._view, self._active, self._cursor.stream)
-        self._desk.open(self._command_session)
+        self._commands.open(self._command_session)
         self._token = self._session.liveliness().declare_token(keys.daemon)
 
     def publish(self) -> None:
@@ -239,16 +239,16 @@ class Gateway:
         self._fast.publish(self._per_call, now)
         record = self._newest.latest()
         self._events.read(time.time_ns() - now, now, int(record["t_ns"]) if record is not None else 0)
-        for setting, value in self._clerk.news(now, time.time_ns()):
-            self._desk.tell(setting, value)
+        for setting, value in self._calibration.news(now, time.time_ns()):
+            self._commands.tell(setting, value)
         verdict = self._preflight.verdict(now)
         self._tell_checks(verdict, now)
-        self._desk.look_at_lease(now)
+        self._commands.look_at_lease(now)
         if now >= self._look_ns:
             self._look_ns = now + _LOOK_NS
             self._tell_active()
-        lease = self._keeper.shown(now)
-        state = self._view.make(now, self._fast.lost, self._clerk.standing, lease, verdict, self._cursor)
+        lease = self._leases.shown(now)
+        state = self._view.make(now, self._fast.lost, self._calibration.standing, lease, verdict, self._cursor)
         self._view.newest = state  # before the events: whoever hears one may ask at once
         self._events.publish()
         self._state.put(state)
@@ -258,7 +258,7 @@ class Gateway:
             self._active_sent = found
             self._configuration.put(found)
 
-    def _refuse_a_namesake(self, keys: Keys, settings: RigSettings) -> None:
+    def _refuse_duplicate_name(self, keys: Keys, settings: RigSettings) -> None:
         """Behind joined routers another rig may have this name; a command would reach both."""
         joined = settings.telemetry.join
         if not joined:
@@ -278,7 +278,7 @@ class Gateway:
         if record is None or int(record["checks"]) & int(HOST_CHECKS) == verdict.host_checks or now_ns < self._tell_ns:
             return
         self._tell_ns = now_ns + _LOOK_NS
-        self._desk.tell(Setting.HOST_CHECKS, float(verdict.host_checks))
+        self._commands.tell(Setting.HOST_CHECKS, float(verdict.host_checks))
 
     def run(self, stop: Termination) -> None:
         """Publish on an absolute grid until ``stop``; periods that were missed are left out."""
@@ -291,9 +291,9 @@ class Gateway:
 
     def close(self) -> None:
         """Publish what is left and end the sessions."""
-        self._clerk.close()
+        self._calibration.close()
         self._preflight.close()
-        self._desk.close()
+        self._commands.close()
         self.publish()
         close(self._command_session)
         close(self._session)

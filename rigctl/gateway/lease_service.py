@@ -1,6 +1,6 @@
-"""The keeper of the lease in the gateway: the book, its place in the runtime folder, its notes and its words.
+"""The leases of the lease in the gateway: the register, its place in the runtime folder, its notes and its words.
 
-Changed by the desk's thread alone; ``shown``, ``has_lapsed`` and ``is_holder`` may be asked by any.
+Changed by the rig's thread alone; ``shown``, ``has_lapsed`` and ``is_holder`` may be asked by any.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from rigctl.gateway.command_rate import Crowd
 from rigctl.ipc.notes import Note
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.wire.command_request import Request, RequestError, operator_of, refused
-from rigctl.wire.lease import Act, Book, Change, Denial, Lease, Turn, is_id
+from rigctl.wire.lease import Act, Change, Denial, Lease, LeaseRegister, Turn, is_id
 from rigctl.wire.lease_request import LeaseRequest
 
 IN_FORCE = "lease.json"  # in the runtime folder
@@ -54,14 +54,14 @@ def why_not(denial: Denial, operator: str, lease: Lease | None, now_ns: int) -> 
     return f"{held}; to take it over: {_TAKE} --reason TEXT"
 
 
-class Keeper:
+class LeaseService:
     """The lease of one rig."""
 
     def __init__(self, runtime: Runtime, duration_s: int, now_ns: int) -> None:
         """Goes on with the lease the gateway before this one wrote down, if that can be believed."""
         self._runtime, self._notes = runtime, runtime.note_writer()
         duration_ns = duration_s * 1_000_000_000
-        self._book = Book(duration_ns, self._tell, self._read(duration_ns, now_ns))
+        self._register = LeaseRegister(duration_ns, self._tell, self._read(duration_ns, now_ns))
 
     def _read(self, duration_ns: int, now_ns: int) -> Lease | None:
         try:
@@ -76,22 +76,22 @@ class Keeper:
     def admit(self, request: Request, now_ns: int) -> Request | dict[str, Any]:
         """The command with the lease it is given under, or why it is refused."""
         self.expire(now_ns)
-        found = self._book.admit(request.operator, request.lease, now_ns)
+        found = self._register.admit(request.operator, request.lease, now_ns)
         if isinstance(found, Lease):
             self._save(now_ns)
             return replace(request, lease=found.id)
-        why = why_not(found, request.operator, self._book.lease(now_ns), now_ns)
+        why = why_not(found, request.operator, self._register.lease(now_ns), now_ns)
         return refused(request.verb.name.lower(), request.operator, found.value, why)
 
     def note_hold(self, request: Request, now_ns: int) -> None:
         """HOLD has been given, which anyone may; without the lease it neither takes nor renews it, and is noted."""
-        if not self._book.is_holder(request.operator, request.lease, now_ns):
-            lease = self._book.lease(now_ns)
+        if not self._register.is_holder(request.operator, request.lease, now_ns):
+            lease = self._register.lease(now_ns)
             self._note(now_ns, Note.HOLD_WITHOUT_LEASE, request.operator, lease.holder if lease else "")
 
     def is_holder(self, operator: str, id_: str | None, now_ns: int) -> bool:
         """Whether both name and id are those of the lease in force; may be asked from any thread."""
-        return self._book.is_holder(operator, id_, now_ns)
+        return self._register.is_holder(operator, id_, now_ns)
 
     def note_crowd(self, crowds: list[Crowd], now_ns: int) -> None:
         """Tell of commands that were refused because there were too many: the worst few by name, the rest as one."""
@@ -108,12 +108,12 @@ class Keeper:
         operator, id_ = request.operator, request.lease
         found: Lease | Denial | None
         if request.act is Act.TAKE:
-            found = self._book.take(operator, id_, request.reason, now_ns)
+            found = self._register.take(operator, id_, request.reason, now_ns)
         else:
-            found = self._book.give_back(operator, id_, now_ns)
+            found = self._register.give_back(operator, id_, now_ns)
         self._save(now_ns)
         if isinstance(found, Denial):
-            why = why_not(found, operator, self._book.lease(now_ns), now_ns)
+            why = why_not(found, operator, self._register.lease(now_ns), now_ns)
             return self.with_lease(operator, id_, refused(request.act.value, operator, found.value, why), now_ns)
         text = "given back; the rig goes on as it is"
         if found is not None:
@@ -124,16 +124,16 @@ class Keeper:
 
     def with_lease(self, operator: str, id_: str | None, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
         """An answer and the lease in force: its id for the holder alone, whom what was carried out renews."""
-        if message["accepted"] and self._book.renew(operator, id_, now_ns) is not None:
+        if message["accepted"] and self._register.renew(operator, id_, now_ns) is not None:
             self._save(now_ns)
         told = self.shown(now_ns)
-        if told is not None and self._book.is_holder(operator, id_, now_ns):
+        if told is not None and self._register.is_holder(operator, id_, now_ns):
             told["id"] = id_
         return message | {"lease": told}
 
     def shown(self, now_ns: int) -> dict[str, Any] | None:
         """The lease in force, for everyone: all but the id."""
-        lease = self._book.lease(now_ns)
+        lease = self._register.lease(now_ns)
         if lease is None:
             return None
         return {
@@ -144,12 +144,12 @@ class Keeper:
 
     def has_lapsed(self, now_ns: int) -> bool:
         """Whether `expire` has something to do."""
-        return self._book.has_lapsed(now_ns)
+        return self._register.has_lapsed(now_ns)
 
     def expire(self, now_ns: int) -> None:
         """Strike out a lease that has lapsed. Nothing follows from it for the rig."""
-        if self._book.has_lapsed(now_ns):
-            self._book.expire(now_ns)
+        if self._register.has_lapsed(now_ns):
+            self._register.expire(now_ns)
             self._save(now_ns)
 
     def _tell(self, change: Change) -> None:
@@ -161,4 +161,4 @@ class Keeper:
     def _save(self, now_ns: int) -> None:
         # A lease that cannot be written down ends with this gateway, which is no reason to refuse anything.
         with contextlib.suppress(OSError):
-            self._runtime.write_json(IN_FORCE, self._book.lease(now_ns) or {})
+            self._runtime.write_json(IN_FORCE, self._register.lease(now_ns) or {})

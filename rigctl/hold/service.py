@@ -28,7 +28,7 @@ from rigctl.ipc.record import COMMAND_LIFETIME_NS, HOLD_ID
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.ipc.termination import Termination
-from rigctl.wire.command_request import Request, RequestError, answer, parse, refused, sight_of, silent
+from rigctl.wire.command_request import Request, RequestError, answer, newest_record, parse, refused, silent
 
 PRIORITY = 1  # SCHED_FIFO: below every loop, before a gateway that is flooded
 POLL_S = 0.001  # while a hold waits for the loop
@@ -167,10 +167,10 @@ class HoldService:
             return
         for reply in self._replies.read():
             if (given := self._given.pop(int(reply["id"]), None)) is not None:
-                sight = sight_of(self._records)  # the record of the tick that took it, or a newer one
+                newest = newest_record(self._records)  # the record of the tick that took it, or a newer one
                 for peer in given.peers:
                     if peer.request is not None:
-                        self._answer(peer, answer(peer.request, reply, sight, (0.0, 0.0)))
+                        self._answer(peer, answer(peer.request, reply, newest, (0.0, 0.0)))
         for id_ in [id_ for id_, given in self._given.items() if now_ns > given.until_ns]:
             for peer in self._given.pop(id_).peers:
                 self._answer(peer, self._unanswered(peer, now_ns))

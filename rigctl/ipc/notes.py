@@ -61,8 +61,8 @@ def note_message(note: np.void, wall_offset_ns: int) -> tuple[str, dict[str, Any
     }  # fmt: skip
 
 
-class DeskBook:
-    """What is asked at the desk and what was answered, for the audit log. One thread writes it."""
+class RequestLog:
+    """The commands asked for and what was answered, for the audit log. One thread writes it."""
 
     def __init__(self, writer: RingWriter) -> None:
         self._writer = writer

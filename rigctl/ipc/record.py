@@ -227,7 +227,7 @@ NOTE = Slot(
     ),
 )
 
-DESK = Slot(
+REQUEST = Slot(
     "desk",
     (
         Field("t_ns", "q", "ns", "when, CLOCK_MONOTONIC"),

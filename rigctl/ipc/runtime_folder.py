@@ -299,7 +299,7 @@ class Runtime:
             self.holds: (record.HOLD.dtype, _NOTES),
             self.replies: (record.REPLY.dtype, _SMALL_RING),
             self.notes: (record.NOTE.dtype, _NOTES),
-            self.desk: (record.DESK.dtype, _NOTES),
+            self.requests: (record.REQUEST.dtype, _NOTES),
             self.supervision: (record.NOTE.dtype, _NOTES),
             self.frames: (record.FRAME.dtype, frames_held(settings)),
         }
@@ -364,8 +364,8 @@ class Runtime:
         return self.directory / "notes"
 
     @property
-    def desk(self) -> pathlib.Path:
-        """Ring of ``record.DESK``, written by the gateway."""
+    def requests(self) -> pathlib.Path:
+        """Ring of ``record.REQUEST``, written by the gateway."""
         return self.directory / "desk"
 
     @property
@@ -412,9 +412,9 @@ class Runtime:
         """A reader of the replies given from now on, or still held."""
         return RingReader(self.replies, record.REPLY.dtype, from_start=from_start)
 
-    def desk_reader(self) -> RingReader:
-        """A reader of what was asked at the gateway's desk, from the oldest still held."""
-        return RingReader(self.desk, record.DESK.dtype, from_start=True)
+    def request_reader(self) -> RingReader:
+        """A reader of the commands the gateway was asked for, from the oldest still held."""
+        return RingReader(self.requests, record.REQUEST.dtype, from_start=True)
 
     def supervision_reader(self) -> RingReader:
         """A reader of what the supervisor did, from the oldest still held."""
@@ -448,9 +448,9 @@ class Runtime:
         """The writer of the notes (gateway)."""
         return RingWriter(self.notes, record.NOTE.layout)
 
-    def desk_writer(self) -> RingWriter:
-        """The writer of what is asked at the desk (gateway)."""
-        return RingWriter(self.desk, record.DESK.layout)
+    def request_writer(self) -> RingWriter:
+        """The writer of the commands asked for (gateway)."""
+        return RingWriter(self.requests, record.REQUEST.layout)
 
     def supervision_writer(self) -> RingWriter:
         """The writer of what is done about the processes (supervisor)."""

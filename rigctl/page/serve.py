@@ -15,8 +15,8 @@ import uvicorn
 
 from rigctl.ipc.termination import ENDING, heeded
 from rigctl.page.connections import BACKLOG, HEADER_BYTES, protocol
-from rigctl.page.desk import Desk
 from rigctl.page.guard import Guard
+from rigctl.page.page_commands import PageCommands
 from rigctl.page.picture import Picture
 from rigctl.page.server import Page
 from rigctl.page.source import Source
@@ -39,8 +39,8 @@ def serve(
     """Serve until a signal of ``ENDING``, and end the process. ``operator``: who commands, None: a read-only page."""
     picture, stop = Picture(endpoint), threading.Event()
     source = Source(picture, rig, stop)
-    desk = Desk(operator, rig, picture) if operator is not None else None
-    page = Page(picture, guard, desk)
+    commands = PageCommands(operator, rig, picture) if operator is not None else None
+    page = Page(picture, guard, commands)
     config = uvicorn.Config(
         page.app,
         lifespan="off",

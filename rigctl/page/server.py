@@ -1,4 +1,4 @@
-"""The page's HTTP and websocket server: static assets, a stream for each browser, and the commands' desk."""
+"""The page's HTTP and websocket server: static assets, a stream for each browser, and the commands' commands."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-from rigctl.page.desk import Answer, Desk, RefusedError
 from rigctl.page.guard import HEADERS, Guard
 from rigctl.page.history import WINDOWS_S
+from rigctl.page.page_commands import Answer, PageCommands, RefusedError
 from rigctl.page.picture import Picture
 from rigctl.page.stream import Stream
 
@@ -84,19 +84,19 @@ def assets_digest() -> str:
 class Page:
     """Routes of one page server."""
 
-    def __init__(self, picture: Picture, guard: Guard, desk: Desk | None = None) -> None:
-        """``desk``: None for a page that is read-only."""
-        self._picture, self._guard, self._desk = picture, guard, desk
+    def __init__(self, picture: Picture, guard: Guard, commands: PageCommands | None = None) -> None:
+        """``commands``: None for a page that is read-only."""
+        self._picture, self._guard, self._commands = picture, guard, commands
         self._hello = {
             "kind": "hello", "server": secrets.token_hex(8), "assets": assets_digest(), "windows_s": WINDOWS_S,
         }  # fmt: skip
         # HOLD must not wait behind commands that wait for a rig that is slow: more threads than browsers click with.
-        self._threads = ThreadPoolExecutor(32, "desk")
-        acts: dict[str, tuple[type[Any], Callable[[Desk, Any], Answer]]] = {
-            "rights": (_Rights, lambda desk, _: {"accepted": True, "operator": desk.operator}),
-            "lease": (_Lease, lambda desk, asked: desk.lease(asked.act, asked.reason)),
-            "command": (_Command, lambda desk, asked: desk.propose(asked.verb, asked.value)),
-            "confirm": (_Confirmation, lambda desk, asked: desk.confirm(asked.confirm)),
+        self._threads = ThreadPoolExecutor(32, "commands")
+        acts: dict[str, tuple[type[Any], Callable[[PageCommands, Any], Answer]]] = {
+            "rights": (_Rights, lambda commands, _: {"accepted": True, "operator": commands.operator}),
+            "lease": (_Lease, lambda commands, asked: commands.lease(asked.act, asked.reason)),
+            "command": (_Command, lambda commands, asked: commands.propose(asked.verb, asked.value)),
+            "confirm": (_Confirmation, lambda commands, asked: commands.confirm(asked.confirm)),
         }
         self.app = Starlette(
             routes=[
@@ -112,12 +112,14 @@ class Page:
     async def _index(_request: Request) -> Response:
         return FileResponse(STATIC / "index.html")
 
-    def _post(self, kind: type[Any], act: Callable[[Desk, Any], Answer]) -> Callable[[Request], Awaitable[Response]]:
-        """An endpoint that only this server's own page with the token gets an answer from, and only with a desk."""
+    def _post(
+        self, kind: type[Any], act: Callable[[PageCommands, Any], Answer]
+    ) -> Callable[[Request], Awaitable[Response]]:
+        """An endpoint for this server's own page with its token, and only with operator rights."""
 
         async def endpoint(request: Request) -> Response:
-            desk = self._desk
-            if desk is None:
+            commands = self._commands
+            if commands is None:
                 return _refusal(_READ_ONLY, 403)
             if not self._guard.is_own_page(request.headers):
                 return _refusal("commands are taken from this server's own page alone", 403)
@@ -125,7 +127,7 @@ class Page:
                 return _refusal(_NO_TOKEN, 403)
             try:
                 body = msgspec.json.decode(await _body_of(request), type=kind)
-                answer = await asyncio.get_running_loop().run_in_executor(self._threads, act, desk, body)
+                answer = await asyncio.get_running_loop().run_in_executor(self._threads, act, commands, body)
             except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
                 return _refusal(f"not a command: {error}", 400)
             except RefusedError as error:
@@ -139,13 +141,13 @@ class Page:
             await socket.close(4403)
             return
         await socket.accept()
-        await Stream(socket, self._picture, self._hello, self._desk).run()
+        await Stream(socket, self._picture, self._hello, self._commands).run()
 
     def close(self) -> None:
         """End what commands are under way with."""
         self._threads.shutdown(wait=False, cancel_futures=True)
-        if self._desk is not None:
-            self._desk.close()
+        if self._commands is not None:
+            self._commands.close()
 
 
 async def _body_of(request: Request) -> bytes:

@@ -9,9 +9,9 @@ from typing import Any
 import msgspec
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from rigctl.page.desk import Desk
 from rigctl.page.history import WINDOWS_S
 from rigctl.page.lateness import EDGES_US
+from rigctl.page.page_commands import PageCommands
 from rigctl.page.panel import events_message, settings_message, state_message
 from rigctl.page.picture import Picture
 from rigctl.page.signals import SIGNALS
@@ -26,8 +26,10 @@ _SLOW_S = 10.0  # a browser that takes nothing for so long is gone
 class Stream:
     """One websocket. The browser sends ``{"window": N}`` and gets that window from its beginning."""
 
-    def __init__(self, socket: WebSocket, picture: Picture, hello: dict[str, Any], desk: Desk | None) -> None:
-        self._socket, self._picture, self._hello, self._desk = socket, picture, hello, desk
+    def __init__(
+        self, socket: WebSocket, picture: Picture, hello: dict[str, Any], commands: PageCommands | None
+    ) -> None:
+        self._socket, self._picture, self._hello, self._commands = socket, picture, hello, commands
         self._window = self._since = 0
         self._newest_ns = -1
         self._events = self._active = -1
@@ -70,8 +72,8 @@ class Stream:
             self._events = picture.events_serial
             await self._put(events_message(picture))
         if count % WORDS_EVERY == 0:
-            desk = self._desk
-            await self._put(state_message(picture, desk is not None and desk.holds_lease(picture.state)))
+            commands = self._commands
+            await self._put(state_message(picture, commands is not None and commands.holds_lease(picture.state)))
         if count % LATENESS_EVERY == 0:
             with picture.lock:
                 found = picture.lateness.window(WINDOWS_S[self._window])

@@ -70,7 +70,7 @@ def _note(slot: np.void) -> Words:
     return message["kind"].lower(), message["operator"], message["text"], details
 
 
-def _desk(slot: np.void) -> Words:
+def _request(slot: np.void) -> Words:
     verb, value = _text(slot, "verb"), _number(slot, "value")
     asked = {"id": int(slot["id"]), "verb": verb, "value": value, "holder": _text(slot, "holder")}
     who = _text(slot, "operator")
@@ -135,7 +135,7 @@ SOURCES = (
     Source("events", lambda runtime: runtime.event_reader(from_start=True), _event),
     Source("replies", lambda runtime: runtime.reply_reader(from_start=True), _reply),
     Source("notes", lambda runtime: runtime.note_reader(from_start=True), _note),
-    Source("desk", lambda runtime: runtime.desk_reader(), _desk),
+    Source("desk", lambda runtime: runtime.request_reader(), _request),
 )
 
 

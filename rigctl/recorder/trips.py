@@ -184,8 +184,8 @@ class Trips:
         for name in _ATTACHED:
             file.attach(name, msgspec.json.encode(runtime.known(name)), wall_ns)
         file.attach("schema.json", msgspec.json.encode(schema(self._settings.rig)), wall_ns)
-        if (book := self._settings.ledger) is not None and book.is_file():
-            file.attach("calibration_ledger.json", book.read_bytes(), wall_ns)
+        if (ledger_file := self._settings.ledger) is not None and ledger_file.is_file():
+            file.attach("calibration_ledger.json", ledger_file.read_bytes(), wall_ns)
         slots = (("records", records), ("frames", frames), ("commands", commands), ("holds", holds))
         file.write([*(message for topic, found in slots for message in file.slots(topic, found)), *file.said(said)])
         file.finish()

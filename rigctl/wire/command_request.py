@@ -188,7 +188,7 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
 
 
 @dataclass(frozen=True)
-class Sight:
+class NewestRecord:
     """What an answer may mention: from the newest record."""
 
     fault: Fault = Fault.NONE
@@ -199,11 +199,11 @@ class Sight:
     arming: bool = False  # an ARM is being carried out, and the loop runs
 
 
-def sight_of(records: RingReader, standing: Mapping[Fault, str] = MappingProxyType({})) -> Sight:
+def newest_record(records: RingReader, standing: Mapping[Fault, str] = MappingProxyType({})) -> NewestRecord:
     """What the newest record says about the rig; ``standing``: causes in words, the strongest first."""
     record = records.latest()
     if record is None:
-        return Sight()
+        return NewestRecord()
     try:
         fault = Fault(int(record["fault"]))
     except ValueError:
@@ -211,19 +211,19 @@ def sight_of(records: RingReader, standing: Mapping[Fault, str] = MappingProxyTy
     stroke_mm, tension_n, target_n = (float(record[name]) for name in ("stroke_mm", "tension_n", "target_n"))
     alive = time.monotonic_ns() - int(record["t_ns"]) < ALIVE_NS
     arming = alive and bool(int(record["flags"]) & Flag.ARMING)
-    return Sight(fault, stroke_mm, tension_n, target_n, standing, arming)
+    return NewestRecord(fault, stroke_mm, tension_n, target_n, standing, arming)
 
 
-def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
+def _done(verb: Verb, mode: Mode, value: float, newest: NewestRecord) -> str:
     match verb:
         case Verb.ARM:
-            return f"armed, {mode.name}, stroke {sight.stroke_mm:z.2f} mm, tension {sight.tension_n:z.1f} N"
+            return f"armed, {mode.name}, stroke {newest.stroke_mm:z.2f} mm, tension {newest.tension_n:z.1f} N"
         case Verb.TENSION:
-            return f"ramping to {significant(sight.target_n, 'N')}, {mode.name}"
+            return f"ramping to {significant(newest.target_n, 'N')}, {mode.name}"
         case Verb.RELEASE:
             return f"ramping to slack, {mode.name}"
         case Verb.HOLD:
-            return f"stroke held at {sight.stroke_mm:z.2f} mm, tension {sight.tension_n:z.1f} N"
+            return f"stroke held at {newest.stroke_mm:z.2f} mm, tension {newest.tension_n:z.1f} N"
         case Verb.DISARM:
             latched = ", the fault stays latched" if mode is Mode.FAULT else ""
             return f"drive off, brake closed, {mode.name}{latched}"
@@ -236,7 +236,7 @@ def _done(verb: Verb, mode: Mode, value: float, sight: Sight) -> str:
         case Verb.GAINS:
             return mode.name
         case Verb.IDENTIFY:
-            return f"excited for {value:.1f} s, {mode.name}, stroke {sight.stroke_mm:z.2f} mm"
+            return f"excited for {value:.1f} s, {mode.name}, stroke {newest.stroke_mm:z.2f} mm"
         case _:
             return f"the cell reads {value:z.3f} N, {mode.name}"
 
@@ -271,7 +271,7 @@ def _plain(check: Check) -> str:
 def answer(
     request: Request,
     reply: Any,
-    sight: Sight,
+    newest: NewestRecord,
     limits_n: tuple[float, float],
     failing: Mapping[Check, str] = MappingProxyType({}),
     waived: Mapping[Check, str] = MappingProxyType({}),
@@ -284,14 +284,14 @@ def answer(
     name = verb.name.lower()
     about = {"mode": mode.name, "t_ns": int(reply["t_ns"]), "value": value if math.isfinite(value) else None}
     if reply["accepted"]:
-        text = f"{verb.name}: {_done(verb, mode, value, sight)}"
+        text = f"{verb.name}: {_done(verb, mode, value, newest)}"
         if verb is Verb.ARM and waived:
             text += f"; waived: {_by_words(waived)}"
             about["waived"] = {_plain(check): words for check, words in waived.items()}
         return {"accepted": True, "verb": name, "operator": request.operator, "text": text, **about}
     refusal, checks = Refusal(int(reply["reason"])), int(reply["checks"])
     named = refusal is Refusal.CAUSE_PRESENT and value in Fault._value2member_map_
-    cause = Fault(int(value)) if named else sight.fault
-    text = refusal_text(refusal, verb, mode, checks, cause, limits_n, value, failing, sight.standing)
+    cause = Fault(int(value)) if named else newest.fault
+    text = refusal_text(refusal, verb, mode, checks, cause, limits_n, value, failing, newest.standing)
     more = {"checks": failed_checks(checks, failing)} if refusal is Refusal.PREFLIGHT else {}
     return refused(name, request.operator, refusal.name.lower(), text, **about, **more)

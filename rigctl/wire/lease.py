@@ -70,7 +70,7 @@ class Change:
     reason: str = ""
 
 
-class Book:
+class LeaseRegister:
     """The lease in force. Every change is told, in order; a renewal is none."""
 
     def __init__(

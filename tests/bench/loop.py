@@ -9,7 +9,7 @@ from typing import Any
 
 from rigctl.bench import loop
 from rigctl.config import rig_file as config
-from rigctl.demo.test_rig import rehearse
+from rigctl.demo.live_rig import start_live_rig
 from tests import daemons
 
 
@@ -18,9 +18,9 @@ class BenchRig:
 
     def __init__(self, rate_hz: int, stack: contextlib.ExitStack) -> None:
         folder = pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        settings = loop.rehearsed(config.load(daemons.PAPER), rate_hz)
-        rehearsal = stack.enter_context(rehearse(settings, folder, quiet=True))
-        loop.tension(rehearsal)
+        settings = loop.bench_settings(config.load(daemons.PAPER), rate_hz)
+        live_rig = stack.enter_context(start_live_rig(settings, folder, quiet=True))
+        loop.tension(live_rig)
         self.rig, self.endpoint = settings.rig, settings.telemetry.listen
 
     def measure(self, seconds: float) -> Any:

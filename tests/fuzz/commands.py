@@ -57,7 +57,7 @@ def query(chance: random.Random, mode: Mode) -> tuple[str, bytes | None]:
 
 
 def parsed(name: str, payload: bytes | None) -> object:
-    """As the desk reads a query."""
+    """As the command server reads a query."""
     act = ACTS.get(name)
     return parse(verb_of(name), payload) if act is None else parse_lease(act, payload)
 

@@ -33,7 +33,7 @@ from rigctl.design.margins import design_and_check
 from rigctl.devices import eds_file
 from rigctl.gateway import lease_service as lease_keeper
 from rigctl.gateway.active import Active
-from rigctl.gateway.lease_service import Keeper
+from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.published_position import Cursor
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Standing, in_force
@@ -213,7 +213,7 @@ def _of_the_daemon(runtime: Runtime, rig: RigSettings) -> list[File]:
         assert in_force(runtime, before) in (standing, before)
 
     def lease() -> None:
-        Keeper(runtime, 300, time.monotonic_ns()).shown(time.monotonic_ns())
+        LeaseService(runtime, 300, time.monotonic_ns()).shown(time.monotonic_ns())
 
     def cursor() -> None:
         found = Cursor(runtime.gateway_cursor, runtime.records, 0)
@@ -249,8 +249,8 @@ def _of_the_daemon(runtime: Runtime, rig: RigSettings) -> list[File]:
 def _kept(folder: pathlib.Path, runtime: Runtime, rig: RigSettings) -> list[File]:
     """What is kept from one run of the daemon to the next."""
     rig = rig.model_copy(update={"directory": str(folder)})
-    book = rig.ledger
-    assert book is not None
+    ledger_file = rig.ledger
+    assert ledger_file is not None
     new = ledger.entry(
         rig, "tare", "anna", _NOW_NS, before={}, after={"zero_n": 0.4, "scale": 1.0}, figures={"n": 0.03}
     )
@@ -280,7 +280,10 @@ def _kept(folder: pathlib.Path, runtime: Runtime, rig: RigSettings) -> list[File
 
     return [
         File(
-            "calibration ledger", book, lambda: ledger.standing(rig, ledger.read(rig), _NOW_NS), (ledger.LedgerError,)
+            "calibration ledger",
+            ledger_file,
+            lambda: ledger.standing(rig, ledger.read(rig), _NOW_NS),
+            (ledger.LedgerError,),
         ),
         File("last stroke", rig.last_stroke, lambda: last_stroke.read(rig)),
         File("audit log", rig.audit_log, recorder, (audit_log.AuditError,)),

@@ -62,7 +62,7 @@ def test_reset_is_refused_until_the_stop_has_ended_and_says_so(rig: Lockstep, en
     while rig.command(Verb.RESET) is not Refusal.NONE:
         assert rig.clock.now() < until_ns
     assert rig.rig.drive.control.stage.phase is Phase.BRAKED
-    assert rig.loop.observer.sight.off_ns >= rig.settings.cylinder.brake_delay_ms * MS
+    assert rig.loop.observer.snapshot.off_ns >= rig.settings.cylinder.brake_delay_ms * MS
     assert rig.command(Verb.ARM) is Refusal.NONE
 
 

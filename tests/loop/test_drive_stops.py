@@ -90,7 +90,7 @@ def test_arming_is_refused_while_pressed_and_while_the_input_is_not_seen(rig: Lo
     rig.run((STATUS_PERIODS + 1) * status_period_s(rig))
     assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
     assert Check.E_STOP_UNSEEN | Check.STATUS_STALE in Check(int(rig.reply["checks"]))
-    assert math.isnan(rig.loop.observer.sight.drive_current_a)
+    assert math.isnan(rig.loop.observer.snapshot.drive_current_a)
     drive.press_e_stop(True)
     rig.loop.tick()
     assert Check.E_STOP in Check(rig.loop._orders.failed_checks())
@@ -98,13 +98,13 @@ def test_arming_is_refused_while_pressed_and_while_the_input_is_not_seen(rig: Lo
 
 def test_current_and_temperature_are_the_drives(rig: Lockstep, enter: Enter) -> None:
     enter(Mode.COMPENSATING)
-    sight, truth = rig.loop.observer.sight, rig.rig.truth
+    snapshot, truth = rig.loop.observer.snapshot, rig.rig.truth
     simulation = rig.settings.simulation
     assert simulation is not None
     load_a, friction_a = (n / simulation.drive.force_n_a for n in (truth.tension_n, simulation.drive.friction_n))
     unit_a = (rig.settings.cylinder.rated_current_a or math.nan) * objects.PER_CURRENT_UNIT
-    assert abs(sight.drive_current_a - load_a) <= friction_a + unit_a
-    assert simulation.drive.ambient_c <= sight.drive_temperature_c < simulation.drive.ambient_c + 1.0
+    assert abs(snapshot.drive_current_a - load_a) <= friction_a + unit_a
+    assert simulation.drive.ambient_c <= snapshot.drive_temperature_c < simulation.drive.ambient_c + 1.0
 
 
 def test_a_drive_that_is_not_asked_for_its_status_has_no_emergency_stop(settings: RigSettings, gains: Gains) -> None:
@@ -116,9 +116,9 @@ def test_a_drive_that_is_not_asked_for_its_status_has_no_emergency_stop(settings
         rig.run(0.3)
         rig.rig.drive.e_stop_pressed = True
         rig.run(0.3)
-        sight = rig.loop.observer.sight
-        assert not sight.e_stop
-        assert math.isnan(sight.drive_temperature_c)
+        snapshot = rig.loop.observer.snapshot
+        assert not snapshot.e_stop
+        assert math.isnan(snapshot.drive_temperature_c)
         assert rig.command(Verb.ARM) is Refusal.NONE
         identifiers = {int.from_bytes(frame[:4], "little") for _, frame in rig.frames}
         assert objects.TPDO2_BASE + settings.cylinder.node not in identifiers

@@ -62,7 +62,7 @@ def test_a_tool_that_only_enables_trips_too_and_nobody_resets_or_arms_while_it_i
 
 def test_a_tool_that_comes_in_the_very_tick_of_arm_is_seen_before_it(rig: Lockstep) -> None:
     rig.rig.drive.take_over(ServiceTool(5.0, shows_remote=True))
-    while not rig.loop.observer.sight.drive_enabled:
+    while not rig.loop.observer.snapshot.drive_enabled:
         rig.loop.tick()
     assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
     assert Check(int(rig.reply["checks"])) & Check.DRIVE_REFUSES

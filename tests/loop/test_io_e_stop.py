@@ -129,12 +129,12 @@ def test_the_button_itself_opens_both_and_either_alone_keeps_the_reset_away(rig:
     rig.rig.drive.press_e_stop(True)
     node(rig).press_e_stop(True)
     rig.run(0.5)
-    sight = rig.loop.observer.sight
-    assert sight.e_stop == EStop.DRIVE | EStop.IO_NODE
+    snapshot = rig.loop.observer.snapshot
+    assert snapshot.e_stop == EStop.DRIVE | EStop.IO_NODE
     assert Check(int(rig.run(0.6)["checks"][-1])) & (Check.E_STOP | Check.E_STOP_IO) == Check.E_STOP | Check.E_STOP_IO
     rig.rig.drive.press_e_stop(False)
     rig.run(0.2)
-    assert sight.e_stop == EStop.IO_NODE
+    assert snapshot.e_stop == EStop.IO_NODE
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
     node(rig).press_e_stop(False)
     rig.run(0.1)
@@ -184,7 +184,7 @@ def test_pressed_and_then_silent_it_stays_pressed(rig: Lockstep) -> None:
     silence(rig)
     node(rig).press_e_stop(False)  # which nobody hears
     rig.run(0.6)
-    assert rig.loop.observer.sight.e_stop == EStop.IO_NODE
+    assert rig.loop.observer.snapshot.e_stop == EStop.IO_NODE
     checks = Check(int(rig.run(0.6)["checks"][-1]))
     assert checks == Check.E_STOP_IO | Check.E_STOP_IO_UNSEEN
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT

@@ -37,25 +37,25 @@ def recorded(
     audit = settings.audit.model_copy(update={"file": str(folder / "audit.jsonl")})
     settings = settings.model_copy(update={"recording": recording, "audit": audit})
     with lockstep(settings, gains, correction=Correction(0.25, 1.001)) as rig:
-        rig.loop.observer.sight.host_checks = int(Check.HOST)
+        rig.loop.observer.snapshot.host_checks = int(Check.HOST)
         design = {"gains": msgspec.to_builtins(gains)}
         rig.runtime.write_json(ACTIVE, {"settings": settings.model_dump(mode="json"), "design": design})
         rig.runtime.write_json("control.json", rig.report.as_json())
         rig.runtime.write_json(IN_FORCE, Standing(zero_n=0.25, scale=1.001))
-        keeper = Continuous(rig.runtime, settings, 7, time.time_ns())
+        recording = Continuous(rig.runtime, settings, 7, time.time_ns())
         ticked = rig.loop.tick
 
         def tick() -> None:
             ticked()
             if rig.loop._logbook.tick % 500 == 0:
-                keeper.poll(rig.clock.now(), time.time_ns(), final=True)
+                recording.poll(rig.clock.now(), time.time_ns(), final=True)
 
         rig.loop.tick = tick  # type: ignore[method-assign]
         script(rig)
         rig.loop.stop_requested = True
         rig.run(STOP_S)
         assert rig.loop.finished
-        keeper.close(rig.clock.now(), time.time_ns())
+        recording.close(rig.clock.now(), time.time_ns())
     (first,) = (folder / "kept").glob("*.mcap")
     return read(*parts_of(first))
 

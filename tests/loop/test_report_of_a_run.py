@@ -33,7 +33,7 @@ def run(
     with lockstep(settings, gains) as rig:
         document = {"settings": settings.model_dump(mode="json"), "design": {"gains": msgspec.to_builtins(gains)}}
         rig.runtime.write_json(ACTIVE, document)
-        keeper = Continuous(rig.runtime, settings, 7, time.time_ns())
+        recording = Continuous(rig.runtime, settings, 7, time.time_ns())
         rig.run(0.3)
         assert rig.command(Verb.ARM) is Refusal.NONE
         assert rig.command(Verb.TENSION) is Refusal.NONE
@@ -43,8 +43,8 @@ def run(
             for _ in range(round(BATCH_S * settings.loop.rate_hz)):
                 rig.loop.tick()
                 truth[rig.clock.now()] = rig.rig.truth.vertical_n
-            keeper.poll(rig.clock.now(), time.time_ns(), final=True)
-        keeper.close(rig.clock.now(), time.time_ns())
+            recording.poll(rig.clock.now(), time.time_ns(), final=True)
+        recording.close(rig.clock.now(), time.time_ns())
     (file,) = folder.glob("*.mcap")
     return find(read(*parts_of(file), frames=False)), truth
 

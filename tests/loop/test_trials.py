@@ -52,7 +52,7 @@ def test_a_tare_measures_first_and_changes_nothing_until_it_is_on_record(
     assert rig.reply["spread"] == pytest.approx(NOISE_N, rel=0.15)
     assert rig.run(0.1)["tension_n"].mean() == pytest.approx(OFFSET_N, abs=0.02)
     rig.events.read()
-    assert rig.command(Setting.ZERO, float(rig.reply["value"])) is Refusal.NONE  # what the clerk does next
+    assert rig.command(Setting.ZERO, float(rig.reply["value"])) is Refusal.NONE  # as the calibration service does
     told = rig.events.read()
     assert list(told["kind"]) == [Kind.CORRECTION]
     assert rig.run(0.1)["tension_n"].mean() == pytest.approx(0.0, abs=0.02)

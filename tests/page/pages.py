@@ -109,7 +109,7 @@ def serving(endpoint: str, *options: str, port: int = 0) -> Iterator[Server]:
 
 
 @dataclass
-class Sight:
+class PageView:
     """A page in the browser, and what the browser noted about it."""
 
     page: Page
@@ -147,23 +147,23 @@ def browser() -> Iterator[Browser]:
             found.close()
 
 
-def look(browser: Browser, address: str, width: int = 1280, height: int = 800, theme: Any = "light") -> Sight:
+def look(browser: Browser, address: str, width: int = 1280, height: int = 800, theme: Any = "light") -> PageView:
     """Open an address; what goes wrong in the page, and every request, is noted."""
-    sight = Sight(browser.new_page(viewport={"width": width, "height": height}, color_scheme=theme))
+    view = PageView(browser.new_page(viewport={"width": width, "height": height}, color_scheme=theme))
 
     def said(message: ConsoleMessage) -> None:
         if message.type in ("error", "warning"):
-            sight.errors.append(message.text)
+            view.errors.append(message.text)
 
     def requested(request: Request) -> None:
-        sight.asked.append(request.url)
+        view.asked.append(request.url)
 
     def connected(socket: WebSocket) -> None:
-        sight.asked.append(socket.url)
+        view.asked.append(socket.url)
 
-    sight.page.on("console", said)
-    sight.page.on("pageerror", lambda error: sight.errors.append(str(error)))
-    sight.page.on("request", requested)
-    sight.page.on("websocket", connected)
-    sight.page.goto(address)
-    return sight
+    view.page.on("console", said)
+    view.page.on("pageerror", lambda error: view.errors.append(str(error)))
+    view.page.on("request", requested)
+    view.page.on("websocket", connected)
+    view.page.goto(address)
+    return view

@@ -15,7 +15,7 @@ import pytest
 from playwright.sync_api import Browser
 
 from tests import daemons
-from tests.page.pages import PATIENT, Server, Sight, look, serving, until
+from tests.page.pages import PATIENT, PageView, Server, look, serving, until
 from tests.telemetry.miniature import free_port
 
 pytestmark = pytest.mark.real_time
@@ -46,24 +46,24 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 
 @pytest.fixture
-def seen(chromium: Browser, running: Running) -> Iterator[Sight]:
+def seen(chromium: Browser, running: Running) -> Iterator[PageView]:
     found = look(chromium, running.server.address)
     found.live()
-    found.until("!document.querySelector('#desk').hidden")
+    found.until("!document.querySelector('#commands').hidden")
     yield found
     found.page.close()
     running.server.command("lease", {"act": "return"})
 
 
-def said(seen: Sight, words: str) -> None:
+def said(seen: PageView, words: str) -> None:
     seen.until(f"document.querySelector('#said').textContent.includes({words!r})")
 
 
-def listed(seen: Sight, words: str) -> None:
+def listed(seen: PageView, words: str) -> None:
     seen.until(f"document.querySelector('#event-list').textContent.includes({words!r})")
 
 
-def give(seen: Sight, verb: str) -> None:
+def give(seen: PageView, verb: str) -> None:
     """Click, read, confirm."""
     seen.until(f"!document.querySelector('[data-verb={verb}]').disabled")
     seen.page.click(f"[data-verb={verb}]")
@@ -72,11 +72,11 @@ def give(seen: Sight, verb: str) -> None:
     seen.page.click("#confirm-yes")
 
 
-def mode(seen: Sight, wanted: str) -> None:
+def mode(seen: PageView, wanted: str) -> None:
     seen.until(f"rigctl.state.mode === {wanted!r}")
 
 
-def test_commands_go_through_lease_and_confirmation(seen: Sight, running: Running) -> None:
+def test_commands_go_through_lease_and_confirmation(seen: PageView, running: Running) -> None:
     assert seen.run("[...document.querySelectorAll('[data-verb]')].every((button) => button.disabled)")
     assert not seen.run("document.querySelector('#hold').disabled")
     assert "kim" in seen.text("#rights")
@@ -120,7 +120,7 @@ def test_commands_go_through_lease_and_confirmation(seen: Sight, running: Runnin
     assert running.server.process.poll() is None
 
 
-def test_hold_is_taken_from_the_page_whoever_holds_the_lease(seen: Sight, running: Running) -> None:
+def test_hold_is_taken_from_the_page_whoever_holds_the_lease(seen: PageView, running: Running) -> None:
     answer = daemons.rigctl("lease", "take", "--operator", "anna", file=running.file)
     assert answer.returncode == 0, answer.stderr
     try:
@@ -138,7 +138,7 @@ def test_hold_is_taken_from_the_page_whoever_holds_the_lease(seen: Sight, runnin
         daemons.rigctl("lease", "return", "--operator", "anna", file=running.file)
 
 
-def test_a_confirmation_holds_for_the_rig_as_it_was(seen: Sight, running: Running) -> None:
+def test_a_confirmation_holds_for_the_rig_as_it_was(seen: PageView, running: Running) -> None:
     server = running.server
     assert server.command("lease", {"act": "take"})[0] == 200
     try:

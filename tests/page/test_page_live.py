@@ -13,7 +13,7 @@ from playwright.sync_api import Browser
 
 from rigctl.ipc.record import RECORD
 from rigctl.page.history import WINDOWS_S
-from tests.page.pages import Server, Sight, look, serving
+from tests.page.pages import PageView, Server, look, serving
 from tests.telemetry.miniature import Daemon, free_port, running
 
 TENSION = "rigctl.strips.charts[0]"
@@ -22,7 +22,7 @@ DRAWN = f"{TENSION}.u.ctx.canvas.toDataURL()"
 
 
 @contextlib.contextmanager
-def sight(chromium: Browser, server: Server, width: int = 1280, height: int = 800) -> Iterator[Sight]:
+def view(chromium: Browser, server: Server, width: int = 1280, height: int = 800) -> Iterator[PageView]:
     found = look(chromium, server.address, width, height)
     try:
         found.live()
@@ -32,7 +32,7 @@ def sight(chromium: Browser, server: Server, width: int = 1280, height: int = 80
 
 
 def test_charts_move_with_the_data(chromium: Browser, readonly: Server) -> None:
-    with sight(chromium, readonly) as seen:
+    with view(chromium, readonly) as seen:
         newest, drawn = seen.run("rigctl.store.newestMs"), seen.run(DRAWN)
         seen.until(f"rigctl.store.newestMs > {newest} + 1000")
         assert seen.run(DRAWN) != drawn
@@ -40,7 +40,7 @@ def test_charts_move_with_the_data(chromium: Browser, readonly: Server) -> None:
 
 
 def test_nothing_is_asked_of_another_host(chromium: Browser, readonly: Server) -> None:
-    with sight(chromium, readonly) as seen:
+    with view(chromium, readonly) as seen:
         for window in range(len(WINDOWS_S)):
             seen.page.click(f"#windows button:nth-child({window + 1})")
             seen.until(f"rigctl.store.window === {window}")
@@ -55,19 +55,19 @@ def test_what_the_page_says_is_what_the_daemon_says(chromium: Browser, readonly:
     with daemon.client() as client:
         state = client.state()
         text = client.past_events()[0]["text"]
-    with sight(chromium, readonly) as seen:
+    with view(chromium, readonly) as seen:
         assert seen.text("#mode") == state["mode"]
         assert seen.text("#target") == f"{state['target_n']:.1f} N"
         assert seen.text("#rig") == daemon.settings.rig
         assert text in seen.text("#event-list")
         for words in (*state["warnings"], "nobody holds it"):
             assert words in seen.text("#rows")
-        assert seen.run("document.querySelector('#desk').hidden")
+        assert seen.run("document.querySelector('#commands').hidden")
 
 
 def test_a_page_opened_late_shows_the_past_at_once(chromium: Browser, readonly: Server) -> None:
     """The server's history; and beyond its start what the daemon's rings still held."""
-    with sight(chromium, readonly) as seen:
+    with view(chromium, readonly) as seen:
         seconds = seen.run("rigctl.store.low[0].filter((value) => value === value).length") * 0.05
         oldest = seen.run("performance.now()") / 1000
         assert seconds > oldest + 1
@@ -90,7 +90,7 @@ def test_both_themes_are_the_readers_choice(chromium: Browser, readonly: Server)
 
 @pytest.mark.parametrize(("width", "height"), [(1920, 1080), (1024, 768), (820, 1180)])
 def test_nothing_is_cut_off_or_overlaps(chromium: Browser, readonly: Server, width: int, height: int) -> None:
-    with sight(chromium, readonly, width, height) as seen:
+    with view(chromium, readonly, width, height) as seen:
         for node, text in (("#mode", "COMPENSATING"), ("#mode", "LOOP STOPPED"), ("#vertical", "-299.97")):
             inner, outer = seen.run(
                 f"""(() => {{
@@ -127,7 +127,7 @@ def own() -> Iterator[Daemon]:
 
 def test_the_page_survives_a_killed_gateway(chromium: Browser, own: Daemon) -> None:
     own.client().close()
-    with serving(own.endpoint) as server, sight(chromium, server) as seen:
+    with serving(own.endpoint) as server, view(chromium, server) as seen:
         own.kill_gateway()
         seen.until("rigctl.stale")
         assert seen.text("#stale-what").startswith("NO DATA FOR ")
@@ -143,7 +143,7 @@ def test_the_page_survives_a_killed_gateway(chromium: Browser, own: Daemon) -> N
 
 def test_the_page_survives_a_killed_page_server(chromium: Browser, daemon: Daemon) -> None:
     port = free_port()
-    with serving(daemon.endpoint, port=port) as first, sight(chromium, first) as seen:
+    with serving(daemon.endpoint, port=port) as first, view(chromium, first) as seen:
         first.end(signal.SIGKILL)
         seen.until("rigctl.stale")
         assert "page server" in seen.text("#stale-why")

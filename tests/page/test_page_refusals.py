@@ -35,9 +35,9 @@ def leases_and_orders(daemon: Daemon) -> tuple[Any, int]:
     """Who holds the lease, and how many commands the loop has been given (HOST_CHECKS of the gateway aside)."""
     with daemon.client() as client:
         state = client.state()
-    desk = daemon.runtime.desk_reader()
-    desk.cursor = 0
-    return state["lease"], len(desk.read())
+    commands = daemon.runtime.request_reader()
+    commands.cursor = 0
+    return state["lease"], len(commands.read())
 
 
 @pytest.mark.parametrize(("what", "body"), COMMANDS)

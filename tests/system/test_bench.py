@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from rigctl.bench import cyclictest
-from rigctl.bench.loop import Rate, rehearsed
+from rigctl.bench.loop import Rate, bench_settings
 from rigctl.cli.bench import judged
 from rigctl.cli.demo import own_settings
 from rigctl.config.rig_file import load
@@ -77,7 +77,7 @@ def test_nothing_of_the_rigs_own_is_touched(tmp_path: pathlib.Path) -> None:
         "calibration": {"file": "/nowhere/ledger.json", "waiver": None},
     }
     settings = load(daemons.rig_file(tmp_path, own))
-    played = rehearsed(settings, 2000)
+    played = bench_settings(settings, 2000)
     assert (played.loop.rate_hz, played.can.interface) == (2000, "rigsim")
     assert played.telemetry.listen != settings.telemetry.listen
     for ours, theirs in ((played.audit_log, settings.audit_log), (played.ledger, settings.ledger)):
@@ -91,7 +91,7 @@ def test_nothing_of_the_rigs_own_is_touched(tmp_path: pathlib.Path) -> None:
     assert demo.audit_log.is_relative_to(tmp_path)
     assert demo.audit_log != settings.audit_log
     assert demo.recording.folder == str(tmp_path / "here")
-    assert rehearsed(settings, 1000).loop == settings.loop
+    assert bench_settings(settings, 1000).loop == settings.loop
 
 
 @pytest.mark.simulated_time

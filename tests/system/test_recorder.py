@@ -34,7 +34,7 @@ def missing(found: list[chain.Entry], runtime: Runtime) -> dict[str, list[int]]:
     """Numbers of each ring that are not in the log exactly once."""
     rings = {
         "events": runtime.event_reader(), "notes": runtime.note_reader(), "replies": runtime.reply_reader(),
-        "commands": runtime.command_reader(), "desk": runtime.desk_reader(),
+        "commands": runtime.command_reader(), "desk": runtime.request_reader(),
         "supervision": runtime.supervision_reader(),
     }  # fmt: skip
     seen = {name: [entry.seq for entry in found if entry.source == name] for name in rings}

@@ -281,7 +281,7 @@ def test_a_bad_lease_is_one_line_and_keeps_nobody_from_holding(shared: Daemon, l
 
 
 def test_hold_comes_through_a_crowd(own: Daemon) -> None:
-    """As many commands unanswered as the desk keeps: the next is turned away, HOLD is not."""
+    """As many commands unanswered as the commands keeps: the next is turned away, HOLD is not."""
     with own.client() as client:
         client.command("arm", "anna")
         lease = client.leases["anna"]

@@ -7,7 +7,7 @@ import pathlib
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.demo.test_rig import rig_file
+from rigctl.demo.live_rig import rig_file
 from rigctl.devices import busload
 from tests.unit.hil.test_parameter_sets import with_set
 

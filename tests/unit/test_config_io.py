@@ -12,7 +12,7 @@ from rigctl.cli import check
 from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
 from rigctl.config.rig_file import RailEncoderSettings
-from rigctl.demo.test_rig import rig_file
+from rigctl.demo.live_rig import rig_file
 from rigctl.devices import busload
 
 ROOT = pathlib.Path(__file__).parents[2]

@@ -10,13 +10,13 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.control.escalation import STEPS, Bounds, Escalation, Escalator, Step, Symptom
 from rigctl.control.events import Kind, worded
-from rigctl.control.safety import Action, Fault, Sight
+from rigctl.control.safety import Action, Fault, Snapshot
 
 SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
 MS = 1_000_000
 STOP_NS = 60 * MS
 BOUNDS = Bounds(SETTINGS, STOP_NS)
-GOOD = Sight(tension_n=300.0, stroke_mm=50.0, drive_age_ns=MS)
+GOOD = Snapshot(tension_n=300.0, stroke_mm=50.0, drive_age_ns=MS)
 HELPED = {Action.RAMP_DOWN: GOOD, Action.HOLD: GOOD, Action.QUICK_STOP: replace(GOOD, drive_off=True),
           Action.POWER_OFF: replace(GOOD, drive_off=True)}  # fmt: skip
 BAD = {
@@ -34,10 +34,10 @@ def watched(step: Step, *, bad_from_ms: int, until_ms: int, fault: Fault = Fault
     """What is found, and when, in ms from the reaction on."""
     subject, found = Escalator(SETTINGS, STOP_NS), []
     for ms in range(until_ms):
-        sight = replace(HELPED[step.action], t_ns=ms * MS)
+        snapshot = replace(HELPED[step.action], t_ns=ms * MS)
         if ms >= bad_from_ms:
-            sight = replace(sight, **BAD.get(step.symptom, {}))  # type: ignore[arg-type]
-        if (escalation := subject.look(fault, step.action, sight, ms * MS)) is not None:
+            snapshot = replace(snapshot, **BAD.get(step.symptom, {}))  # type: ignore[arg-type]
+        if (escalation := subject.look(fault, step.action, snapshot, ms * MS)) is not None:
             found.append((ms, escalation))
     return found
 
@@ -81,8 +81,8 @@ def test_a_ramp_down_that_does_not_end_is_held() -> None:
 def test_a_rising_tension_below_its_limit_is_nobodys_fault() -> None:
     subject = Escalator(SETTINGS, STOP_NS)
     for ms in range(1000):
-        sight = replace(GOOD, t_ns=ms * MS, tension_n=300.0 + 0.09 * ms)
-        assert subject.look(Fault.CELL_STALE, Action.HOLD, sight, ms * MS) is None
+        snapshot = replace(GOOD, t_ns=ms * MS, tension_n=300.0 + 0.09 * ms)
+        assert subject.look(Fault.CELL_STALE, Action.HOLD, snapshot, ms * MS) is None
 
 
 def test_each_reaction_has_its_own_time() -> None:

@@ -1,4 +1,4 @@
-"""Limits of the rig file: each bound is a row, every signal is read off the sight as it is named."""
+"""Limits of the rig file: each bound is a row, every signal is read off the snapshot as it is named."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rigctl.config.limits_section import SIGNALS, LimitSettings, SignalName
 from rigctl.control import limits
 from rigctl.control.events import fault_text
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Action, Fault, Row, Sight, Watch
+from rigctl.control.safety import Action, Fault, Row, Snapshot, Watch
 
 SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
 MS = 1_000_000
@@ -56,7 +56,7 @@ def test_every_signal_has_a_name_a_meaning_and_a_way_to_read_it() -> None:
 @pytest.mark.parametrize("signal", SIGNALS)
 def test_a_signal_is_what_its_name_says(signal: str) -> None:
     seen, value = SEEN[signal]
-    assert limits.VALUES[signal](replace(Sight(), **seen)) == pytest.approx(value)
+    assert limits.VALUES[signal](replace(Snapshot(), **seen)) == pytest.approx(value)
 
 
 def test_each_bound_is_a_row_of_its_own_that_shows_value_and_limit_as_they_are() -> None:
@@ -64,15 +64,15 @@ def test_each_bound_is_a_row_of_its_own_that_shows_value_and_limit_as_they_are()
     for row, inside, outside, words, bound in ((high, 5.0, 5.1, "above", 5.0), (low, -5.0, -5.1, "below", -5.0)):
         assert row.text == f"stroke_mm {words}"
         assert (row.fault, row.action, row.persistence_ns) == (Fault.LIMIT, Action.POWER_OFF, 7 * MS)
-        assert not row.value(Sight(stroke_mm=inside)) > row.limit
-        assert row.value(Sight(stroke_mm=outside)) > row.limit
+        assert not row.value(Snapshot(stroke_mm=inside)) > row.limit
+        assert row.value(Snapshot(stroke_mm=outside)) > row.limit
         assert row.sign * row.limit == bound
-        assert row.sign * row.value(Sight(stroke_mm=outside)) == outside
+        assert row.sign * row.value(Snapshot(stroke_mm=outside)) == outside
 
 
 def test_what_is_not_known_passes_no_limit() -> None:
     row, _ = rows(signal="drive_temperature_c", high=70.0)
-    assert not row.value(Sight()) > row.limit
+    assert not row.value(Snapshot()) > row.limit
 
 
 @pytest.mark.parametrize("action", ["power_off", "ramp_down"])
@@ -80,8 +80,8 @@ def test_a_limit_on_a_signal_that_does_not_come_is_a_fault_of_its_own(action: st
     _, unseen = rows(signal="drive_temperature_c", high=70.0, action=action)
     assert (unseen.fault, unseen.action, unseen.persistence_ns) == (Fault.LIMIT_UNSEEN, Action.HOLD, 0)
     assert unseen.text == "drive temperature (drive_temperature_c)"
-    assert not unseen.value(Sight(status_age_ns=250 * MS)) > unseen.limit  # five periods of 50 ms
-    assert unseen.value(Sight(status_age_ns=251 * MS)) > unseen.limit
+    assert not unseen.value(Snapshot(status_age_ns=250 * MS)) > unseen.limit  # five periods of 50 ms
+    assert unseen.value(Snapshot(status_age_ns=251 * MS)) > unseen.limit
     worded = fault_text(unseen.fault, 251 * MS, unseen.limit, unseen.text)
     assert worded == (
         "drive temperature (drive_temperature_c) is limited by the rig file and does not come: no sample for 251 ms "
@@ -93,14 +93,14 @@ def test_a_limit_that_is_only_logged_says_that_its_signal_does_not_come() -> Non
     _, unseen = rows(signal="drive_temperature_c", high=70.0, action="log")
     assert (unseen.fault, unseen.action, unseen.limit) == (Fault.LIMIT, Action.LOG, 250.0)
     assert unseen.text == "age in ms of drive temperature (drive_temperature_c) above"
-    assert unseen.value(Sight(status_age_ns=251 * MS)) == 251.0
+    assert unseen.value(Snapshot(status_age_ns=251 * MS)) == 251.0
 
 
 def test_in_the_armed_modes_the_built_in_rows_watch_the_others_and_in_disarmed_this_one() -> None:
     assert len(rows(signal="tangential_deg", high=5.0)) == 1
     _, unseen = rows(signal="tangential_deg", high=5.0, modes=["DISARMED", "HOLD"])
     assert (unseen.modes, unseen.limit, unseen.persistence_ns) == ({Mode.DISARMED}, 100 * MS, 100 * MS)
-    assert unseen.value(Sight(inclination_age_ns=101 * MS)) > unseen.limit
+    assert unseen.value(Snapshot(inclination_age_ns=101 * MS)) > unseen.limit
 
 
 def test_two_limits_on_a_signal_miss_it_once() -> None:
@@ -112,7 +112,7 @@ def test_two_limits_on_a_signal_miss_it_once() -> None:
 @pytest.mark.parametrize("slope", [40.0, -40.0])
 def test_a_rate_is_the_slope_of_the_signal_whatever_its_sign(slope: float) -> None:
     (row,) = rows(signal="tension_n", rate=1.0)
-    found = [row.value(Sight(t_ns=t * MS, tension_n=300.0 + slope * t * 1e-3)) for t in range(400)]
+    found = [row.value(Snapshot(t_ns=t * MS, tension_n=300.0 + slope * t * 1e-3)) for t in range(400)]
     assert found[0] == 0.0
     assert found[-1] == pytest.approx(abs(slope), rel=0.03)
     assert max(found) <= 1.03 * abs(slope)
@@ -120,15 +120,15 @@ def test_a_rate_is_the_slope_of_the_signal_whatever_its_sign(slope: float) -> No
 
 def test_a_rate_starts_anew_after_a_pause_and_knows_nothing_of_what_is_not_a_number() -> None:
     (row,) = rows(signal="tension_n", rate=1.0)
-    row.value(Sight(t_ns=0, tension_n=0.0))
-    assert row.value(Sight(t_ns=500 * MS, tension_n=300.0)) == 0.0
-    assert math.isnan(row.value(Sight(t_ns=501 * MS, tension_n=math.nan)))
-    assert row.value(Sight(t_ns=502 * MS, tension_n=300.0)) == 0.0
+    row.value(Snapshot(t_ns=0, tension_n=0.0))
+    assert row.value(Snapshot(t_ns=500 * MS, tension_n=300.0)) == 0.0
+    assert math.isnan(row.value(Snapshot(t_ns=501 * MS, tension_n=math.nan)))
+    assert row.value(Snapshot(t_ns=502 * MS, tension_n=300.0)) == 0.0
 
 
 def test_a_limit_trips_with_its_own_action_and_words() -> None:
     watch = Watch(SETTINGS, rows(signal="drive_temperature_c", high=85.0, action="ramp_down"))
-    good = Sight(tension_n=300.0, stroke_mm=50.0, cell_age_ns=0, inclination_age_ns=0, drive_age_ns=0, bus_age_ns=0,
+    good = Snapshot(tension_n=300.0, stroke_mm=50.0, cell_age_ns=0, inclination_age_ns=0, drive_age_ns=0, bus_age_ns=0,
         status_age_ns=0)  # fmt: skip
     assert watch.trips(replace(good, drive_temperature_c=85.0), Mode.HOLD, 0) is None
     trip = watch.trips(replace(good, drive_temperature_c=86.0), Mode.HOLD, MS)

@@ -12,14 +12,14 @@ from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Action, Check, EStop, Fault, Row, Sight, Watch, preflight, table
+from rigctl.control.safety import Action, Check, EStop, Fault, Row, Snapshot, Watch, preflight, table
 
 PAPER = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
 SETTINGS = PAPER.model_copy(update={"io": IoSettings(e_stop_input=0)})
 ROWS = table(SETTINGS)
 MS = 1_000_000
 
-GOOD = Sight(
+GOOD = Snapshot(
     tension_n=300.0,
     cell_age_ns=MS,
     inclination_age_ns=9 * MS,
@@ -96,7 +96,7 @@ def named(row: Row) -> tuple[Fault, str]:
     return row.fault, f"{row.unit} {row.text}".strip()
 
 
-def bad_for(row: Row) -> Sight:
+def bad_for(row: Row) -> Snapshot:
     return replace(GOOD, **BAD[named(row)])  # type: ignore[arg-type]
 
 
@@ -116,15 +116,15 @@ def test_a_good_rig_never_trips(mode: Mode) -> None:
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.fault.name)
 @pytest.mark.parametrize("mode", Mode)
 def test_a_row_trips_in_its_modes_after_its_persistence(row: Row, mode: Mode) -> None:
-    sight = bad_for(row)
+    snapshot = bad_for(row)
     watch = Watch(SETTINGS)
     if mode not in row.modes:
-        trips = [watch.trips(sight, mode, t * MS) for t in range(500)]
+        trips = [watch.trips(snapshot, mode, t * MS) for t in range(500)]
         assert all(trip is None or (trip.fault, trip.limit) != (row.fault, row.sign * row.limit) for trip in trips)
         return
-    tripped = next(t for t in range(1100) if watch.trips(sight, mode, t * MS) is not None)
+    tripped = next(t for t in range(1100) if watch.trips(snapshot, mode, t * MS) is not None)
     assert tripped * MS == row.persistence_ns
-    trip = watch.trips(sight, mode, 1200 * MS)
+    trip = watch.trips(snapshot, mode, 1200 * MS)
     assert trip is not None
     assert trip.fault is row.fault
     assert (trip.value - trip.limit) * row.sign > 0.0
@@ -134,11 +134,11 @@ def test_a_row_trips_in_its_modes_after_its_persistence(row: Row, mode: Mode) ->
 @pytest.mark.parametrize("row", [row for row in ROWS if row.persistence_ns], ids=lambda row: row.fault.name)
 def test_a_row_that_recovers_starts_again(row: Row) -> None:
     mode = min(row.modes)
-    sight = bad_for(row)
+    snapshot = bad_for(row)
     watch = Watch(SETTINGS)
-    assert watch.trips(sight, mode, 0) is None
+    assert watch.trips(snapshot, mode, 0) is None
     assert watch.trips(GOOD, mode, row.persistence_ns // 2) is None
-    assert watch.trips(sight, mode, row.persistence_ns) is None
+    assert watch.trips(snapshot, mode, row.persistence_ns) is None
 
 
 def test_every_armed_mode_watches_every_signal_it_needs() -> None:
@@ -183,27 +183,27 @@ def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -
 )
 def test_preflight_names_what_failed(bad: dict[str, object], check: Check) -> None:
     assert preflight(GOOD, SETTINGS, set(), supervision_verified=True) == Check(0)
-    sight = replace(GOOD, **bad)  # type: ignore[arg-type]
-    assert preflight(sight, SETTINGS, set(), supervision_verified=True) == check
-    assert preflight(sight, SETTINGS, set(), supervision_verified=False) == check | Check.DRIVE_SUPERVISION
+    snapshot = replace(GOOD, **bad)  # type: ignore[arg-type]
+    assert preflight(snapshot, SETTINGS, set(), supervision_verified=True) == check
+    assert preflight(snapshot, SETTINGS, set(), supervision_verified=False) == check | Check.DRIVE_SUPERVISION
 
 
 @pytest.mark.parametrize(("stroke_mm", "check"), [(121.9, Check(0)), (-21.9, Check(0)), (122.1, Check.STROKE_RANGE)])
 def test_an_operator_may_arm_near_an_end_but_not_beyond_it(stroke_mm: float, check: Check) -> None:
-    sight = replace(GOOD, stroke_mm=stroke_mm)
-    assert preflight(sight, SETTINGS, set(), supervision_verified=True, near_end=True) == check
+    snapshot = replace(GOOD, stroke_mm=stroke_mm)
+    assert preflight(snapshot, SETTINGS, set(), supervision_verified=True, near_end=True) == check
 
 
 def test_nothing_has_been_seen_at_first() -> None:
-    unseen = preflight(Sight(), SETTINGS, set(), supervision_verified=True)
+    unseen = preflight(Snapshot(), SETTINGS, set(), supervision_verified=True)
     assert Check.CELL_STALE | Check.DRIVE_STALE | Check.INCLINATION_STALE | Check.STROKE_RANGE in unseen
 
 
 @pytest.mark.parametrize("mode", Mode)
 def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> None:
     watch = Watch(SETTINGS)
-    sight = replace(GOOD, tension_n=395.0, reading_n=400.1)
-    trips = [watch.trips(sight, mode, t * MS) for t in range(40)]
+    snapshot = replace(GOOD, tension_n=395.0, reading_n=400.1)
+    trips = [watch.trips(snapshot, mode, t * MS) for t in range(40)]
     assert trips[-1] is not None
     assert trips[-1].fault is Fault.TENSION_HIGH
 
@@ -226,8 +226,8 @@ def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> Non
 def test_nobody_arms_into_what_would_trip(bad: dict[str, object], check: Check) -> None:
     tilted = LimitSettings(signal="tangential_deg", low=-5.0, high=5.0, action="hold", modes=["HOLD"])
     watch = Watch(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [tilted]})))
-    sight = replace(GOOD, **bad)  # type: ignore[arg-type]
-    assert preflight(sight, SETTINGS, watch.beyond(sight, Mode.HOLD), supervision_verified=True) == check
+    snapshot = replace(GOOD, **bad)  # type: ignore[arg-type]
+    assert preflight(snapshot, SETTINGS, watch.beyond(snapshot, Mode.HOLD), supervision_verified=True) == check
     assert preflight(GOOD, SETTINGS, watch.beyond(GOOD, Mode.HOLD), supervision_verified=True) == Check(0)
 
 
@@ -235,8 +235,8 @@ def test_a_limit_that_is_only_logged_is_told_once_when_it_begins_and_once_when_i
     late = LimitSettings(signal="lateness_us", high=500.0, persistence_ms=2, action="log", modes=["HOLD"])
     watch = Watch(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [late]})))
     bad = replace(GOOD, lateness_ns=600_000)
-    for t, sight in enumerate([GOOD, bad, bad, bad, bad, GOOD, GOOD]):
-        assert watch.trips(sight, Mode.HOLD, t * MS) is None
+    for t, snapshot in enumerate([GOOD, bad, bad, bad, bad, GOOD, GOOD]):
+        assert watch.trips(snapshot, Mode.HOLD, t * MS) is None
     told = [(trip.text, trip.value, trip.limit, begins) for trip, begins in watch.crossed]
     assert told == [("lateness_us above", 600.0, 500.0, True), ("lateness_us above", 500.0, 500.0, False)]
     assert watch.beyond(bad, Mode.HOLD) == set()
@@ -252,11 +252,11 @@ def test_a_limit_that_comes_and_goes_is_told_at_most_once_a_second() -> None:
 
 def test_of_several_rows_the_strongest_acts_and_among_equals_the_first() -> None:
     watch = Watch(SETTINGS)
-    sight = replace(GOOD, cell_quality=1, inclination_quality=1)
-    trip = watch.trips(sight, Mode.HOLD, 0)
+    snapshot = replace(GOOD, cell_quality=1, inclination_quality=1)
+    trip = watch.trips(snapshot, Mode.HOLD, 0)
     assert trip is not None
     assert (trip.fault, trip.action) == (Fault.CELL_INVALID, Action.HOLD)
-    runaway = replace(sight, stroke_error_mm=1.0)
+    runaway = replace(snapshot, stroke_error_mm=1.0)
     trip = watch.trips(runaway, Mode.HOLD, MS)
     assert trip is not None
     assert (trip.fault, trip.action) == (Fault.DRIVE_NOT_FOLLOWING, Action.POWER_OFF)
@@ -310,8 +310,8 @@ def test_a_rig_without_an_io_node_watches_for_none() -> None:
 @pytest.mark.parametrize("pressed", [EStop.DRIVE, EStop.IO_NODE, EStop.DRIVE | EStop.IO_NODE])
 @pytest.mark.parametrize("mode", Mode)
 def test_a_press_trips_wherever_it_is_seen_and_its_value_says_where(mode: Mode, pressed: EStop) -> None:
-    sight = replace(GOOD, e_stop=int(pressed))
-    trip = Watch(SETTINGS).trips(sight, mode, 0)
+    snapshot = replace(GOOD, e_stop=int(pressed))
+    trip = Watch(SETTINGS).trips(snapshot, mode, 0)
     assert trip is not None
     assert (trip.fault, trip.value, trip.action) == (Fault.E_STOP, float(pressed), Action.QUICK_STOP)
-    assert Watch(SETTINGS).present(sight) is Fault.E_STOP
+    assert Watch(SETTINGS).present(snapshot) is Fault.E_STOP

@@ -16,7 +16,7 @@ from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.machine import ARM_LIMIT_NS, Machine
 from rigctl.control.modes import Event, Mode, Refusal, Situation, Verb
-from rigctl.control.safety import Action, Fault, Sight, Trip, Watch
+from rigctl.control.safety import Action, Fault, Snapshot, Trip, Watch
 from rigctl.devices.drive import Power
 
 MS = 1_000_000
@@ -29,7 +29,7 @@ LIMITS = [
 SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml").model_copy(
     update={"limits": LIMITS, "io": IoSettings(e_stop_input=0)}
 )
-GOOD = Sight(
+GOOD = Snapshot(
     tension_n=300.0, cell_age_ns=MS, inclination_age_ns=9 * MS, stroke_mm=50.0, drive_age_ns=MS, bus_age_ns=MS,
     drive_temperature_c=40.0, drive_current_a=1.0, io_age_ns=MS, status_age_ns=MS,
 )  # fmt: skip
@@ -51,7 +51,7 @@ class Rig(RuleBasedStateMachine):
         self.machine = Machine()
         self.rows = limits.rows(SETTINGS)
         self.watch = Watch(SETTINGS, self.rows)
-        self.sight = replace(GOOD)
+        self.snapshot = replace(GOOD)
         self.t_ns = 0
         self.since: dict[str, int] = {}  # when each signal that is bad now became bad
         self.enabled = self.faulted = False
@@ -107,16 +107,16 @@ class Rig(RuleBasedStateMachine):
 
     @rule(name=st.sampled_from(sorted(BAD)))
     def goes_bad(self, name: str) -> None:
-        setattr(self.sight, name, BAD[name])
+        setattr(self.snapshot, name, BAD[name])
 
     @rule(name=st.sampled_from(sorted(BAD)))
     def is_good_again(self, name: str) -> None:
-        setattr(self.sight, name, getattr(GOOD, name))
+        setattr(self.snapshot, name, getattr(GOOD, name))
 
     @rule()
     @precondition(lambda self: self.machine.fault is not Fault.NONE)
     def all_is_well_and_reset(self) -> None:
-        self.sight = replace(GOOD)
+        self.snapshot = replace(GOOD)
         self.faulted = False
         self.give(Verb.RESET, 0.0)
         assert self.machine.fault is Fault.NONE or self.machine.stopping or self.machine.mode is not Mode.FAULT
@@ -145,8 +145,8 @@ class Rig(RuleBasedStateMachine):
     def give(self, verb: Verb, value: float) -> None:
         self.asked += 1
         machine, before, answers = self.machine, self.machine.mode, len(self.machine.answers)
-        present = self.watch.present(self.sight)
-        failing = bool(self.watch.beyond(self.sight, Mode.HOLD)) or self.faulted
+        present = self.watch.present(self.snapshot)
+        failing = bool(self.watch.beyond(self.snapshot, Mode.HOLD)) or self.faulted
         situation = Situation(
             failed_checks=int(failing), cause_present=present is not Fault.NONE,
             fault_latched=machine.fault is not Fault.NONE, drive_enabled=self.enabled and machine.drive_wanted,
@@ -186,12 +186,12 @@ class Rig(RuleBasedStateMachine):
 
     def tick(self) -> None:
         self.t_ns += MS
-        self.sight.t_ns = self.t_ns
-        self.sight.drive_enabled, self.sight.drive_faulted = self.enabled, self.faulted
-        self.sight.drive_wanted = self.machine.drive_wanted
-        self.sight.drive_off = not self.enabled
+        self.snapshot.t_ns = self.t_ns
+        self.snapshot.drive_enabled, self.snapshot.drive_faulted = self.enabled, self.faulted
+        self.snapshot.drive_wanted = self.machine.drive_wanted
+        self.snapshot.drive_off = not self.enabled
         mode = self.machine.mode
-        found = self.watch.trips(self.sight, mode, self.t_ns)
+        found = self.watch.trips(self.snapshot, mode, self.t_ns)
         self.assert_persistence(mode, found)
         if found is not None:
             assert found.action is not Action.LOG
@@ -201,7 +201,7 @@ class Rig(RuleBasedStateMachine):
     def assert_persistence(self, mode: Mode, found: Trip | None) -> None:
         """Our own clock of the rig file's rows: none acts before its time, and none of the strongest after it."""
         for row in self.rows:
-            bad = mode in row.modes and row.value(self.sight) > row.limit
+            bad = mode in row.modes and row.value(self.snapshot) > row.limit
             since = self.since.setdefault(row.text, self.t_ns) if bad else self.since.pop(row.text, None)
             due = bad and since is not None and self.t_ns - since >= row.persistence_ns
             if found is not None and found.text == row.text:

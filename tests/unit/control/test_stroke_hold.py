@@ -7,7 +7,7 @@ import pathlib
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.safety import Sight
+from rigctl.control.safety import Snapshot
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, DEAD_ZONE_MM, SAID_MM, StrokeHold
 
 SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
@@ -22,7 +22,9 @@ class Rig:
         self, *, offset: float = 0.0, drift: float = 0.0, speed: float = 0.0, tension_n: float = 300.0
     ) -> None:
         self.hold = StrokeHold(SETTINGS)
-        self.sight = Sight(stroke_mm=50.0, speed_mm_s=speed, tension_n=tension_n, drive_age_ns=MS, drive_enabled=True)
+        self.snapshot = Snapshot(
+            stroke_mm=50.0, speed_mm_s=speed, tension_n=tension_n, drive_age_ns=MS, drive_enabled=True
+        )
         self.offset, self.drift, self.speed = offset, drift, speed
         self.true_mm, self.said_mm, self.command, self.t_ns = 50.0, 50.0, 0.0, 0
         self.tension_n = tension_n
@@ -32,16 +34,16 @@ class Rig:
         lag_s = SETTINGS.plant.cylinder_lag_s
         for _ in range(round(seconds * 1000)):
             self.t_ns += MS
-            self.hold.watch(self.t_ns, self.sight, self.command)
-            self.command = self.hold.correct(self.sight, 1, powered=powered)
+            self.hold.watch(self.t_ns, self.snapshot, self.command)
+            self.command = self.hold.correct(self.snapshot, 1, powered=powered)
             self.left += self.hold.left
             self.creeps += self.hold.creeps
             self.speed += (self.command + self.offset - self.speed) * 1e-3 / lag_s
             self.true_mm += self.speed * 1e-3
             self.said_mm += (self.speed + self.drift) * 1e-3
-            self.sight.stroke_mm = self.said_mm
-            self.sight.speed_mm_s = self.speed + (0.0 if honest_speed else self.drift)
-            self.sight.tension_n = self.tension_n + (self.true_mm - 50.0) * K_N_MM
+            self.snapshot.stroke_mm = self.said_mm
+            self.snapshot.speed_mm_s = self.speed + (0.0 if honest_speed else self.drift)
+            self.snapshot.tension_n = self.tension_n + (self.true_mm - 50.0) * K_N_MM
 
 
 def test_what_stands_is_latched_at_once_and_gets_no_correction() -> None:
@@ -63,7 +65,7 @@ def test_what_moves_is_latched_where_it_comes_to_rest(speed: float) -> None:
 
 def test_a_first_sample_with_an_impossible_speed_puts_the_latch_off_by_no_more_than_a_stop() -> None:
     rig = Rig()
-    rig.sight.speed_mm_s = 52_000.0
+    rig.snapshot.speed_mm_s = 52_000.0
     rig.run(0.001)
     rig.run(0.3)
     assert rig.hold.reference_mm == pytest.approx(50.0)
@@ -130,15 +132,15 @@ def test_a_position_that_contradicts_its_speed_or_is_old_is_not_followed() -> No
     rig = Rig(offset=0.3)
     rig.run(1.0)
     assert rig.command < 0.0
-    rig.sight.drive_age_ns = 100 * MS
+    rig.snapshot.drive_age_ns = 100 * MS
     rig.run(0.01)
     assert rig.command == 0.0
-    rig.sight.drive_age_ns = MS
+    rig.snapshot.drive_age_ns = MS
     rig.run(0.01)
     assert rig.command < 0.0
-    rig.sight.contradiction_mm = 0.31
+    rig.snapshot.contradiction_mm = 0.31
     rig.run(0.01)
-    rig.sight.contradiction_mm = 0.0
+    rig.snapshot.contradiction_mm = 0.0
     rig.run(0.01)
     assert rig.command == 0.0
     rig.hold.follow()

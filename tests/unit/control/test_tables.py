@@ -27,7 +27,7 @@ from rigctl.control.modes import (
     Verb,
     decide,
 )  # fmt: skip
-from rigctl.control.safety import HOST_CHECKS, Action, Check, Fault, Row, Sight, Trip, Watch, preflight, table
+from rigctl.control.safety import HOST_CHECKS, Action, Check, Fault, Row, Snapshot, Trip, Watch, preflight, table
 
 MS = 1_000_000
 SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml").model_copy(
@@ -38,12 +38,12 @@ ARMED = f"{ALIVE} FAULT"
 MOVING = "TENSIONING COMPENSATING RELEASING"
 EVERY = f"DISARMED {ARMED}"
 REST = "HOLD FAULT"
-GOOD = Sight(
+GOOD = Snapshot(
     tension_n=300.0, cell_age_ns=MS, inclination_age_ns=9 * MS, stroke_mm=50.0, drive_age_ns=MS, drive_enabled=True,
     bus_age_ns=MS, drive_wanted=True, io_age_ns=MS, status_age_ns=50 * MS,
 )  # fmt: skip
 
-# fault, unit: the signal of the sight, its highest value that is none, what acts, after how many ms, in which modes
+# fault, unit: the signal of the snapshot, its highest value that is none, what acts, after how many ms, in which modes
 ROWS: dict[tuple[str, str], tuple[str, float, str, int, str]] = {
     ("E_STOP", ""): ("e_stop", 0, "QUICK_STOP", 0, EVERY),
     ("BUS_SILENT", "ns"): ("bus_age_ns", 15e6, "HOLD", 0, ARMED),
@@ -252,8 +252,8 @@ def test_what_keeps_a_fault_from_being_reset(bad: dict[str, object], fault: str)
     ],
 )  # fmt: skip
 def test_preflight_at_its_bounds(seen: dict[str, object], near_end: bool, failing: str) -> None:
-    sight = replace(GOOD, **seen)  # type: ignore[arg-type]
-    found = preflight(sight, SETTINGS, set(), supervision_verified=True, near_end=near_end)
+    snapshot = replace(GOOD, **seen)  # type: ignore[arg-type]
+    found = preflight(snapshot, SETTINGS, set(), supervision_verified=True, near_end=near_end)
     assert {check.name for check in found} == set(failing.split())
 
 
@@ -268,13 +268,15 @@ def test_an_io_nodes_input_that_would_trip_as_unseen_stands_against_arming() -> 
 
 
 def test_nothing_seen_is_nothing_known() -> None:
-    never, sight = 1 << 62, Sight()
-    assert [sight.cell_age_ns, sight.inclination_age_ns, sight.drive_age_ns, sight.bus_age_ns] == [never] * 4
-    assert [sight.io_age_ns, sight.status_age_ns, sight.rail_age_ns] == [never] * 3
+    never, snapshot = 1 << 62, Snapshot()
+    assert [snapshot.cell_age_ns, snapshot.inclination_age_ns, snapshot.drive_age_ns, snapshot.bus_age_ns] == [
+        never
+    ] * 4
+    assert [snapshot.io_age_ns, snapshot.status_age_ns, snapshot.rail_age_ns] == [never] * 3
     for name in ("tension_n", "reading_n", "stroke_mm", "drive_temperature_c", "drive_current_a"):
-        assert getattr(sight, name) != getattr(sight, name), f"{name} is no number"
-    others = [getattr(sight, name) for name in Sight.__slots__
-              if not name.endswith("_age_ns") and getattr(sight, name) == getattr(sight, name)]  # fmt: skip
+        assert getattr(snapshot, name) != getattr(snapshot, name), f"{name} is no number"
+    others = [getattr(snapshot, name) for name in Snapshot.__slots__
+              if not name.endswith("_age_ns") and getattr(snapshot, name) == getattr(snapshot, name)]  # fmt: skip
     assert not any(others)
 
 

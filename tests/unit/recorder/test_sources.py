@@ -19,7 +19,7 @@ from rigctl.config.rig_file import AuditSettings, RigSettings
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Fault
-from rigctl.ipc.notes import DeskBook
+from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.record import FRAME, RECORD, FrameFlag, Slot
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.ipc.supervision import Doing, Supervision
@@ -146,7 +146,7 @@ def test_a_slot_of_any_bits_makes_an_entry(source: object, data: st.DataObject) 
     assert isinstance(source, Source)
     dtype = {
         "events": record.EVENT, "commands": record.COMMAND, "replies": record.REPLY, "notes": record.NOTE,
-        "desk": record.DESK, "holds": record.HOLD, "supervision": record.NOTE,
+        "desk": record.REQUEST, "holds": record.HOLD, "supervision": record.NOTE,
     }[source.name].dtype  # fmt: skip
     raw = data.draw(st.binary(min_size=dtype.itemsize, max_size=dtype.itemsize))
     slot = np.frombuffer(raw, dtype)[0].copy()
@@ -176,7 +176,7 @@ def test_what_was_overwritten_before_it_was_read_is_said(runtime: Runtime) -> No
 def test_a_recorder_goes_on_from_the_log_and_a_new_daemon_begins_its_rings_anew(
     runtime: Runtime, settings: RigSettings
 ) -> None:
-    events, desk = runtime.event_writer(), DeskBook(runtime.desk_writer())
+    events, desk = runtime.event_writer(), RequestLog(runtime.request_writer())
     supervision = Supervision(runtime.supervision_writer())
     supervision.note(1, Doing.DAEMON_STARTED, reason="rigctl 1")
     recorder = Recorder(runtime, settings, 1, 1)

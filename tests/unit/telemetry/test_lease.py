@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from rigctl.gateway.lease_service import believed, why_not
 from rigctl.wire.command_request import RequestError
-from rigctl.wire.lease import ACTS, ID_BYTES, Act, Book, Change, Denial, Lease, Turn, is_id
+from rigctl.wire.lease import ACTS, ID_BYTES, Act, Change, Denial, Lease, LeaseRegister, Turn, is_id
 from rigctl.wire.lease_request import LeaseRequest, parse_lease
 
 S = 1_000_000_000
@@ -22,17 +22,17 @@ ID = "0" * 31 + "1"
 
 
 @dataclass
-class Desk:
-    """A book whose ids count up, and what it has told."""
+class Rig:
+    """A register whose ids count up, and what it has told."""
 
     told: list[Change] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         numbers = itertools.count(1)
-        self.book = Book(TERM, self.told.append, make_id=lambda: f"{next(numbers):032x}")
+        self.register = LeaseRegister(TERM, self.told.append, make_id=lambda: f"{next(numbers):032x}")
 
     def holder(self, now_ns: int) -> str | None:
-        lease = self.book.lease(now_ns)
+        lease = self.register.lease(now_ns)
         return None if lease is None else lease.holder
 
 
@@ -42,12 +42,12 @@ def granted(found: Lease | Denial) -> Lease:
 
 
 def test_the_first_command_takes_the_lease_and_every_further_one_renews_it() -> None:
-    desk = Desk()
-    first = granted(desk.book.admit("anna", None, 0))
+    rig = Rig()
+    first = granted(rig.register.admit("anna", None, 0))
     assert (first.holder, first.since_ns, first.until_ns) == ("anna", 0, TERM)
-    again = granted(desk.book.admit("anna", first.id, TERM - 1))
+    again = granted(rig.register.admit("anna", first.id, TERM - 1))
     assert (again.id, again.since_ns, again.until_ns) == (first.id, 0, 2 * TERM - 1)
-    assert desk.told == [Change(0, Turn.TAKEN, "anna")]
+    assert rig.told == [Change(0, Turn.TAKEN, "anna")]
 
 
 @pytest.mark.parametrize(
@@ -56,50 +56,50 @@ def test_the_first_command_takes_the_lease_and_every_further_one_renews_it() -> 
     ids=["another", "another with the right id", "same name elsewhere", "same name with a wrong id"],
 )
 def test_a_second_operator_is_refused_while_the_lease_runs(operator: str, shown: str | None) -> None:
-    desk = Desk()
-    assert granted(desk.book.admit("anna", None, 0)).id == ID
-    assert desk.book.admit(operator, shown, TERM - 1) is Denial.HELD
-    assert desk.book.take(operator, shown, "", TERM - 1) is Denial.HELD  # a takeover says why
-    assert desk.book.give_back(operator, shown, TERM - 1) is Denial.HELD
-    assert desk.book.renew(operator, shown, TERM - 1) is None
-    assert desk.book.lease(TERM - 1) == Lease(ID, "anna", 0, TERM)
+    rig = Rig()
+    assert granted(rig.register.admit("anna", None, 0)).id == ID
+    assert rig.register.admit(operator, shown, TERM - 1) is Denial.HELD
+    assert rig.register.take(operator, shown, "", TERM - 1) is Denial.HELD  # a takeover says why
+    assert rig.register.give_back(operator, shown, TERM - 1) is Denial.HELD
+    assert rig.register.renew(operator, shown, TERM - 1) is None
+    assert rig.register.lease(TERM - 1) == Lease(ID, "anna", 0, TERM)
 
 
 def test_a_takeover_is_told_with_both_names_and_the_reason() -> None:
-    desk = Desk()
-    old = granted(desk.book.admit("anna", None, 0))
-    new = granted(desk.book.take("kim", None, "anna left", 5))
+    rig = Rig()
+    old = granted(rig.register.admit("anna", None, 0))
+    new = granted(rig.register.take("kim", None, "anna left", 5))
     assert new.id != old.id
-    assert desk.told[-1] == Change(5, Turn.TAKEN_OVER, "kim", "anna", "anna left")
-    assert desk.book.admit("anna", old.id, 6) is Denial.HELD
-    assert granted(desk.book.admit("kim", new.id, 7)).holder == "kim"
+    assert rig.told[-1] == Change(5, Turn.TAKEN_OVER, "kim", "anna", "anna left")
+    assert rig.register.admit("anna", old.id, 6) is Denial.HELD
+    assert granted(rig.register.admit("kim", new.id, 7)).holder == "kim"
 
 
 def test_a_lapsed_id_is_not_taken_for_a_new_one() -> None:
-    desk = Desk()
-    old = granted(desk.book.admit("anna", None, 0))
-    assert desk.book.has_lapsed(TERM)
-    assert not desk.book.has_lapsed(TERM - 1)
-    assert desk.book.admit("anna", old.id, TERM) is Denial.LAPSED
-    assert desk.told == [Change(0, Turn.TAKEN, "anna"), Change(TERM, Turn.LAPSED, "anna")]
-    desk.book.expire(TERM + 1)
-    assert len(desk.told) == 2
-    assert granted(desk.book.take("anna", old.id, "", TERM)).id != old.id
-    assert desk.told[-1] == Change(TERM, Turn.TAKEN, "anna")
+    rig = Rig()
+    old = granted(rig.register.admit("anna", None, 0))
+    assert rig.register.has_lapsed(TERM)
+    assert not rig.register.has_lapsed(TERM - 1)
+    assert rig.register.admit("anna", old.id, TERM) is Denial.LAPSED
+    assert rig.told == [Change(0, Turn.TAKEN, "anna"), Change(TERM, Turn.LAPSED, "anna")]
+    rig.register.expire(TERM + 1)
+    assert len(rig.told) == 2
+    assert granted(rig.register.take("anna", old.id, "", TERM)).id != old.id
+    assert rig.told[-1] == Change(TERM, Turn.TAKEN, "anna")
 
 
 def test_a_lease_given_back_is_anyones() -> None:
-    desk = Desk()
-    assert desk.book.give_back("anna", None, 0) is Denial.NOT_HELD
-    lease = granted(desk.book.admit("anna", None, 0))
-    assert desk.book.give_back("anna", lease.id, 1) is None
-    assert desk.told[-1] == Change(1, Turn.RETURNED, "anna")
-    assert granted(desk.book.admit("kim", None, 2)).holder == "kim"
+    rig = Rig()
+    assert rig.register.give_back("anna", None, 0) is Denial.NOT_HELD
+    lease = granted(rig.register.admit("anna", None, 0))
+    assert rig.register.give_back("anna", lease.id, 1) is None
+    assert rig.told[-1] == Change(1, Turn.RETURNED, "anna")
+    assert granted(rig.register.admit("kim", None, 2)).holder == "kim"
 
 
 def test_ids_are_unguessable_and_of_the_form_that_is_asked_for() -> None:
-    book = Book(TERM, lambda _change: None)
-    ids = {granted(book.take(str(n), None, "test", n)).id for n in range(100)}
+    register = LeaseRegister(TERM, lambda _change: None)
+    ids = {granted(register.take(str(n), None, "test", n)).id for n in range(100)}
     assert len(ids) == 100
     assert all(is_id(id_) for id_ in ids)
 
@@ -117,25 +117,25 @@ STEPS = st.lists(
 
 @given(STEPS)
 def test_any_sequence_has_one_holder_who_lost_it_only_in_ways_that_are_told(steps: list[Any]) -> None:
-    """The book is followed by what it tells alone: that gives the holder at every moment, and never two."""
-    desk, now, ids = Desk(), 0, ["f" * 32]
+    """The register is followed by what it tells alone: that gives the holder at every moment, and never two."""
+    rig, now, ids = Rig(), 0, ["f" * 32]
     holder: str | None = None
     for what, operator, shown, pause_ns in steps:
         now += pause_ns
-        before, until_ns = desk.book.lease(now), 0
+        before, until_ns = rig.register.lease(now), 0
         id_ = None if shown is None else ids[-1 - shown % len(ids)]
-        desk.told.clear()
+        rig.told.clear()
         found: Lease | Denial | None = None
         match what:
             case "command":
-                found = desk.book.admit(operator, id_, now)
+                found = rig.register.admit(operator, id_, now)
             case "give back":
-                found = desk.book.give_back(operator, id_, now)
+                found = rig.register.give_back(operator, id_, now)
             case "look":
-                desk.book.expire(now)
+                rig.register.expire(now)
             case _:
-                found = desk.book.take(operator, id_, "a reason" if what == "take for a reason" else "", now)
-        for change in desk.told:
+                found = rig.register.take(operator, id_, "a reason" if what == "take for a reason" else "", now)
+        for change in rig.told:
             assert change.t_ns == now
             match change.turn:
                 case Turn.TAKEN:
@@ -151,7 +151,7 @@ def test_any_sequence_has_one_holder_who_lost_it_only_in_ways_that_are_told(step
                 case Turn.RETURNED:
                     assert (holder, change.operator, what) == (operator, operator, "give back")
                     holder = None
-        lease = desk.book.lease(now)
+        lease = rig.register.lease(now)
         if isinstance(found, Lease):
             assert found == lease
             assert (lease.holder, lease.until_ns) == (operator, now + TERM)
@@ -159,7 +159,7 @@ def test_any_sequence_has_one_holder_who_lost_it_only_in_ways_that_are_told(step
             until_ns = found.until_ns
         elif before is not None and what != "give back":
             assert lease == before  # refused or merely looked: nothing has changed, not even its time
-        assert desk.holder(now) == (None if desk.book.has_lapsed(now) else holder)
+        assert rig.holder(now) == (None if rig.register.has_lapsed(now) else holder)
         assert until_ns in (0, now + TERM)
 
 
@@ -168,7 +168,7 @@ def test_only_what_a_gateway_would_have_written_is_believed() -> None:
     written = msgspec.to_builtins(good)
     now = 6 * S
     assert believed(written, TERM, now) == good
-    assert believed(written, TERM, 10 * S) == good  # lapsed meanwhile: for the book to tell
+    assert believed(written, TERM, 10 * S) == good  # lapsed meanwhile: for the register to tell
     bad: list[Any] = [
         None, [], "x", {}, {**written, "id": "x"}, {**written, "id": ID.upper() + "A"}, {**written, "holder": ""},
         {**written, "holder": "a\nb"}, {**written, "holder": 7}, {**written, "since_ns": 7 * S},

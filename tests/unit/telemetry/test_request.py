@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rigctl.control.events import CHECK_TEXT
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Check, Fault
-from rigctl.wire.command_request import Request, RequestError, Sight, answer, parse, verb_of
+from rigctl.wire.command_request import NewestRecord, Request, RequestError, answer, parse, verb_of
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -94,7 +94,7 @@ def test_every_answer_has_one_line(verb: Verb, mode: Mode, refusal: Refusal) -> 
         "accepted": refusal is Refusal.NONE, "reason": int(refusal), "checks": int(Check.CELL_STALE),
         "mode": int(mode), "value": math.nan, "t_ns": 5,
     }  # fmt: skip
-    found = answer(Request(verb, "kim"), reply, Sight(Fault.TENSION_HIGH, 1.0, 2.0, 300.0), LIMITS)
+    found = answer(Request(verb, "kim"), reply, NewestRecord(Fault.TENSION_HIGH, 1.0, 2.0, 300.0), LIMITS)
     assert found["accepted"] is (refusal is Refusal.NONE)
     assert found["text"].startswith(f"{verb.name}: " if found["accepted"] else f"{verb.name} refused: ")
     assert "\n" not in found["text"]
@@ -114,7 +114,7 @@ def test_arm_at_an_end_is_said_by_arm_alone_and_told_to_the_loop() -> None:
 def test_what_is_known_of_a_check_is_said_instead_of_its_general_phrase() -> None:
     checks = Check.CELL_STALE | Check.DISK
     reply = {"accepted": 0, "reason": 2, "checks": int(checks), "mode": 0, "value": 0.0, "t_ns": 5}
-    found = answer(Request(Verb.ARM, "kim"), reply, Sight(), LIMITS, {Check.DISK: "/data is full"})
+    found = answer(Request(Verb.ARM, "kim"), reply, NewestRecord(), LIMITS, {Check.DISK: "/data is full"})
     assert found["checks"] == [CHECK_TEXT[Check.CELL_STALE], "/data is full"]
     assert "; /data is full" in found["text"]
 
@@ -122,9 +122,9 @@ def test_what_is_known_of_a_check_is_said_instead_of_its_general_phrase() -> Non
 def test_an_armed_rig_says_what_was_waived_and_why() -> None:
     reply = {"accepted": 1, "reason": 0, "checks": 0, "mode": 1, "value": 0.0, "t_ns": 5}
     waived = {Check.CALIBRATION: "no weight", Check.TARE: "no weight", Check.REALTIME: "a toy"}
-    found = answer(Request(Verb.ARM, "kim"), reply, Sight(), LIMITS, {}, waived)
+    found = answer(Request(Verb.ARM, "kim"), reply, NewestRecord(), LIMITS, {}, waived)
     assert found["text"].endswith("; waived: calibration, tare (no weight), realtime (a toy)")
-    assert "waived" not in answer(Request(Verb.HOLD, "kim"), reply, Sight(), LIMITS, {}, waived)["text"]
+    assert "waived" not in answer(Request(Verb.HOLD, "kim"), reply, NewestRecord(), LIMITS, {}, waived)["text"]
 
 
 @pytest.mark.parametrize("check", Check)

@@ -33,12 +33,12 @@ LONGEST_NAME = 32
 _POLL_S = 0.02
 
 
-class RehearsalError(RuntimeError):
+class LiveRigError(RuntimeError):
     """A process did not start or answer, or a command was refused; ``str()`` is one line."""
 
 
 @dataclass(frozen=True)
-class Rehearsal:
+class LiveRig:
     """What runs, and the connection to it."""
 
     settings: RigSettings
@@ -50,44 +50,44 @@ class Rehearsal:
         """Give a command; its answer. A daemon that has just come up has not heard every device yet: it is tried anew.
 
         Raises:
-            RehearsalError: it was refused, or nobody answered.
+            LiveRigError: it was refused, or nobody answered.
         """
         until_ns = time.monotonic_ns() + ARM_NS
         while True:
             try:
                 answer = self.client.command(verb.name.lower(), operator, value)
             except NoDaemonError as error:
-                raise RehearsalError(str(error)) from None
+                raise LiveRigError(str(error)) from None
             if answer.get("reason") != "preflight" or time.monotonic_ns() > until_ns:
                 break
             time.sleep(ARM_AGAIN_S)
         if not answer["accepted"]:
-            raise RehearsalError(answer["text"])
+            raise LiveRigError(answer["text"])
         return answer
 
     def end(self) -> None:
         """End both, the daemon first: the rig has closed its truth log when this returns.
 
         Raises:
-            RehearsalError: one of them did not end.
+            LiveRigError: one of them did not end.
         """
         for name, child in (("the daemon", self.daemon), ("the simulated rig", self.rig)):
             child.send_signal(signal.SIGTERM)
             try:
                 child.wait(STOP_LIMIT_S)
             except subprocess.TimeoutExpired:
-                raise RehearsalError(f"{name} did not end within {STOP_LIMIT_S:.0f} s") from None
+                raise LiveRigError(f"{name} did not end within {STOP_LIMIT_S:.0f} s") from None
 
     def state(self) -> dict[str, Any]:
         """The daemon's state.
 
         Raises:
-            RehearsalError: nobody answered.
+            LiveRigError: nobody answered.
         """
         try:
             return self.client.state()
         except NoDaemonError as error:
-            raise RehearsalError(str(error)) from None
+            raise LiveRigError(str(error)) from None
 
 
 def own(settings: RigSettings, purpose: str) -> RigSettings:
@@ -129,7 +129,9 @@ def free_endpoint() -> str:
 
 
 @contextlib.contextmanager
-def rehearse(settings: RigSettings, folder: pathlib.Path, *options: str, quiet: bool = False) -> Iterator[Rehearsal]:
+def start_live_rig(
+    settings: RigSettings, folder: pathlib.Path, *options: str, quiet: bool = False
+) -> Iterator[LiveRig]:
     """Run both until the block ends; it begins once the daemon is DISARMED.
 
     Args:
@@ -139,7 +141,7 @@ def rehearse(settings: RigSettings, folder: pathlib.Path, *options: str, quiet: 
         quiet: what the daemon tells of its way is not shown, its complaints are.
 
     Raises:
-        RehearsalError: one of them could not start; what it had to say stands on standard error.
+        LiveRigError: one of them could not start; what it had to say stands on standard error.
     """
     bus = settings.can.model_copy(update={"channel": str(folder / "bus.sock")})
     settings = settings.model_copy(update={"can": bus})
@@ -150,7 +152,7 @@ def rehearse(settings: RigSettings, folder: pathlib.Path, *options: str, quiet: 
         rig.stdout.readline()  # it serves, or it has ended and said why
         daemon = stack.enter_context(process("rigctl", "run", file, stdout=subprocess.DEVNULL if quiet else None))
         client = stack.enter_context(_connect(daemon, rig, settings))
-        yield Rehearsal(settings, client, rig, daemon)
+        yield LiveRig(settings, client, rig, daemon)
 
 
 @contextlib.contextmanager
@@ -187,9 +189,9 @@ def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], sett
     until = time.monotonic() + limit_s
     while time.monotonic() < until:
         if rig.poll() is not None:
-            raise RehearsalError("the simulated rig could not start (see above)")
+            raise LiveRigError("the simulated rig could not start (see above)")
         if daemon.poll() is not None:
-            raise RehearsalError("the daemon could not start (see above)")
+            raise LiveRigError("the daemon could not start (see above)")
         if (run_id := run_id_of(daemon, settings.rig)) is None:
             time.sleep(_POLL_S)
             continue
@@ -200,7 +202,7 @@ def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], sett
                     return client
             client.close()
         time.sleep(_POLL_S)
-    raise RehearsalError(f"the daemon did not answer within {limit_s:.0f} s")
+    raise LiveRigError(f"the daemon did not answer within {limit_s:.0f} s")
 
 
 def rig_file(settings: RigSettings, folder: pathlib.Path) -> pathlib.Path:

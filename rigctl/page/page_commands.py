@@ -1,6 +1,6 @@
 """Commands given on the page, where it was started with operator rights: under the lease, confirmed, or HOLD at once.
 
-Without rights there is no desk, and every command is refused by the server itself.
+Without rights there is no commands, and every command is refused by the server itself.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def meaning(verb: str, value: float | None, state: dict[str, Any]) -> str:
     return f"{verb.upper()}: {what}"
 
 
-class Desk:
+class PageCommands:
     """One operator's commands. Every method may block for as long as the daemon takes to answer."""
 
     def __init__(self, operator: str, rig: str | None, picture: Picture) -> None:
