@@ -16,7 +16,7 @@ from hypothesis import settings
 
 HERE = pathlib.Path(__file__).parent
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
-REAL_TIME = frozenset({"guest", "system", "telemetry"})
+REAL_TIME = ("guest", "live/system", "live/telemetry")
 """Folders whose tests are, but those marked ``simulated_time``; elsewhere a file says so itself."""
 
 # What a change is judged by is the same every time; `make fuzz` looks for more.
@@ -34,7 +34,8 @@ def pytest_sessionstart() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what lies in the folders of real-time tests."""
     for item in items:
-        if item.path.relative_to(HERE).parts[0] in REAL_TIME and not item.get_closest_marker("simulated_time"):
+        where = item.path.relative_to(HERE).as_posix()
+        if where.startswith(REAL_TIME) and not item.get_closest_marker("simulated_time"):
             item.add_marker(pytest.mark.real_time)
 
 

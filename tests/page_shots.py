@@ -17,8 +17,8 @@ import time
 
 from playwright.sync_api import Browser
 
-from tests import daemons
-from tests.page.pages import PATIENT, Server, Snapshot, browser, look, serving
+from tests.builders import daemons
+from tests.builders.pages import PATIENT, Server, Snapshot, browser, look, serving
 
 BROWSER_PACKAGES = ("chromium", "fonts-dejavu-core")
 SIZES = ((1920, 1080), (1024, 768), (820, 1180))

@@ -16,8 +16,8 @@ from rigctl.cli import bench
 from rigctl.cli.progress import progress
 from rigctl.config import rig_file as config
 from rigctl.demo.lockstep import play_lockstep
-from tests import daemons
 from tests.bench import holds, plant, report, telemetry
+from tests.builders import daemons
 
 
 def measure_lockstep() -> float:

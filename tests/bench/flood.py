@@ -25,7 +25,7 @@ import zenoh
 from rigctl.control.realtime import die_with_parent
 from rigctl.wire.keys import Keys
 from rigctl.wire.session import SessionError, close, open_client
-from tests import daemons
+from tests.builders import daemons
 
 SECONDS_MAX = 120.0
 HALF_OPEN, SESSIONS, STALLED = 400, 999, 8

@@ -31,9 +31,9 @@ from rich.table import Table
 from rigctl.client import local_hold
 from rigctl.client.connection import COMMAND_S, ChoiceError, Client, NoDaemonError
 from rigctl.ipc.runtime_folder import Runtime
-from tests import daemons
 from tests.bench.flood import KINDS, flooding
-from tests.system.test_daemon import PATIENT
+from tests.builders import daemons
+from tests.live.system.test_daemon import PATIENT
 
 LIMIT_MS = 50.0
 OPERATOR = "bench"

@@ -10,7 +10,7 @@ from typing import Any
 from rigctl.bench import loop
 from rigctl.config import rig_file as config
 from rigctl.demo.live_rig import start_live_rig
-from tests import daemons
+from tests.builders import daemons
 
 
 class BenchRig:

@@ -18,8 +18,8 @@ from typing import Any
 
 from playwright.sync_api import Browser
 
-from tests.page.pages import Server, browser, look, serving
-from tests.telemetry.miniature import running
+from tests.builders.miniature import running
+from tests.builders.pages import Server, browser, look, serving
 
 LOADS = 5
 FULL_S = 45.0  # with the 16 s the rings hold, a full window of 60 s

@@ -9,7 +9,7 @@ from hil.plant import Plant
 from hil.plant.layout import MECHANISM
 from hil.plant.moves import out_and_back
 from rigctl.config import rig_file as config
-from tests import daemons
+from tests.builders import daemons
 
 STEP_US = 100
 SECONDS = 20.0

@@ -27,7 +27,7 @@ from rigctl.config import rig_file as config
 from rigctl.config.rig_file import RigSettings
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder import parts, recording
-from tests import daemons
+from tests.builders import daemons
 
 LIMIT_MS = 1000.0
 LONGEST_WAIT_S = 3.0

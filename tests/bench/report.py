@@ -14,8 +14,8 @@ import time
 import numpy as np
 
 from rigctl.control.modes import Mode
-from tests.daemons import ROOT
-from tests.unit.report import synthetic
+from tests.builders import synthetic
+from tests.builders.daemons import ROOT
 
 
 def main(arguments: list[str]) -> int:

@@ -26,9 +26,9 @@ from rich.table import Table
 from rigctl.bench.loop import figures
 from rigctl.config import rig_file as config
 from rigctl.metrics import tension_error as metrics
-from tests import daemons
 from tests.bench.loop import BenchRig
 from tests.bench.subscriber import BIN_US, BINS
+from tests.builders import daemons
 
 RATE_HZ = 1000
 SETTLE_S = 3.0  # interpreters starting are no part of any figure

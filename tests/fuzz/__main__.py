@@ -18,10 +18,10 @@ from typing import Any
 
 from rigctl.config import rig_file as config
 from rigctl.design.margins import design_and_check
+from tests.builders.paths import ROOT
 from tests.fuzz import commands, files, frames, replies, startup_files
 from tests.fuzz.judge import Tally
 
-ROOT = pathlib.Path(__file__).parents[2]
 COUNTS = {"frames": 1_000_000, "commands": 10_000, "configs": 10_000, "replies": 500, "startup": 1000}
 SHOWN = 20
 

@@ -39,10 +39,10 @@ from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder import audit_log, chain, mcap_scan, recording
 from rigctl.recorder.contents import figures
 from rigctl.recorder.continuous import Continuous
+from tests.builders.paths import ROOT
 from tests.fuzz import mutate
 from tests.fuzz.judge import Tally
 
-ROOT = pathlib.Path(__file__).parents[2]
 RIGS = ("rig.yaml", "paper_rig.yaml", "plain_rig.yaml")
 _NOW_NS = 1_800_000_000 * 10**9
 

@@ -22,10 +22,9 @@ from rigctl.devices import objects as od
 from rigctl.devices import startup
 from rigctl.devices.remote_node import StartupError
 from rigctl.wire.command_request import RequestError, parse
+from tests.builders.paths import ROOT
 from tests.fuzz import commands, files, frames, mutate, replies, startup_files
 from tests.fuzz.judge import Tally
-
-ROOT = pathlib.Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")

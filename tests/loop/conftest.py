@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pathlib
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -13,8 +12,7 @@ from rigctl.config.rig_file import RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
-
-ROOT = pathlib.Path(__file__).parents[2]
+from tests.builders.paths import ROOT
 
 
 @pytest.fixture(scope="session")

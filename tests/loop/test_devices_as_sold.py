@@ -19,7 +19,7 @@ from rigctl.devices import objects as od
 from rigctl.recorder.recording import parts_of, read
 from rigctl.replay.compare import first_difference
 from rigctl.replay.play import play, spans
-from tests.unit.hil.rig_bench import changed
+from tests.builders.rig_bench import changed
 from tests.unit.hil.test_parameter_sets import with_set
 
 VARIANTS = ("no_rtr", "fixed_mapping", "increments", "slow_sdo", "slow_boot", "stock_drive", "as_sold")

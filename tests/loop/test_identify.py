@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-import pathlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -20,10 +19,10 @@ from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
 from rigctl.control.trials import STEP_N, STRAY_N, UNFELT_N
-from tests.loop.random_plants import KEYS, identify_all, plants
+from tests.builders.paths import ROOT
+from tests.builders.random_plants import KEYS, identify_all, plants
 from tests.loop.test_trials import cell_reads, give
 
-ROOT = pathlib.Path(__file__).parents[2]
 Enter = Callable[[Mode], None]
 LIMIT_S = 9.5  # within the records any rig file keeps
 
@@ -231,7 +230,7 @@ def test_a_payload_that_is_bumped_makes_it_uncertain_and_not_wrong(settings: Rig
 
 
 def test_twenty_random_plants_are_found_within_what_is_stated() -> None:
-    """The issue's figures, over plants of which the rig file knows nothing; `tests.loop.random_plants` prints them."""
+    """Over plants of which the rig file knows nothing; `tests.builders.random_plants` prints them."""
     results = identify_all(plants(seed=1, count=20))
     for result in results:
         assert abs(result.off("stiffness")) <= 0.01 * result.plant.stiffness

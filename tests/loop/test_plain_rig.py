@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pathlib
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -17,9 +16,10 @@ from rigctl.control.tension import Gains
 from rigctl.devices.startup import Device, PlainDevice
 from rigctl.ipc.record import Quality
 from rigctl.metrics import tension_error as metrics
+from tests.builders.paths import ROOT
 
 Enter = Callable[[Mode], None]
-PLAIN = config.load(pathlib.Path(__file__).parents[2] / "config/plain_rig.yaml")
+PLAIN = config.load(ROOT / "config/plain_rig.yaml")
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
 from rigctl.devices import busload, objects, startup
 from rigctl.ipc.record import Quality
-from tests.unit.hil.rig_bench import changed
+from tests.builders.rig_bench import changed
 
 ENCODER = RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=1000)
 TABLE = RunOutSettings(angle_min_deg=-3.0, angle_max_deg=16.0, bins=76, learning_rate=0.5)

@@ -11,11 +11,11 @@ import sys
 import tempfile
 from collections import Counter
 
+from tests.builders.paths import ROOT
 from tests.mutation import page
 from tests.mutation.mutants import Change, Workshop
 from tests.mutation.run import SAME, SURVIVED, Runner, copy_tree
 
-ROOT = pathlib.Path(__file__).parents[2]
 PAGE = ROOT / "docs/mutation.md"
 TESTS = {
     "rigctl/control/modes.py": ("test_tables", "test_modes", "test_diagram"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pathlib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -14,8 +13,9 @@ from hil.truth import Truth
 from rigctl.config import rig_file as config
 from rigctl.config.bounds import as_study
 from rigctl.config.rig_file import RigSettings
+from tests.builders.paths import ROOT
 
-REPOSITORY = pathlib.Path(__file__).parents[2]
+REPOSITORY = ROOT
 _FRICTION: dict[str, Any] = {
     "friction_static": 0.012,
     "friction_dynamic": 0.008,

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from rigctl.devices.objects import DriveState
-from tests import daemons
+from tests.builders import daemons
 from tests.guest.inside.guest_rig import TARGET_N, Cable, GuestRig, controller, link, patient
 
 TRIES = 5

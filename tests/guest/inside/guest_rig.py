@@ -17,7 +17,7 @@ import yaml
 
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.devices import objects as od
-from tests import daemons
+from tests.builders import daemons
 
 BUS = "vcan0"
 RATE_HZ = 100

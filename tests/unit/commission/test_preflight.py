@@ -21,8 +21,9 @@ from rigctl.control.safety import HOST_CHECKS, Check
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.runtime_folder import Runtime
+from tests.builders.paths import ROOT
 
-PAPER = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+PAPER = config.load(ROOT / "config/paper_rig.yaml")
 assert PAPER.calibration is not None
 STRICT = PAPER.model_copy(
     update={

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pathlib
 from dataclasses import replace
 
 import numpy as np
@@ -11,11 +10,12 @@ from scipy import stats
 
 from rigctl.config import rig_file as config
 from rigctl.control.estimator import Array, FilterModel, TensionFilter, filter_model
+from tests.builders.paths import ROOT
 
 SEEDS = 60
 TICKS = 1500
 SETTLE = 500  # the gain has settled, and the first covariance is forgotten
-MODEL = filter_model(config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml"))
+MODEL = filter_model(config.load(ROOT / "config/paper_rig.yaml"))
 
 
 class Run:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import pathlib
-
 from rigctl.control import diagram
 from rigctl.control.modes import TRANSITIONS
+from tests.builders.paths import ROOT
 
-PAGE = pathlib.Path(__file__).parents[3] / "docs/modes.md"
+PAGE = ROOT / "docs/modes.md"
 
 
 def test_the_page_is_what_the_tables_give() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pathlib
 from dataclasses import replace
 
 import pytest
@@ -11,8 +10,9 @@ from rigctl.config import rig_file as config
 from rigctl.control.escalation import STEPS, Bounds, Escalation, Escalator, Step, Symptom
 from rigctl.control.events import Kind, worded
 from rigctl.control.safety import Action, Fault, Snapshot
+from tests.builders.paths import ROOT
 
-SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 MS = 1_000_000
 STOP_NS = 60 * MS
 BOUNDS = Bounds(SETTINGS, STOP_NS)

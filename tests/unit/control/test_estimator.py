@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pathlib
 
 import numpy as np
 import pytest
@@ -13,8 +12,9 @@ from scipy.linalg import expm
 
 from rigctl.config import rig_file as config
 from rigctl.control.estimator import FilterModel, TensionFilter, filter_model
+from tests.builders.paths import ROOT
 
-SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 MODEL = filter_model(SETTINGS)
 
 

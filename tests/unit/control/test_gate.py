@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pathlib
 
 import numpy as np
 import pytest
@@ -13,8 +12,9 @@ from hypothesis import strategies as st
 from rigctl.config import rig_file as config
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.gate import Gate, Verdict
+from tests.builders.paths import ROOT
 
-MODEL = filter_model(config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml"))
+MODEL = filter_model(config.load(ROOT / "config/paper_rig.yaml"))
 BURST_N = MODEL.f.item(0, 2) * MODEL.burst_mm_s  # tension a burst makes in a tick
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pathlib
 
 import numpy as np
 import pytest
@@ -12,8 +11,9 @@ from scipy import stats
 from rigctl.config import rig_file as config
 from rigctl.control.gate import Verdict
 from rigctl.control.inclination import InclinationFilter, Stretch
+from tests.builders.paths import ROOT
 
-SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 DT = 1.0 / SETTINGS.loop.rate_hz
 NOISE = math.radians(SETTINGS.estimator.inclination_noise_deg)
 WALK = math.radians(SETTINGS.estimator.inclination_walk_deg_s)

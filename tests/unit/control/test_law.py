@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pathlib
 from dataclasses import FrozenInstanceError
 
 import pytest
@@ -11,8 +10,9 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.ipc.record import Flag
+from tests.builders.paths import ROOT
 
-SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 GAINS = Gains(k_tension=1.5, k_speed=0.5, k_integral=2.0)
 K, DT = SETTINGS.plant.stiffness_n_mm, 1e-3
 FASTEST = SETTINGS.tension.speed_max_mm_s

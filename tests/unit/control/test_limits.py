@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pathlib
 from dataclasses import replace
 from typing import Any, get_args
 
@@ -16,8 +15,9 @@ from rigctl.control import limits
 from rigctl.control.events import fault_text
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action, Fault, Row, Snapshot, Watch
+from tests.builders.paths import ROOT
 
-SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 MS = 1_000_000
 SEEN: dict[str, tuple[dict[str, Any], float]] = {
     "tension_n": ({"tension_n": 290.0}, 290.0),

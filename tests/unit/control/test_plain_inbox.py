@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pathlib
 import struct
 from collections import deque
 
@@ -18,8 +17,9 @@ from rigctl.control.inbox import Inbox
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import wanted
 from rigctl.ipc.record import Quality
+from tests.builders.paths import ROOT
 
-CONFIG = pathlib.Path(__file__).parents[3] / "config"
+CONFIG = ROOT / "config"
 PLAIN = config.load(CONFIG / "plain_rig.yaml")
 CELL, SLOPE = PLAIN.plain_messages["tension_cell"], PLAIN.plain_messages["inclinometer"]
 

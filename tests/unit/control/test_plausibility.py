@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import pathlib
 from collections.abc import Callable
 
 import can
@@ -14,8 +13,9 @@ from rigctl.config import rig_file as config
 from rigctl.control.inbox import Inbox
 from rigctl.control.plausibility import STRETCH_MEMORY_S, Plausibility
 from rigctl.control.safety import Snapshot
+from tests.builders.paths import ROOT
 
-SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 K = SETTINGS.plant.stiffness_n_mm
 LAG = SETTINGS.plant.cylinder_lag_s
 DELAY = round(SETTINGS.plant.command_delay_s * 1000) + 1

@@ -9,7 +9,7 @@ import pytest
 
 from rigctl.config.rig_file import RailEncoderSettings, RunOutSettings
 from rigctl.control.run_out import STOPPED_S, RunOutTable, stale_ns
-from tests.unit.hil.rig_bench import SETTINGS
+from tests.builders.rig_bench import SETTINGS
 
 SECTION = RunOutSettings(angle_min_deg=0.0, angle_max_deg=20.0, bins=40, learning_rate=0.5)
 LEVEL_MM, PERIOD_RAD = 0.3, math.radians(20.0)

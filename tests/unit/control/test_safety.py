@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pathlib
 from dataclasses import replace
 
 import pytest
@@ -13,8 +12,9 @@ from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action, Check, EStop, Fault, Row, Snapshot, Watch, preflight, table
+from tests.builders.paths import ROOT
 
-PAPER = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+PAPER = config.load(ROOT / "config/paper_rig.yaml")
 SETTINGS = PAPER.model_copy(update={"io": IoSettings(e_stop_input=0)})
 ROWS = table(SETTINGS)
 MS = 1_000_000

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pathlib
 from dataclasses import dataclass
 
 import pytest
@@ -11,8 +10,9 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.control.safety import Fault
 from rigctl.control.signs import SignCheck
+from tests.builders.paths import ROOT
 
-SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 K = SETTINGS.plant.stiffness_n_mm
 LOWEST = SETTINGS.cylinder.stroke_min_mm
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pathlib
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +17,7 @@ from rigctl.control.machine import ARM_LIMIT_NS, Machine
 from rigctl.control.modes import Event, Mode, Refusal, Situation, Verb
 from rigctl.control.safety import Action, Fault, Snapshot, Trip, Watch
 from rigctl.devices.drive import Power
+from tests.builders.paths import ROOT
 
 MS = 1_000_000
 ARMED: list[Any] = ["HOLD", "TENSIONING", "COMPENSATING", "RELEASING"]
@@ -26,7 +26,7 @@ LIMITS = [
     LimitSettings(signal="drive_current_a", high=9.0, persistence_ms=5, action="quick_stop", modes=ARMED),
     LimitSettings(signal="lateness_us", high=500.0, persistence_ms=2, action="log", modes=ARMED),
 ]
-SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml").model_copy(
+SETTINGS = config.load(ROOT / "config/paper_rig.yaml").model_copy(
     update={"limits": LIMITS, "io": IoSettings(e_stop_input=0)}
 )
 GOOD = Snapshot(

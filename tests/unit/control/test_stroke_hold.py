@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import pathlib
-
 import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.control.safety import Snapshot
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, DEAD_ZONE_MM, SAID_MM, StrokeHold
+from tests.builders.paths import ROOT
 
-SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 MS = 1_000_000
 K_N_MM = SETTINGS.plant.stiffness_n_mm
 

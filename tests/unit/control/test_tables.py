@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pathlib
 from dataclasses import FrozenInstanceError, replace
 from enum import IntEnum, IntFlag
 
@@ -28,11 +27,10 @@ from rigctl.control.modes import (
     decide,
 )  # fmt: skip
 from rigctl.control.safety import HOST_CHECKS, Action, Check, Fault, Row, Snapshot, Trip, Watch, preflight, table
+from tests.builders.paths import ROOT
 
 MS = 1_000_000
-SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml").model_copy(
-    update={"io": IoSettings(e_stop_input=0)}
-)
+SETTINGS = config.load(ROOT / "config/paper_rig.yaml").model_copy(update={"io": IoSettings(e_stop_input=0)})
 ALIVE = "HOLD TENSIONING COMPENSATING RELEASING"
 ARMED = f"{ALIVE} FAULT"
 MOVING = "TENSIONING COMPENSATING RELEASING"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import pathlib
 
 import pytest
 from hypothesis import given
@@ -13,8 +12,9 @@ from hypothesis import strategies as st
 from rigctl.config import rig_file as config
 from rigctl.control.tension import RAMP_EASE_S, Estimate, Gains, TensionLaw
 from rigctl.ipc.record import Flag
+from tests.builders.paths import ROOT
 
-SETTINGS = config.load(pathlib.Path(__file__).parents[3] / "config/paper_rig.yaml")
+SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 GAINS = Gains(k_tension=1.0, k_speed=0.5, k_integral=2.0)
 K = SETTINGS.plant.stiffness_n_mm
 DT = 1e-3

@@ -1,14 +1,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rigctl.config.rig_file import RigSettings, load
+from tests.builders.paths import ROOT
 
-CONFIG = Path(__file__).parents[3] / "config"
+CONFIG = ROOT / "config"
 Rig = Callable[..., RigSettings]
 
 

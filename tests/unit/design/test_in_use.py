@@ -14,7 +14,7 @@ from hil.scenario.errors import ScenarioError
 from hil.scenario.play import design
 from rigctl.client.connection import Client
 from rigctl.config.rig_file import load
-from tests import daemons
+from tests.builders import daemons
 
 pytestmark = pytest.mark.real_time
 WAIVER = "demanding limit, for a test"

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import control
@@ -21,9 +20,10 @@ from rigctl.design.closed_loop import closed_loop, controller
 from rigctl.design.gains import design, filter_gain
 from rigctl.design.margins import classical_margins, design_and_check, frequency_grid, margins_over
 from rigctl.design.plant_family import ComplexArray, Member
+from tests.builders.paths import ROOT
 
 Rig = Callable[..., RigSettings]
-CONFIG = Path(__file__).parents[3] / "config"
+CONFIG = ROOT / "config"
 WAIVER = "rigid mechanism, checked by hand"
 
 

@@ -14,7 +14,7 @@ import yaml
 from rigctl.config.rig_file import RigSettings
 from rigctl.design import search
 from rigctl.design.margins import design_and_check
-from tests import daemons
+from tests.builders import daemons
 
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 # 500 Hz and a spring of 13 N/mm: refused at Ms 1.617 with the weights of the paper's rig.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pathlib
 import struct
 from typing import Any
 
@@ -18,8 +17,9 @@ from rigctl.devices.drive import Power, next_controlword
 from rigctl.devices.objects import Controlword, DriveState, PdoLayout
 from rigctl.devices.process_data import DriveUnits
 from rigctl.ipc.record import Quality
+from tests.builders.paths import ROOT
 
-EDS = pathlib.Path(__file__).parents[3] / "config/eds"
+EDS = ROOT / "config/eds"
 
 
 def pdo(eds: str, direction: str, number: int = 1) -> Any:

@@ -20,7 +20,7 @@ from rigctl.devices import busload, startup
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import COMMAND, DRIVE_SPEED, DRIVE_STATUS, DriveUnits, ProcessData, wanted
 from rigctl.devices.remote_node import StartupError
-from tests.unit.hil.rig_bench import SETTINGS, changed
+from tests.builders.rig_bench import SETTINGS, changed
 from tests.unit.hil.test_parameter_sets import with_set
 
 CELL, SLOPE, DRIVE = 2, 3, 4

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hil.plant import Plant
-from tests.unit.hil.rig_bench import MS, SETTINGS, changed
+from tests.builders.rig_bench import MS, SETTINGS, changed
 
 S = 1_000_000_000
 PERFECT = {

@@ -11,7 +11,7 @@ from hil.nodes.dictionary import Abort
 from hil.nodes.node import ERROR_FIELD
 from rigctl.devices import objects
 from rigctl.devices.objects import Controlword, DriveState, EmcyCode
-from tests.unit.hil.rig_bench import MS, SETTINGS, SETTINGS_BRAKE_MS, RigBench
+from tests.builders.rig_bench import MS, SETTINGS, SETTINGS_BRAKE_MS, RigBench
 
 DRIVE = SETTINGS.cylinder.node
 ENABLE = Controlword.ENABLE_OPERATION

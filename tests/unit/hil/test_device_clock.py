@@ -11,7 +11,7 @@ from hil.nodes.clock import DeviceClock
 from rigctl.config import rig_file as config
 from rigctl.devices import objects
 from rigctl.devices.objects import EmcyCode
-from tests.unit.hil.rig_bench import MS, REPOSITORY, SAME_CLOCKS, SETTINGS, RigBench, changed
+from tests.builders.rig_bench import MS, REPOSITORY, SAME_CLOCKS, SETTINGS, RigBench, changed
 
 CELL, SLOPE, DRIVE = SETTINGS.tension_cell.node, SETTINGS.inclinometer.node, SETTINGS.cylinder.node
 HOUR = 3_600_000_000_000

@@ -10,7 +10,7 @@ import pytest
 from hil.nodes.dictionary import Abort
 from rigctl.devices import objects
 from rigctl.devices.objects import NmtState
-from tests.unit.hil.rig_bench import SETTINGS, RigBench, changed
+from tests.builders.rig_bench import SETTINGS, RigBench, changed
 
 CELL, SLOPE, DRIVE = 2, 3, 4
 START, RESET_NODE = 0x01, 0x81

@@ -12,7 +12,7 @@ from canopen.objectdictionary import datatypes
 from hil.nodes.dictionary import STRUCT_CODES, entry, number
 from rigctl.devices import objects
 from rigctl.devices.objects import PdoLayout
-from tests.unit.hil.rig_bench import REPOSITORY
+from tests.builders.rig_bench import REPOSITORY
 
 EDS = REPOSITORY / "config/eds"
 CELL, SLOPE, DRIVE, ENCODER, IO, SIMULATOR = FILES = (

@@ -11,7 +11,7 @@ from hil.nodes.encoder import Encoder
 from hil.plant import Plant
 from rigctl.devices import objects
 from rigctl.devices.objects import Controlword
-from tests.unit.hil.rig_bench import MS, SETTINGS, RigBench, changed
+from tests.builders.rig_bench import MS, SETTINGS, RigBench, changed
 
 DRIVE = SETTINGS.cylinder.node
 ENABLE = Controlword.ENABLE_OPERATION

@@ -12,7 +12,7 @@ import pytest
 from hil.nodes.inclination_measurement import GRAVITY_MM_S2, InclinationMeasurement
 from hil.plant import Plant
 from hil.plant.plant import Swing
-from tests.unit.hil.rig_bench import MS, SETTINGS, changed
+from tests.builders.rig_bench import MS, SETTINGS, changed
 
 LENGTH = SETTINGS.plant.rope_length_mm
 OMEGA = math.sqrt(GRAVITY_MM_S2 / LENGTH)  # 2.69 s

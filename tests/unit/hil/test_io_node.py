@@ -7,7 +7,7 @@ import pytest
 from hil.nodes.dictionary import Abort
 from rigctl.config.io_section import IoSettings
 from rigctl.devices import objects
-from tests.unit.hil.rig_bench import SETTINGS, RigBench
+from tests.builders.rig_bench import SETTINGS, RigBench
 
 NODE = 6
 FITTED = SETTINGS.model_copy(update={"io": IoSettings(e_stop_input=9)})

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hil.nodes.dictionary import Abort
 from rigctl.devices import objects
 from rigctl.devices.objects import NmtState
-from tests.unit.hil.rig_bench import SETTINGS, RigBench
+from tests.builders.rig_bench import SETTINGS, RigBench
 
 CELL, SLOPE, DRIVE, BENCH = NODES = (2, 3, 4, objects.SIMULATOR_NODE)
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82

@@ -15,7 +15,7 @@ from rigctl.config import rig_file as config
 from rigctl.config import strict_yaml
 from rigctl.config.rig_file import RigSettings
 from rigctl.devices import objects
-from tests.unit.hil.rig_bench import MS, REPOSITORY, RigBench
+from tests.builders.rig_bench import MS, REPOSITORY, RigBench
 
 SETS = REPOSITORY / "config/sets"
 START = 0x01

@@ -12,7 +12,7 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.config.rig_file import RigSettings
 from rigctl.devices import objects
-from tests.unit.hil.rig_bench import REPOSITORY, SAME_CLOCKS, RigBench, changed
+from tests.builders.rig_bench import REPOSITORY, SAME_CLOCKS, RigBench, changed
 
 PLAIN = changed(config.load(REPOSITORY / "config/plain_rig.yaml"), simulation=SAME_CLOCKS)
 DATABASE = cantools.database.load_file(str(REPOSITORY / "config/plain_sensors.dbc"))

@@ -11,7 +11,7 @@ from hil.plant.layout import MECHANISM
 from hil.plant.moves import out_and_back
 from rigctl.config.rig_file import RailEncoderSettings
 from rigctl.devices import objects
-from tests.unit.hil.rig_bench import SETTINGS, RigBench
+from tests.builders.rig_bench import SETTINGS, RigBench
 
 NODE = 5
 COUNTS = 1 << 20

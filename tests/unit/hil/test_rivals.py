@@ -21,7 +21,7 @@ from hil.compare.rivals.proportional import Proportional, ProportionalIntegral, 
 from rigctl.control.estimator import filter_model
 from rigctl.control.tension import Estimate, Gains
 from rigctl.design.plant_family import Member, member
-from tests.unit.hil.rig_bench import SETTINGS
+from tests.builders.rig_bench import SETTINGS
 
 MODEL = Model.of(SETTINGS)
 K, DT = MODEL.stiffness_n_mm, MODEL.period_s

@@ -20,8 +20,8 @@ from hil.scenario.format import Scenario, Window, read
 from hil.scenario.kinds import Disturbances, LevelPoint
 from hil.scenario.rig import settings_of
 from rigctl.config.wording import Slot, unit_of
+from tests.builders.paths import ROOT
 
-ROOT = pathlib.Path(__file__).parents[3]
 PAGE = (ROOT / "docs/scenario.md").read_text()
 SHIPPED = sorted((ROOT / "config/scenarios").glob("*.yaml"))
 

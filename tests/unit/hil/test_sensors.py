@@ -10,7 +10,7 @@ import pytest
 
 from rigctl.devices import objects
 from rigctl.devices.objects import AiStatus, EmcyCode
-from tests.unit.hil.rig_bench import SETTINGS, RigBench, changed
+from tests.builders.rig_bench import SETTINGS, RigBench, changed
 
 CELL, SLOPE = SETTINGS.tension_cell.node, SETTINGS.inclinometer.node
 START = 0x01

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hil.nodes.tension_measurement import TensionMeasurement
-from tests.unit.hil.rig_bench import changed
+from tests.builders.rig_bench import changed
 
 S = 1_000_000_000
 PERFECT = {"quantum_n": 1e-9, "filter_hz": None, "drift_n_h": 0.0, "creep_pct": 0.0}

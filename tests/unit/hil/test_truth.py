@@ -5,7 +5,7 @@ from __future__ import annotations
 import pathlib
 
 from hil.truth import TRUTH_DTYPE, TruthLog, read
-from tests.unit.hil.rig_bench import MS, RigBench
+from tests.builders.rig_bench import MS, RigBench
 
 
 def test_the_rig_logs_every_millisecond(tmp_path: pathlib.Path) -> None:

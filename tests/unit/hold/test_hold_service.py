@@ -22,7 +22,7 @@ from rigctl.ipc import runtime_folder as folders
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
-from tests import daemons
+from tests.builders import daemons
 
 ENDPOINT = "tcp/127.0.0.1:7447"
 

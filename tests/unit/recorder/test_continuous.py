@@ -15,7 +15,7 @@ import pytest
 from rigctl.recorder import parts, recording
 from rigctl.recorder.appender import Appender
 from rigctl.recorder.recording import read
-from tests.unit.recorder.tape import OFFSET_NS, Tape, as_recorded, same
+from tests.builders.tape import OFFSET_NS, Tape, as_recorded, same
 
 NEEDS_ROOT = pytest.mark.skipif(
     os.getuid() != 0 or shutil.which("mount") is None, reason="needs root, to mount a small disk"

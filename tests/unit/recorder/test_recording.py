@@ -21,7 +21,7 @@ from rigctl.ipc.record import COMMAND, FRAME, RECORD
 from rigctl.recorder import frame_block, recording
 from rigctl.recorder.audit_log import AuditLog, Item
 from rigctl.recorder.recording import RecordingError
-from tests.unit.recorder.tape import OFFSET_NS, Tape, as_recorded, same
+from tests.builders.tape import OFFSET_NS, Tape, as_recorded, same
 
 
 @pytest.fixture

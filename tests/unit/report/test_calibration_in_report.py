@@ -11,7 +11,7 @@ from rigctl.ipc.ledger import Entry, Standing
 from rigctl.recorder.recording import read
 from rigctl.report import tables
 from rigctl.report.findings import Findings, find
-from tests.unit.report.synthetic import START_NS, run, stay, write
+from tests.builders.synthetic import START_NS, run, stay, write
 
 SECOND_NS = 1_000_000_000
 EARLIER, LATER = "2023-11-14T22:00:00Z", "2023-11-14T22:13:40Z"

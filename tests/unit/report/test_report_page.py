@@ -17,7 +17,7 @@ from rigctl.recorder.audit_log import Item
 from rigctl.recorder.recording import read
 from rigctl.report.findings import find
 from rigctl.report.page import render
-from tests.unit.report.synthetic import OFFSET_NS, Floats, mode_events, run, stay, write
+from tests.builders.synthetic import OFFSET_NS, Floats, mode_events, run, stay, write
 
 CHROMIUM = "/usr/bin/chromium"
 CHARTS = 8

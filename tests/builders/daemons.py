@@ -1,0 +1,154 @@
+"""Real processes for the tests: rig files, the simulated rig, the daemon, and the operator's commands."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pathlib
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import yaml
+
+from rigctl.ipc.runtime_folder import Runtime
+from rigctl.metrics.tension_error import IN_FLIGHT_TICKS
+from tests.builders.paths import ROOT
+
+PAPER = ROOT / "config/paper_rig.yaml"
+START_LIMIT_S = 120.0  # a guest kernel is slow; nothing is judged by it
+STOP_LIMIT_S = 20.0
+
+
+def free_port() -> int:
+    with socket.socket() as sock:
+        sock.bind(("127.0.0.1", 0))
+        return int(sock.getsockname()[1])
+
+
+def rig_file(folder: pathlib.Path, changes: dict[str, dict[str, Any]] | None = None, *, rig: str = "") -> pathlib.Path:
+    """The paper's rig with a bus socket, a name and a port of its own, and ``changes`` by section."""
+    data = yaml.safe_load(PAPER.read_text())
+    data["rig"] = rig or f"test_{os.getpid()}_{abs(hash(str(folder))) % 10**8}"
+    data["can"]["channel"] = str(folder / "bus.sock")
+    data["telemetry"]["listen"] = f"tcp/127.0.0.1:{free_port()}"
+    for device, eds in (("tension_cell", "tension_amplifier"), ("inclinometer",) * 2, ("cylinder", "cylinder_drive")):
+        data[device]["eds"] = str(ROOT / f"config/eds/{eds}.eds")
+    for section, values in (changes or {}).items():
+        data.setdefault(section, {}).update(values)
+    if "io" in data:
+        data["io"].setdefault("eds", str(ROOT / "config/eds/io_node.eds"))
+    for device in ("tension_cell", "inclinometer"):
+        if dbc := data[device].get("dbc"):
+            data[device]["dbc"] = {**dbc, "file": str(PAPER.parent / dbc["file"])}
+    file = folder / "rig.yaml"
+    file.write_text(yaml.safe_dump(data))
+    return file
+
+
+def endpoint(file: pathlib.Path) -> str:
+    return str(yaml.safe_load(file.read_text())["telemetry"]["listen"])
+
+
+def name_of(file: pathlib.Path) -> str:
+    return str(yaml.safe_load(file.read_text())["rig"])
+
+
+@contextlib.contextmanager
+def process(*arguments: str, log: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
+    """``python -m arguments``, its output in ``log``, ended with SIGTERM (and SIGKILL if that does not do)."""
+    with log.open("ab") as out:
+        child = subprocess.Popen([sys.executable, "-m", *arguments], stdout=out, stderr=subprocess.STDOUT, cwd=ROOT)
+    try:
+        yield child
+    finally:
+        if child.poll() is None:
+            child.send_signal(signal.SIGTERM)
+        try:
+            child.wait(STOP_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+            raise
+
+
+def process_with(*words: str) -> int:
+    """Process whose command line has all ``words``."""
+    for entry in pathlib.Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with contextlib.suppress(OSError):
+                line = (entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
+                if all(any(word in part for part in line) for word in words):
+                    return int(entry.name)
+    raise AssertionError(f"no process with {words}")
+
+
+def wait_for(what: Callable[[], Any], limit_s: float = START_LIMIT_S, *, log: pathlib.Path | None = None) -> Any:
+    """Poll until ``what()`` is true; returns it."""
+    until = time.monotonic() + limit_s
+    while time.monotonic() < until:
+        if value := what():
+            return value
+        time.sleep(0.05)
+    said = log.read_text(errors="replace") if log is not None and log.exists() else ""
+    raise AssertionError(f"not within {limit_s} s: {what}\n{said}")
+
+
+@contextlib.contextmanager
+def simulated_rig(file: pathlib.Path, log: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
+    """``python -m hil serve FILE``, once it serves."""
+    with process("hil", "serve", str(file), log=log) as child:
+        wait_for(lambda: child.poll() is not None or b"serving" in log.read_bytes(), log=log)
+        assert child.poll() is None, log.read_text()
+        yield child
+
+
+@contextlib.contextmanager
+def daemon(file: pathlib.Path, log: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
+    """``rigctl run FILE``, once it says DISARMED."""
+    with process("rigctl", "run", str(file), log=log) as child:
+        wait_for(lambda: child.poll() is not None or b": DISARMED," in log.read_bytes(), log=log)
+        assert child.poll() is None, log.read_text()
+        yield child
+
+
+def environment(file: pathlib.Path | None) -> dict[str, str]:
+    """Of an operator at one terminal: all commands share a lease."""
+    own = {"RIGCTL_OPERATOR": "kim"} | ({"XDG_RUNTIME_DIR": str(file.parent.resolve())} if file is not None else {})
+    return {**os.environ, **own}
+
+
+def rigctl(*arguments: str, file: pathlib.Path | None = None) -> subprocess.CompletedProcess[str]:
+    """One ``rigctl`` command, told where the daemon of ``file`` is; all are one operator's, at one terminal."""
+    where = ("--connect", endpoint(file), "--rig", name_of(file)) if file is not None else ()
+    return subprocess.run(
+        [sys.executable, "-m", "rigctl", *arguments, *where],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env=environment(file),
+        timeout=120,
+        check=False,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+def state(file: pathlib.Path) -> dict[str, Any]:
+    """The daemon's state, as ``rigctl status --json`` prints it; empty while nobody answers."""
+    answer = rigctl("status", "--json", file=file)
+    return dict(json.loads(answer.stdout)) if answer.returncode == 0 else {}
+
+
+def frames_lost(file: pathlib.Path) -> int:
+    """Device frames the loop has missed so far; one that is only on its way is not lost."""
+    records = Runtime.of(name_of(file)).record_reader(from_start=True).read()
+    return int(records["frames_lost"][-IN_FLIGHT_TICKS:].min())
+
+
+def mode(file: pathlib.Path) -> str:
+    return str(state(file).get("mode"))

@@ -1,0 +1,171 @@
+"""Random plants, and what `identify` says of them: ``python -m tests.builders.random_plants [SEED [N [wide]]]``.
+
+Held at 40 to 340 N by a spring of 3 to 40 N/mm; ``wide``: also by a rope of 200 to 2000 N/mm alone, at 10 N where the
+load does not seat the nut, or slack. Lag 5 to 60 ms, delay 0.5 to 10 ms, backlash up to 0.2 mm, cell noise 0.01 to
+0.2 N. Of all but the noise the rig file says what config/paper_rig.yaml says.
+"""
+
+from __future__ import annotations
+
+import functools
+import multiprocessing
+import random
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hil.lockstep import lockstep
+from rigctl.commission import proposal
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.modes import Refusal, Verb
+from rigctl.control.tension import Gains
+from rigctl.design.margins import design_and_check
+from tests.builders.daemons import PAPER
+
+LIMIT_S = 12.0
+KEYS = {
+    "lag": "plant.cylinder_lag_s",
+    "delay": "plant.command_delay_s",
+    "stiffness": "stiffness",
+    "backlash": "backlash",
+    "noise": "tension_cell.noise_n",
+}
+
+
+@dataclass(frozen=True)
+class RandomPlant:
+    """What is true of a rig: N/mm, s, s, mm, N, N."""
+
+    stiffness: float
+    lag: float
+    delay: float
+    backlash: float
+    noise: float
+    tension_n: float
+    seed: int
+
+    @property
+    def slack(self) -> bool:
+        return self.tension_n == 0.0
+
+    def truth(self, name: str) -> float:
+        """The backlash shows only where the load does not seat the nut."""
+        seated = name == "backlash" and self.tension_n > 20.0
+        return 0.0 if seated else float(getattr(self, name))
+
+
+def plants(seed: int, count: int, *, wide: bool = False) -> list[RandomPlant]:
+    draw = random.Random(seed)
+    found: list[RandomPlant] = []
+    for number in range(count):
+        stiff, slack = wide and number % 4 == 2, wide and number % 4 == 3
+        tension_n = 0.0 if slack else draw.choice([10.0, 300.0]) if wide else draw.uniform(40.0, 340.0)
+        low, high = (200.0, 2000.0) if stiff else (3.0, 40.0)
+        found.append(
+            RandomPlant(
+                low * (high / low) ** draw.random(),
+                draw.uniform(0.005, 0.06),
+                draw.uniform(0.0005, 0.01),
+                draw.uniform(0.0, 0.2),
+                0.01 * 20.0 ** draw.random(),
+                tension_n,
+                number,
+            )
+        )
+    return found
+
+
+def built(settings: RigSettings, plant: RandomPlant) -> RigSettings:
+    """The rig of ``settings`` as ``plant`` says it was built."""
+    simulation = settings.simulation
+    assert simulation is not None
+    drive = simulation.drive.model_copy(update={"backlash_mm": plant.backlash})
+    update = {"seed": 1 + plant.seed, "step_us": 50, "drive": drive}
+    update |= {
+        "lag_scale": plant.lag / settings.plant.cylinder_lag_s,
+        "delay_scale": plant.delay / settings.plant.command_delay_s,
+        "stiffness_scale": plant.stiffness / settings.plant.stiffness_n_mm,
+    }
+    cell = settings.tension_cell.model_copy(update={"noise_n": plant.noise})
+    return settings.model_copy(update={"simulation": simulation.model_copy(update=update), "tension_cell": cell})
+
+
+@dataclass(frozen=True)
+class Result:
+    """Rows by name, and the largest change of tension meanwhile in N."""
+
+    plant: RandomPlant
+    rows: dict[str, dict[str, Any]]
+    span_n: float
+
+    def told(self, name: str) -> bool:
+        return self.rows[name]["found"] is not None
+
+    def off(self, name: str) -> float:
+        """What was found, less the truth."""
+        return float(self.rows[name]["found"]) - self.plant.truth(name)
+
+    def inside(self, name: str) -> bool:
+        return abs(self.off(name)) <= float(self.rows[name]["error"])
+
+
+@functools.cache
+def _as_filed() -> tuple[RigSettings, Gains]:
+    settings = config.load(PAPER)
+    return settings, design_and_check(settings).gains
+
+
+def identified(plant: RandomPlant) -> Result:
+    settings, gains = _as_filed()
+    with lockstep(built(settings, plant), gains) as rig:
+        if not plant.slack:
+            rig.rig.plant.preload(plant.tension_n)
+        rig.run(0.3)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        rig.run(0.2)
+        rig.read_records()
+        answer = rig.command(Verb.IDENTIFY, limit_s=LIMIT_S)
+        records = rig.read_records()
+    span_n = float(np.ptp(records["tension_n"]))
+    if answer is not Refusal.NONE:
+        refused = {"found": None, "error": None, "why": answer.name.lower()}
+        return Result(plant, dict.fromkeys(KEYS, refused), span_n)
+    records = records[records["t_ns"] > rig.reply["t_ns"] - round(float(rig.reply["value"]) * 1e9)]
+    rows = {row["key"]: row for row in proposal.rows(proposal.signals_of(records, 1e-3), settings)}
+    return Result(plant, {name: rows[key] for name, key in KEYS.items()}, span_n)
+
+
+def identify_all(found: list[RandomPlant]) -> list[Result]:
+    """Each in a process of its own, as many at once as there are processors."""
+    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
+        return list(pool.map(identified, found))
+
+
+def in_words(result: Result) -> str:
+    plant, words = result.plant, [f"{result.plant.tension_n:5.1f} N, changed by {result.span_n:4.1f} N"]
+    for name, row in result.rows.items():
+        factor = 1e3 if name in ("lag", "delay") else 1.0
+        said = f"{name} {factor * plant.truth(name):.4g}"
+        if not result.told(name):
+            words.append(f"{said}: {row['why']}")
+        else:
+            mark = "" if result.inside(name) else " OUTSIDE"
+            words.append(f"{said} {factor * result.off(name):+.2g} +- {factor * row['error']:.2g}{mark}")
+    return " | ".join(words)
+
+
+def main(seed: str = "1", count: str = "20", wide: str = "") -> None:
+    results = identify_all(plants(int(seed), int(count), wide=wide == "wide"))
+    for result in results:
+        print(in_words(result))
+    for name in KEYS:
+        told = [result for result in results if result.told(name)]
+        print(f"{name}: {sum(result.inside(name) for result in told)} of {len(told)} told are inside the uncertainty")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,28 @@
+"""Somebody publishes anything on the rig's keys: the page goes on showing the real rig, and says what it refused."""
+
+from __future__ import annotations
+
+from playwright.sync_api import Browser
+
+from tests.builders.hostile import hostile
+from tests.builders.miniature import Daemon
+from tests.builders.pages import Server, look
+from tests.live.telemetry.test_hostile_network import answers, send_everything
+
+
+def test_the_page_goes_on_showing_the_rig(chromium: Browser, readonly: Server, daemon: Daemon) -> None:
+    seen = look(chromium, readonly.address)
+    seen.live()
+    wrong = answers(daemon)
+    with hostile(daemon.endpoint, "paper_rig") as intruder:
+        for key in (intruder.keys.state, intruder.keys.active, intruder.keys.events_past, intruder.keys.fast):
+            intruder.answer(key, wrong)
+        assert send_everything(intruder, daemon) >= 14
+        seen.until("document.body.textContent.includes('messages refused')")
+    newest = seen.run("rigctl.store.newestMs")
+    seen.until(f"rigctl.store.newestMs > {newest} + 1000")
+    with daemon.client() as client:
+        assert seen.text("#mode") == client.state()["mode"]
+    assert not seen.errors
+    assert readonly.process.poll() is None
+    seen.page.close()

@@ -1,0 +1,202 @@
+"""The page in a real browser, over real sessions: charts that move, restarts it survives, data that are stale."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser
+
+from rigctl.ipc.record import RECORD
+from rigctl.page.history import WINDOWS_S
+from tests.builders.miniature import Daemon, free_port, running
+from tests.builders.pages import PageView, Server, look, serving
+
+TENSION = "rigctl.strips.charts[0]"
+EXTREMES = "(y) => [Math.min(...y.filter((v) => v != null)), Math.max(...y.filter((v) => v != null))]"
+DRAWN = f"{TENSION}.u.ctx.canvas.toDataURL()"
+
+
+@contextlib.contextmanager
+def view(chromium: Browser, server: Server, width: int = 1280, height: int = 800) -> Iterator[PageView]:
+    found = look(chromium, server.address, width, height)
+    try:
+        found.live()
+        yield found
+    finally:
+        found.page.close()
+
+
+def test_charts_move_with_the_data(chromium: Browser, readonly: Server) -> None:
+    with view(chromium, readonly) as seen:
+        newest, drawn = seen.run("rigctl.store.newestMs"), seen.run(DRAWN)
+        seen.until(f"rigctl.store.newestMs > {newest} + 1000")
+        assert seen.run(DRAWN) != drawn
+        assert not seen.errors
+
+
+def test_nothing_is_asked_of_another_host(chromium: Browser, readonly: Server) -> None:
+    with view(chromium, readonly) as seen:
+        for window in range(len(WINDOWS_S)):
+            seen.page.click(f"#windows button:nth-child({window + 1})")
+            seen.until(f"rigctl.store.window === {window}")
+        seen.page.click("#theme")
+        hosts = {url.split("/")[2] for url in seen.asked}
+        assert hosts == {f"127.0.0.1:{readonly.port}"}
+        assert len(seen.asked) > 10
+        assert not seen.errors
+
+
+def test_what_the_page_says_is_what_the_daemon_says(chromium: Browser, readonly: Server, daemon: Daemon) -> None:
+    with daemon.client() as client:
+        state = client.state()
+        text = client.past_events()[0]["text"]
+    with view(chromium, readonly) as seen:
+        assert seen.text("#mode") == state["mode"]
+        assert seen.text("#target") == f"{state['target_n']:.1f} N"
+        assert seen.text("#rig") == daemon.settings.rig
+        assert text in seen.text("#event-list")
+        for words in (*state["warnings"], "nobody holds it"):
+            assert words in seen.text("#rows")
+        assert seen.run("document.querySelector('#commands').hidden")
+
+
+def test_a_page_opened_late_shows_the_past_at_once(chromium: Browser, readonly: Server) -> None:
+    """The server's history; and beyond its start what the daemon's rings still held."""
+    with view(chromium, readonly) as seen:
+        seconds = seen.run("rigctl.store.low[0].filter((value) => value === value).length") * 0.05
+        oldest = seen.run("performance.now()") / 1000
+        assert seconds > oldest + 1
+
+
+def test_both_themes_are_the_readers_choice(chromium: Browser, readonly: Server) -> None:
+    back = "getComputedStyle(document.body).backgroundColor"
+    for preferred in ("light", "dark"):
+        seen = look(chromium, readonly.address, theme=preferred)
+        assert seen.run("document.documentElement.dataset.theme") == preferred
+        before = seen.run(back)
+        seen.page.click("#theme")
+        assert seen.run("document.documentElement.dataset.theme") != preferred
+        assert seen.run(back) != before
+        seen.page.reload()
+        assert seen.run("document.documentElement.dataset.theme") != preferred
+        seen.run("localStorage.clear()")
+        seen.page.close()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1920, 1080), (1024, 768), (820, 1180)])
+def test_nothing_is_cut_off_or_overlaps(chromium: Browser, readonly: Server, width: int, height: int) -> None:
+    with view(chromium, readonly, width, height) as seen:
+        for node, text in (("#mode", "COMPENSATING"), ("#mode", "LOOP STOPPED"), ("#vertical", "-299.97")):
+            inner, outer = seen.run(
+                f"""(() => {{
+                const node = document.querySelector("{node}"), said = node.textContent;
+                node.textContent = "{text}";
+                const range = document.createRange(), box = node.closest("header > *");
+                range.selectNodeContents(box);
+                const {{ left, right }} = range.getBoundingClientRect(), around = box.getBoundingClientRect();
+                node.textContent = said;
+                return [[left, right], [around.left, around.right]];
+                }})()"""
+            )
+            assert outer[0] <= inner[0], text
+            assert inner[1] <= outer[1], text
+        assert seen.run("document.documentElement.scrollWidth") <= width
+        boxes = seen.run(
+            """[...document.querySelectorAll("header > *, .strip, .panel, footer:not([hidden])")].map((node) => {
+            const box = node.getBoundingClientRect();
+            return [box.left, box.top, box.right, box.bottom];
+            })"""
+        )
+        for i, a in enumerate(boxes):
+            assert a[2] - a[0] > 60
+            assert a[3] - a[1] > 40
+            for b in boxes[:i]:
+                apart = a[2] <= b[0] + 1 or b[2] <= a[0] + 1 or a[3] <= b[1] + 1 or b[3] <= a[1] + 1
+                assert apart, (a, b)
+
+
+@pytest.fixture
+def own() -> Iterator[Daemon]:
+    yield from running()
+
+
+def test_the_page_survives_a_killed_gateway(chromium: Browser, own: Daemon) -> None:
+    own.client().close()
+    with serving(own.endpoint) as server, view(chromium, server) as seen:
+        own.kill_gateway()
+        seen.until("rigctl.stale")
+        assert seen.text("#stale-what").startswith("NO DATA FOR ")
+        assert own.endpoint in seen.text("#stale-why")
+        assert float(seen.run("getComputedStyle(document.querySelector('main')).opacity")) < 0.5
+        before, draws = seen.run("rigctl.store.newestMs"), seen.run("rigctl.draws")
+        own.start_gateway()
+        seen.until(f"!rigctl.stale && rigctl.store.newestMs > {before} + 2000 && rigctl.draws > {draws}")
+        assert seen.run("rigctl.state.samples_lost") == 0  # the gap was asked for again, and filled
+        assert seen.run("rigctl.link.opened") == 1
+        assert not seen.errors
+
+
+def test_the_page_survives_a_killed_page_server(chromium: Browser, daemon: Daemon) -> None:
+    port = free_port()
+    with serving(daemon.endpoint, port=port) as first, view(chromium, first) as seen:
+        first.end(signal.SIGKILL)
+        seen.until("rigctl.stale")
+        assert "page server" in seen.text("#stale-why")
+        drawn = seen.run(DRAWN)
+        time.sleep(0.5)
+        assert seen.run(DRAWN) == drawn  # old data do not go on moving
+        with serving(daemon.endpoint, port=port):
+            before = seen.run("rigctl.store.newestMs")
+            seen.until(f"!rigctl.stale && rigctl.link.opened === 2 && rigctl.store.newestMs > {before} + 1000")
+            others = [error for error in seen.errors if "ERR_CONNECTION_REFUSED" not in error]
+            assert not others
+
+
+def test_without_a_daemon_the_page_says_so_and_waits_for_one(chromium: Browser) -> None:
+    own = Daemon()
+    try:
+        with serving(own.endpoint) as server:
+            assert f"no daemon answers at {own.endpoint}" in server.said
+            seen = look(chromium, server.address)
+            seen.until("document.querySelector('#stale-why').textContent.includes('no daemon answers')")
+            assert seen.text("#stale-what") == "NO DATA"
+            own.start_loop()
+            own.start_gateway()
+            seen.live()
+            assert seen.text("#mode") == "DISARMED"
+            seen.page.close()
+            assert server.end() == (0, "")
+    finally:
+        own.close()
+
+
+def test_a_spike_of_one_tick_is_seen_in_every_window(chromium: Browser) -> None:
+    own = Daemon()
+    try:
+        writer = own.runtime.record_writer()
+        own.start_gateway()
+        values = dict.fromkeys((field.name for field in RECORD.fields), 0)
+        start = time.monotonic_ns() - 4_000_000_000
+        with serving(own.endpoint) as server:
+            seen = look(chromium, server.address)
+            for tick in range(4000):
+                spike = {1000: 777.0, 2500: -55.0}.get(tick, 100.0)
+                now = {"t_ns": start + tick * 1_000_000, "tick": tick, "vertical_n": spike, "target_n": 300.0}
+                writer.write(*(values | now).values())
+            for window in range(len(WINDOWS_S)):
+                seen.until("window.rigctl && rigctl.signal('vertical_n') === 0")
+                seen.run(f"rigctl.choose({window})")
+                seen.until(f"rigctl.store.window === {window} && rigctl.store.newest > 0")
+                seen.until("JSON.stringify(rigctl.store.extremes(0)) === '[-55,777]'")
+                seen.until(f"JSON.stringify(({EXTREMES})({TENSION}.y)) === '[-55,777]'")
+                low, high = np.array(seen.run(f"{TENSION}.range"))
+                assert low <= -55
+                assert high >= 777
+            seen.page.close()
+    finally:
+        own.close()

@@ -1,0 +1,100 @@
+"""Arming, the emergency stop and `rigctl doctor` with real processes."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import pathlib
+from collections.abc import Iterator
+from typing import Any
+
+import canopen
+import pytest
+
+from rigctl.devices import objects as od
+from tests.builders import daemons
+from tests.live.system.test_daemon import PATIENT, Running
+
+
+@contextlib.contextmanager
+def running(folder: pathlib.Path, changes: dict[str, dict[str, Any]]) -> Iterator[Running]:
+    file = daemons.rig_file(folder, {**PATIENT, **changes})
+    log = folder / "daemon.log"
+    with daemons.simulated_rig(file, folder / "rig.log") as rig, daemons.daemon(file, log) as daemon:
+        yield Running(file, daemon, rig, log)
+
+
+def press_e_stop(rig: Running, pressed: int) -> None:
+    """As somebody at the simulated rig."""
+    network = canopen.Network()
+    network.NOTIFIER_CYCLE = 0.02
+    network.connect(interface="rigsim", channel=str(rig.file.with_name("bus.sock")))
+    try:
+        node = network.add_node(canopen.RemoteNode(od.SIMULATOR_NODE, str(daemons.ROOT / "config/eds/simulator.eds")))
+        node.sdo[od.SIM_E_STOP].raw = pressed
+    finally:
+        network.disconnect()
+
+
+def doctor(rig: Running) -> tuple[int, dict[str, dict[str, Any]]]:
+    """Exit code, and findings by name."""
+    answer = daemons.rigctl("doctor", str(rig.file), "--json")
+    return answer.returncode, {row["name"]: row for row in json.loads(answer.stdout)}
+
+
+def test_an_emergency_stop_is_latched_holds_the_load_and_must_be_released_before_the_reset(
+    tmp_path: pathlib.Path,
+) -> None:
+    with running(tmp_path, {}) as rig:
+        rig.do("arm")
+        rig.do("target", "100")
+        rig.do("tension", "--wait")
+        code, found = doctor(rig)
+        assert code == any(row["severity"] == "fails" for row in found.values())
+        assert found["emergency stop: released"]["ok"]
+        assert found["emergency stop: seen"]["ok"]
+        press_e_stop(rig, 1)
+        daemons.wait_for(lambda: daemons.state(rig.file).get("fault") == "E_STOP", log=rig.log)
+        assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)
+        assert "cause still present: E_STOP" in rig.refused("reset")
+        code, found = doctor(rig)
+        assert code == 1
+        assert found["emergency stop: released"]["severity"] == "fails"
+        press_e_stop(rig, 0)
+        daemons.wait_for(lambda: daemons.rigctl("reset", file=rig.file).returncode == 0, log=rig.log)
+        daemons.wait_for(lambda: daemons.mode(rig.file) == "DISARMED", log=rig.log)
+        daemons.wait_for(lambda: daemons.rigctl("arm", file=rig.file).returncode == 0, log=rig.log)
+        assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)
+
+
+def test_arming_is_refused_with_everything_that_stands_against_it_and_doctor_says_the_same(
+    tmp_path: pathlib.Path,
+) -> None:
+    strict: dict[str, dict[str, Any]] = {
+        "loop": {"cpu": 1023, "realtime_waiver": None},
+        "calibration": {"waiver": None},
+        "preflight": {"disk_free_mib": 2**30},
+        "cylinder": {**PATIENT["cylinder"], "stroke_min_mm": -1.0},
+    }
+    with running(tmp_path, strict) as rig:
+        said = rig.refused("arm")
+        words = (
+            "no calibration check has passed: rigctl calibrate", "no tare on record: rigctl tare",
+            "cpu 1023 is not available", "loop.realtime_waiver", "MiB free: make room", "rigctl arm --near-end",
+        )  # fmt: skip
+        assert [word for word in words if word not in said] == []
+        answer = json.loads(daemons.rigctl("arm", "--json", file=rig.file).stdout)
+        assert (answer["reason"], len(answer["checks"])) == ("preflight", 5)
+        assert len(json.loads(daemons.rigctl("arm", "--near-end", "--json", file=rig.file).stdout)["checks"]) == 4
+        code, found = doctor(rig)
+        assert code == 1
+        failing = {name for name, row in found.items() if row["severity"] == "fails"}
+        assert failing >= {
+            "calibration: in force", "tare: in force", "real time: granted", "disk: room to write",
+            "stroke: away from its ends",
+        }  # fmt: skip
+        assert found["rig file"]["ok"]
+        assert "rigctl tare" in found["tare: in force"]["fix"]
+        rig.do("tare")  # what is done about one of them leaves the others
+        said = daemons.wait_for(lambda: (text := rig.refused("arm")) and "tare" not in text and text, log=rig.log)
+        assert "no calibration" in said

@@ -1,0 +1,163 @@
+"""What the daemon does when something it stands on is taken away, or runs short: files, memory, its terminal."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+from rigctl.ipc.runtime_folder import Runtime
+from tests.builders import daemons
+from tests.live.system.test_daemon import PATIENT, Running
+
+
+@pytest.fixture
+def running(tmp_path: pathlib.Path) -> Iterator[Running]:
+    """A daemon for one test."""
+    file, log = (
+        daemons.rig_file(tmp_path, {**PATIENT, "page": {"listen": f"localhost:{daemons.free_port()}"}}),
+        tmp_path / "daemon.log",
+    )
+    with daemons.simulated_rig(file, tmp_path / "rig.log") as rig, daemons.daemon(file, log) as daemon:
+        yield Running(file, daemon, rig, log)
+
+
+def tensioned(running: Running) -> tuple[float, float]:
+    """Arm, tension; true vertical tension and stroke."""
+    running.do("arm")
+    running.do("target", "100")
+    running.do("tension", "--wait")
+    return running.truth()
+
+
+def ended(running: Running, code: int, before: tuple[float, float]) -> str:
+    """It ended with this code, nothing running, no traceback, the load where it was; what it said."""
+    assert running.daemon.wait(daemons.STOP_LIMIT_S) == code, running.log.read_text()
+    said = running.log.read_text()
+    assert "Traceback" not in said
+    after = running.truth()
+    assert after[1] == pytest.approx(before[1], abs=0.5)
+    assert after[0] == pytest.approx(before[0], rel=0.03)
+    return said
+
+
+@pytest.mark.parametrize("killed", ["", "gateway", "control"])
+def test_a_runtime_folder_that_is_deleted_ends_the_daemon_with_the_stroke_held(running: Running, killed: str) -> None:
+    before = tensioned(running)
+    runtime = Runtime.of(daemons.name_of(running.file))
+    if killed:
+        module = {"gateway": "rigctl.gateway.gateway_process", "control": "rigctl.control"}[killed]
+        os.kill(daemons.process_with(module, str(runtime.directory)), signal.SIGKILL)
+    shutil.rmtree(runtime.directory)
+    said = ended(running, 1, before)
+    assert f"the runtime folder {runtime.directory} is lost: it has been deleted; the daemon ends" in said
+    if killed != "control":
+        assert "stopped in HOLD" in said
+        assert "brake closed; ended because the runtime folder" in said
+    log = (running.file.parent / f"audit/{daemons.name_of(running.file)}.jsonl").read_text()
+    assert '"what":"folder_lost"' in log
+    assert not runtime.directory.exists()
+
+
+def test_sighup_ends_it_like_sigterm(running: Running) -> None:
+    before = tensioned(running)
+    running.daemon.send_signal(signal.SIGHUP)
+    assert "COMPENSATING -> HOLD: daemon stopping" in ended(running, 0, before)
+    running.rig.send_signal(signal.SIGHUP)
+    assert running.rig.wait(daemons.STOP_LIMIT_S) == 0
+
+
+def test_a_lease_file_with_a_wrong_byte_costs_the_lease_and_nothing_else(running: Running) -> None:
+    running.do("arm")
+    runtime = Runtime.of(daemons.name_of(running.file))
+    gateway = daemons.process_with("rigctl.gateway.gateway_process", str(runtime.directory))
+    file = runtime.directory / "lease.json"
+    whole = file.read_bytes()
+    file.write_bytes(whole[:20] + b"\xff" + whole[21:])
+    os.kill(gateway, signal.SIGKILL)
+    daemons.wait_for(lambda: daemons.state(running.file), log=running.log)
+    state = daemons.state(running.file)
+    assert (state["mode"], state["lease"]) == ("HOLD", None)
+    assert running.log.read_text().count("gateway process") == 1
+
+
+def test_a_damaged_active_json_is_written_anew_for_a_process_that_comes_back(running: Running) -> None:
+    runtime = Runtime.of(daemons.name_of(running.file))
+    before = runtime.read_json("active.json")
+    file = runtime.directory / "active.json"
+    file.write_bytes(file.read_bytes().replace(b'"k_tension":', b'"k_tension":9', 1))
+    os.kill(daemons.process_with("rigctl.gateway.gateway_process", str(runtime.directory)), signal.SIGKILL)
+    daemons.wait_for(lambda: daemons.state(running.file), log=running.log)
+    assert "active.json in the runtime folder was damaged" in running.log.read_text()
+    assert runtime.read_json("active.json") == before
+
+
+def test_the_loop_is_the_last_that_the_kernel_ends_for_want_of_memory(running: Running) -> None:
+    folder = str(Runtime.of(daemons.name_of(running.file)).directory)
+    modules = ("rigctl.page", "rigctl.gateway.gateway_process", "rigctl.recorder", "rigctl.control")
+    pids = [daemons.process_with(module, folder) for module in modules]
+    scores = [int(pathlib.Path(f"/proc/{pid}/oom_score_adj").read_text()) for pid in (*pids, running.daemon.pid)]
+    *beside, control, supervisor = scores
+    assert beside == [800, 500, 300]
+    assert control <= supervisor <= 0
+    limits = [resource.prlimit(pid, resource.RLIMIT_DATA)[0] for pid in pids]
+    assert limits == [1 << 30] * 3 + [resource.prlimit(running.daemon.pid, resource.RLIMIT_DATA)[0]]
+
+
+@pytest.mark.parametrize("limit", [6, 8, 10, 16, 24, 48])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("rigctl", "run", str(daemons.PAPER)),
+        ("rigctl", "status"),
+        ("rigctl", "demo"),
+        ("rigctl", "bench", str(daemons.PAPER)),
+        ("hil", "serve", str(daemons.PAPER)),
+    ],
+)
+def test_a_low_limit_of_open_files_is_one_line(words: tuple[str, ...], limit: int) -> None:
+    command = f"ulimit -n {limit}; exec {sys.executable} -m {' '.join(words)}"
+    answer = subprocess.run(
+        ["bash", "-c", command], capture_output=True, text=True, cwd=daemons.ROOT, timeout=60, check=False
+    )
+    assert answer.returncode == 1
+    assert f"found a limit of {limit} open files, expected 64 or more" in answer.stderr
+    assert answer.stderr.count("\n") == 1
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, for a mount of its own")
+@pytest.mark.parametrize(
+    ("prepare", "said"),
+    [
+        ("mount -t tmpfs -o size=1m tmpfs /dev/shm", "No space left on device"),
+        ("mount -t tmpfs -o ro tmpfs /dev/shm", "Read-only file system"),
+        ("mount -t tmpfs tmpfs /dev && mknod -m 666 /dev/null c 1 3", "No such file or directory"),
+        ("mkdir /dev/shm/rigctl-NAME && chmod 777 /dev/shm/rigctl-NAME", "found mode 0777, expected"),
+        ("mkdir /dev/shm/rigctl-NAME && chown 4321 /dev/shm/rigctl-NAME", "found a folder of user 4321"),
+        ("ln -s /tmp /dev/shm/rigctl-NAME", "found a link, expected"),
+    ],
+)
+def test_a_runtime_folder_that_cannot_be_had_is_one_line(tmp_path: pathlib.Path, prepare: str, said: str) -> None:
+    file = daemons.rig_file(tmp_path)
+    prepare = prepare.replace("NAME", daemons.name_of(file))
+    command = f"mount -t tmpfs tmpfs /dev/shm; {prepare}; exec {sys.executable} -m rigctl run {file}"
+    command_line = ["unshare", "-m", "bash", "-c", command]
+    answer = subprocess.run(command_line, capture_output=True, text=True, cwd=daemons.ROOT, timeout=120, check=False)
+    assert answer.returncode == 1, answer.stderr
+    assert said in answer.stderr
+    assert answer.stderr.count("\n") == 1
+
+
+def test_without_a_home_or_a_runtime_folder_of_the_user_commands_are_as_ever() -> None:
+    for words, code in ((("check", str(daemons.PAPER)), 0), (("status", "--connect", "tcp/127.0.0.1:1"), 1)):
+        command = ["env", "-i", sys.executable, "-m", "rigctl", *words]
+        answer = subprocess.run(command, capture_output=True, text=True, cwd=daemons.ROOT, timeout=60, check=False)
+        assert answer.returncode == code, answer.stderr
+        assert answer.stderr.count("\n") == code

@@ -1,0 +1,127 @@
+"""The demo, in simulated and in real time: its figures, its keys, its verdict."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+import pytest
+
+from rigctl.control.modes import Mode, Verb
+from rigctl.ipc.runtime_folder import Runtime
+from rigctl.recorder import recording
+from tests.builders import daemons
+from tests.live.system.test_daemon import PATIENT
+
+KEYS = {
+    "eta_true_max_pct", "eta_true_rms_pct", "eta_cell_max_pct", "skipped_ticks", "ticks", "lateness_us", "work_us",
+    "frames", "telemetry", "duration_s", "passed",
+}  # fmt: skip
+SHORT: dict[str, Any] = {"angle_deg": 2.0}
+
+
+def play(tmp_path: pathlib.Path, changes: dict[str, dict[str, Any]], *options: str) -> tuple[int, dict[str, Any], str]:
+    figures = tmp_path / "demo.json"
+    file = daemons.rig_file(tmp_path, changes)
+    answer = daemons.rigctl("demo", str(file), "--json", str(figures), *options,
+                            "--recordings", str(tmp_path / "recordings"))  # fmt: skip
+    assert "Traceback" not in answer.stderr
+    return answer.returncode, json.loads(figures.read_text()), answer.stdout
+
+
+def replayed(file: str) -> tuple[int, bool]:
+    """Ticks that a replay finds the same, and whether that is all of them."""
+    answer = daemons.rigctl("replay", file, "--json")
+    assert answer.returncode in (0, 1), answer.stderr
+    found = json.loads(answer.stdout)
+    return sum(row["same"] for row in found["loops"]), found["identical"] and answer.returncode == 0
+
+
+@pytest.mark.simulated_time
+def test_the_papers_move_in_lockstep_is_within_the_limits(tmp_path: pathlib.Path) -> None:
+    code, figures, said = play(tmp_path, {"demo": {"angle_deg": 13.0}}, "--lockstep")
+    assert code == 0
+    assert set(figures) >= KEYS
+    assert figures["passed"] is True
+    assert 0.0 < figures["eta_true_max_pct"] <= 0.10
+    assert 0.0 < figures["eta_true_rms_pct"] <= 0.03
+    assert figures["frames"]["lost"] == 0
+    assert figures["skipped_ticks"] == 0
+    assert figures["telemetry"] is None
+    kept = recording.read(figures["recording"])
+    assert figures["recording"] in said
+    assert (len(kept.records), kept.complete, kept.gaps) == (figures["ticks"], True, [])
+    assert replayed(figures["recording"]) == (figures["ticks"], True)
+    assert "passed" in said
+
+
+@pytest.mark.simulated_time
+def test_limits_that_are_not_met_fail_the_demo(tmp_path: pathlib.Path) -> None:
+    code, figures, said = play(tmp_path, {"demo": {**SHORT, "eta_max_pct": 0.001}}, "--lockstep")
+    assert code == 1
+    assert figures["passed"] is False
+    assert "NOT MET" in said
+
+
+def test_in_real_time_every_part_runs_in_its_own_process(tmp_path: pathlib.Path) -> None:
+    changes = {
+        "demo": SHORT,
+        "safety": {
+            "stale_ms": 100,
+            "bus_silent_ms": 100,
+            "inclination_stale_ms": 500,
+            "overrun_ticks": 900,
+            "waiver": "a simulated rig on a busy machine",
+        },
+        "cylinder": {"command_deadline_ms": 150, "heartbeat_timeout_ms": 200},
+        "telemetry": {"lease_s": 15},  # shorter than the time between two of its commands: it has to renew it
+    }
+    code, figures, said = play(tmp_path, changes)
+    assert set(figures) >= KEYS
+    assert figures["frames"]["lost"] == 0
+    assert figures["frames"]["sent"] > 2 * figures["ticks"]
+    assert figures["telemetry"]["produced"] > 20_000
+    assert figures["telemetry"]["received"] == figures["telemetry"]["produced"]
+    assert set(figures["lateness_us"]) == set(figures["work_us"]) == {"p50", "p99", "p999", "max"}
+    assert figures["eta_true_max_pct"] <= 0.10
+    assert (code, figures["passed"]) == (0, True), said
+    kept = recording.read(*recording.parts_of(figures["recording"]))
+    assert (kept.complete, kept.gaps) == (True, [])
+    assert len(kept.records) >= figures["ticks"]
+    assert replayed(figures["recording"]) == (len(kept.records), True)
+
+
+def test_beside_a_daemon_of_the_same_rig_the_demo_commands_its_own(tmp_path: pathlib.Path) -> None:
+    patient = {**PATIENT, "demo": {**SHORT, "angle_deg": 0.5}}
+    file, log = daemons.rig_file(tmp_path, patient), tmp_path / "daemon.log"
+    before = sorted(path.name for path in tmp_path.glob("audit/*"))
+    with daemons.simulated_rig(file, tmp_path / "rig.log"), daemons.daemon(file, log):
+        runtime = Runtime.of(daemons.name_of(file))
+        records, commands = runtime.record_reader(from_start=True), runtime.command_reader(from_start=True)
+        command = [sys.executable, "-m", "rigctl", "demo", str(file), "--recordings", str(tmp_path / "recordings")]
+        with log.with_name("demo.log").open("wb") as out:
+            demo = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, cwd=daemons.ROOT)
+        said, modes, target = log.with_name("demo.log"), set[int](), runtime.read_json("active.json")["run_id"]
+        until = time.monotonic() + daemons.START_LIMIT_S
+        while "COMPENSATING" not in said.read_text() and demo.poll() is None and time.monotonic() < until:
+            modes |= set(records.read()["mode"].tolist())
+            time.sleep(0.2)
+        assert "COMPENSATING" in said.read_text(), said.read_text()
+        demo.send_signal(signal.SIGINT)
+        assert demo.wait(daemons.STOP_LIMIT_S * 3) == 1
+        assert "demo interrupted: its daemon held the stroke" in said.read_text()
+        modes |= set(records.read()["mode"].tolist())
+        given = {int(code) for code in commands.read()["verb"]}
+        assert daemons.mode(file) == "DISARMED"
+        assert daemons.state(file)["lease"] is None
+        assert runtime.read_json("active.json")["run_id"] == target
+    assert modes == {int(Mode.DISARMED)}
+    assert not given & {int(verb) for verb in Verb}
+    assert before == []
+    assert {path.stem for path in tmp_path.glob("audit/*.jsonl")} == {daemons.name_of(file)}
+    assert all(path.name.startswith("demo_") for path in (tmp_path / "recordings").glob("demo*"))

@@ -1,0 +1,83 @@
+"""HOLD on the local socket while one peer floods the daemon, and while the gateway hangs or is gone: none is lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import signal
+from collections.abc import Iterator
+
+import pytest
+
+from rigctl.client import local_hold
+from rigctl.control.modes import Mode
+from rigctl.ipc.runtime_folder import Runtime
+from tests.bench.flood import KINDS, flooding
+from tests.bench.holds import Subject, hung
+from tests.builders import daemons
+from tests.live.system.test_daemon import PATIENT
+
+HOLDS, FLOOD_S = 20, 60.0
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[pathlib.Path]:
+    """A rig whose daemon is armed."""
+    folder = tmp_path_factory.mktemp("flood")
+    found = daemons.rig_file(folder, PATIENT)
+    with daemons.simulated_rig(found, folder / "rig.log"), daemons.daemon(found, folder / "daemon.log"):
+        armed = daemons.rigctl("arm", file=found)
+        assert armed.returncode == 0, armed.stderr
+        yield found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_hold_is_answered_and_in_the_record(file: pathlib.Path, kind: str) -> None:
+    rig = Subject(file)
+    records = Runtime.of(rig.rig).record_reader(from_start=True)
+    with flooding(kind, rig.endpoint, rig.rig, FLOOD_S):
+        held = int(records.read()["hold_seq"][-1])
+        for _ in range(HOLDS):
+            answer = local_hold.hold(rig.endpoint, rig.rig, "kim")
+            assert answer is not None
+            assert (answer["accepted"], answer["mode"], answer["via"]) == (True, "HOLD", "local socket")
+            taken = records.read()
+            held += 1
+            first = taken[taken["hold_seq"] == held][0]
+            assert (first["t_ns"], first["mode"]) == (answer["t_ns"], Mode.HOLD)  # the very tick
+
+
+def test_rigctl_hold_needs_no_gateway_that_answers(file: pathlib.Path) -> None:
+    rig = Subject(file)
+    with hung(rig):
+        held = daemons.rigctl("hold", "--json", file=file)
+        assert json.loads(held.stdout)["via"] == "local socket", held.stderr
+    os.kill(rig.gateway(), signal.SIGKILL)
+    held = daemons.rigctl("hold", "--json", file=file)
+    assert json.loads(held.stdout)["via"] == "local socket", held.stderr
+
+
+def test_a_hold_service_that_was_killed_comes_back_and_the_network_serves_meanwhile(file: pathlib.Path) -> None:
+    rig = Subject(file)
+    daemons.wait_for(lambda: daemons.mode(file) == "HOLD")
+    os.kill(daemons.process_with("rigctl.hold", f"rigctl-{rig.rig}"), signal.SIGKILL)
+    held = daemons.rigctl("hold", file=file)
+    assert (held.returncode, held.stdout.split(" at ")[0]) == (0, "HOLD: stroke held"), held.stderr
+    daemons.wait_for(lambda: local_hold.hold(rig.endpoint, rig.rig, "kim"))
+
+
+def test_the_audit_log_names_who_held_and_how(file: pathlib.Path) -> None:
+    shown = daemons.rigctl("hold", "--json", file=file)
+    assert json.loads(shown.stdout)["accepted"]
+    log = file.parent / "audit" / f"{daemons.name_of(file)}.jsonl"
+    want = f"via the local socket, from process {{}} of uid {os.geteuid()}".split("{}")
+
+    def entered() -> bool:
+        lines = [json.loads(line) for line in log.read_text().splitlines()]
+        return any(
+            line["what"] == "local_hold_given" and line["who"] == "kim" and all(part in line["text"] for part in want)
+            for line in lines
+        )
+
+    assert daemons.wait_for(entered)

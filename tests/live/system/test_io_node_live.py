@@ -1,0 +1,75 @@
+"""An emergency stop seen by an I/O node alone, with real processes: pressed, said by status and doctor, and silent."""
+
+from __future__ import annotations
+
+import contextlib
+import pathlib
+from collections.abc import Iterator
+
+import canopen
+import pytest
+
+from rigctl.devices import objects as od
+from tests.builders import daemons
+from tests.live.system.test_arming import doctor, running
+from tests.live.system.test_daemon import Running
+
+IO = {"node": 6, "e_stop_input": 0, "stale_ms": 300}
+RELEASED, SEEN = "emergency stop, I/O node: released", "emergency stop, I/O node: seen"
+
+
+@contextlib.contextmanager
+def bus(rig: Running) -> Iterator[canopen.Network]:
+    """As somebody at the simulated rig, or with a laptop on its bus."""
+    network = canopen.Network()
+    network.NOTIFIER_CYCLE = 0.02
+    network.connect(interface="rigsim", channel=str(rig.file.with_name("bus.sock")))
+    try:
+        yield network
+    finally:
+        network.disconnect()
+
+
+def open_contact(rig: Running, opened: int) -> None:
+    with bus(rig) as network:
+        node = network.add_node(canopen.RemoteNode(od.SIMULATOR_NODE, str(daemons.ROOT / "config/eds/simulator.eds")))
+        node.sdo[od.SIM_IO_E_STOP].raw = opened
+
+
+def nmt(rig: Running, command: int) -> None:
+    with bus(rig) as network:
+        network.send_message(od.NMT_COB, bytes([command, IO["node"]]))
+
+
+def test_it_is_latched_and_told_apart_from_the_drives_and_its_silence_bars_arming(tmp_path: pathlib.Path) -> None:
+    with running(tmp_path, {"io": IO}) as rig:
+        assert "I/O node 6" in (tmp_path / "rig.log").read_text()
+        assert "I/O inputs" in daemons.rigctl("check", str(rig.file)).stdout
+        rig.do("arm")
+        rig.do("target", "100")
+        rig.do("tension", "--wait")
+        _, found = doctor(rig)
+        assert found[RELEASED]["ok"] and found[SEEN]["ok"]
+        open_contact(rig, 1)
+        daemons.wait_for(lambda: daemons.state(rig.file).get("fault") == "E_STOP", log=rig.log)
+        assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)
+        said = daemons.wait_for(lambda: (text := rig.do("status")) and "e-stop" in text and text, log=rig.log)
+        assert "emergency stop pressed (I/O node's input)" in said
+        assert "emergency stop is pressed (I/O node's input)" in said
+        assert "drive's input" not in said
+        code, found = doctor(rig)
+        assert code == 1
+        assert found[RELEASED]["severity"] == "fails"
+        assert found["emergency stop: released"]["ok"]  # the drive's
+        assert "cause still present: E_STOP" in rig.refused("reset")
+        open_contact(rig, 0)
+        daemons.wait_for(lambda: daemons.rigctl("reset", file=rig.file).returncode == 0, log=rig.log)
+        daemons.wait_for(lambda: daemons.mode(rig.file) == "DISARMED", log=rig.log)
+        nmt(rig, 0x02)  # stopped by somebody else
+        unseen = "emergency stop's input on the I/O node is not seen"
+        daemons.wait_for(lambda: unseen in rig.do("status"), log=rig.log)
+        assert unseen in rig.refused("arm")
+        assert doctor(rig)[1][SEEN]["severity"] == "fails"
+        nmt(rig, 0x01)
+        daemons.wait_for(lambda: daemons.rigctl("arm", file=rig.file).returncode == 0, log=rig.log)
+        assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)

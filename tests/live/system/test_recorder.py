@@ -1,0 +1,175 @@
+"""What is kept of a daemon's running: by real processes, with a rig that fails and a disk that is full."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from rigctl.config import rig_file as config
+from rigctl.ipc.runtime_folder import RECORDED, Runtime
+from rigctl.recorder import chain
+from tests.builders import daemons
+from tests.live.system.test_daemon import PATIENT, Running
+
+
+def entries(file: pathlib.Path) -> list[chain.Entry]:
+    """Of a log whose chain holds."""
+    lines = config.load(file).audit_log.read_bytes().splitlines(keepends=True)
+    report = chain.verify(lines)
+    assert report.good, report
+    return [chain.read_line(line)[0] for line in lines]
+
+
+def missing(found: list[chain.Entry], runtime: Runtime) -> dict[str, list[int]]:
+    """Numbers of each ring that are not in the log exactly once."""
+    rings = {
+        "events": runtime.event_reader(), "notes": runtime.note_reader(), "replies": runtime.reply_reader(),
+        "commands": runtime.command_reader(), "desk": runtime.request_reader(),
+        "supervision": runtime.supervision_reader(),
+    }  # fmt: skip
+    seen = {name: [entry.seq for entry in found if entry.source == name] for name in rings}
+    return {
+        name: [number for number in range(1, ring.head + 1) if seen[name].count(number) != 1]
+        for name, ring in rings.items()
+    }
+
+
+def recorder_of(file: pathlib.Path) -> int:
+    return daemons.process_with("rigctl.recorder", f"rigctl-{daemons.name_of(file)}")
+
+
+@pytest.fixture
+def running(tmp_path: pathlib.Path) -> Iterator[Running]:
+    file = daemons.rig_file(tmp_path, PATIENT)
+    log = tmp_path / "daemon.log"
+    with daemons.simulated_rig(file, tmp_path / "rig.log") as rig, daemons.daemon(file, log) as daemon:
+        yield Running(file, daemon, rig, log)
+
+
+def test_a_session_with_a_trip_is_on_record_and_the_recorders_death_changes_nothing(running: Running) -> None:
+    file, runtime = running.file, Runtime.of(daemons.name_of(running.file))
+    running.do("arm", "--operator", "anna")
+    running.do("target", "60", "--operator", "anna")
+    running.do("tension", "--wait", "--operator", "anna")
+    assert "anna holds the lease" in running.refused("disarm", "--operator", "kim")
+    records = runtime.record_reader()
+    parts: list[np.ndarray[Any, Any]] = []
+
+    def state() -> dict[str, Any]:
+        parts.append(records.read())  # before the ring is written over
+        return daemons.state(file)
+
+    os.kill(recorder_of(file), signal.SIGKILL)
+    daemons.wait_for(lambda: "recorder process killed by signal 9; comes back, the loop is unaffected"
+                     in running.log.read_text(), log=running.log)  # fmt: skip
+    running.rig.send_signal(signal.SIGSTOP)
+    daemons.wait_for(lambda: state().get("mode") == "FAULT", log=running.log)
+    running.rig.send_signal(signal.SIGCONT)
+    told = daemons.wait_for(lambda: (s := state()).get("trip_dump") and s, log=running.log)
+    assert told["trip_dump"] in running.do("status")
+    slots = np.concatenate([*parts, records.read()])
+    assert (records.lost, int(slots["seq"][-1] - slots["seq"][0])) == (0, len(slots) - 1)
+    head = told["audit"]["head"]
+    answer = daemons.rigctl("audit", "verify", str(file), "--head", head)
+    assert (answer.returncode, answer.stderr) == (0, "")
+    assert runtime.read_json(RECORDED)["failures"] == 0
+    running.daemon.send_signal(signal.SIGTERM)
+    assert running.daemon.wait(20) == 0
+
+    found = entries(file)
+    what = [entry.what for entry in found]
+    assert what.count("daemon_started") == 1
+    assert what[-2:] == ["daemon_stopped", "recorder_stopped"]
+    assert "brake" in found[-2].text or "stopped in" in found[-2].text
+    (designed,) = [entry for entry in found if entry.what == "daemon_designed"]
+    assert designed.details["ms_max"] < 1.6
+    assert ("process_ended", "recorder") in [(entry.what, entry.details.get("process")) for entry in found]
+    answers = [(entry.who, entry.details["verb"], entry.details["reason"]) for entry in found
+               if entry.what in ("command_accepted", "command_refused")]  # fmt: skip
+    for expected in (("anna", "arm", ""), ("anna", "tension", ""), ("kim", "disarm", "lease_held")):
+        assert expected in answers
+    refused = [entry for entry in found if entry.what == "command_refused"]
+    assert {entry.who for entry in refused} == {"kim"}
+    assert {entry.details["holder"] for entry in refused} == {"anna"}
+    assert [entry.text for entry in found if entry.what == "mode"][:2] == [
+        "DISARMED -> HOLD: drive enabled", "HOLD -> TENSIONING: tension commanded"
+    ]  # fmt: skip
+    assert "trip" in what
+    for source in ("events", "desk", "supervision", "replies", "commands", "notes"):
+        seen = [entry.seq for entry in found if entry.source == source]
+        assert seen == sorted(set(seen)), source
+        repeats = [entry.details for entry in found if entry.what == "repeated" and entry.details["source"] == source]
+        last = max([seen[-1], *(same["up_to"] for same in repeats)])
+        assert len(seen) + sum(same["count"] for same in repeats) == last, source
+
+    (dump,) = (file.parent / "trips").iterdir()
+    assert dump.name == told["trip_dump"]
+    with dump.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        records_kept = [item.decoded_message for item in reader.iter_decoded_messages(topics=["/records"])]
+        sent = [item.decoded_message.sent for item in reader.iter_decoded_messages(topics=["/frames"])]
+        words = {item.name: item.metadata for item in reader.iter_metadata()}
+    ticks = np.array([record.tick for record in records_kept])
+    skipped = np.array([record.skipped for record in records_kept])
+    assert np.all(np.diff(ticks) == 1 + np.diff(skipped))
+    tripped = int(words["rigctl"]["t_ns"])
+    assert records_kept[-1].t_ns - tripped > 1.9e9
+    oldest = min(int(slots["t_ns"][0]), records_kept[0].t_ns)
+    assert records_kept[0].t_ns - max(oldest, tripped - 10_000_000_000) < 0.1e9
+    assert 0 < sum(sent) < len(sent)
+    assert words["audit"]["head"] in {entry.previous for entry in found}
+
+
+@pytest.mark.skipif(os.getuid() != 0 or shutil.which("mount") is None, reason="needs root, to mount a small disk")
+def test_a_full_disk_is_told_and_the_daemon_goes_on(tmp_path: pathlib.Path) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(disk)], check=True)
+    try:
+        kept = {"file": str(disk / "audit.jsonl"), "trips": str(disk / "trips")}
+        file = daemons.rig_file(tmp_path, {**PATIENT, "preflight": {"disk_free_mib": 1}, "audit": kept})
+        log = tmp_path / "daemon.log"
+        with daemons.simulated_rig(file, tmp_path / "rig.log") as rig, daemons.daemon(file, log) as daemon:
+            running = Running(file, daemon, rig, log)
+            runtime = Runtime.of(daemons.name_of(file))
+            daemons.wait_for(lambda: runtime.read_json(RECORDED).get("entries"), log=log)
+            running.do("arm")
+            running.do("target", "60")
+            running.do("tension", "--wait")
+            filler = disk / "filler"
+            with filler.open("wb", buffering=0) as out_, pytest.raises(OSError, match="No space left"):
+                while True:
+                    out_.write(b"x" * 512)
+            running.do("hold")
+            daemons.wait_for(lambda: runtime.read_json(RECORDED)["failures"] > 1, log=log)
+            assert "No space left" in running.do("status")
+            assert daemons.mode(file) == "HOLD"
+            rig.send_signal(signal.SIGSTOP)
+            daemons.wait_for(lambda: daemons.mode(file) == "FAULT", log=log)
+            rig.send_signal(signal.SIGCONT)
+            daemons.wait_for(lambda: "trip dump cannot be written" in log.read_text(), log=log)
+            assert "-> FAULT" in log.read_text()
+            filler.unlink()
+            daemons.wait_for(lambda: "audit log is written again" in log.read_text(), log=log)
+            daemons.wait_for(lambda: not runtime.read_json(RECORDED)["warnings"]
+                             or "audit" not in runtime.read_json(RECORDED)["warnings"][0], log=log)  # fmt: skip
+            daemons.wait_for(lambda: not any(missing(entries(file), runtime).values()), log=log)
+            daemon.send_signal(signal.SIGTERM)
+            assert daemon.wait(20) == 0
+        what = [entry.what for entry in entries(file)]
+        assert "written_again" in what
+        assert "lost" not in what
+        assert "command_accepted" in what
+        assert "trip_dump" in what
+    finally:
+        subprocess.run(["umount", "-l", str(disk)], check=True)

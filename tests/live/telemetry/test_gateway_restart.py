@@ -1,0 +1,156 @@
+"""The gateway is killed and comes back: nobody who listens loses anything."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+
+import pytest
+import zenoh
+
+from rigctl.client.fast import FastReader
+from rigctl.control.modes import Verb
+from rigctl.ipc.record import RECORD
+from rigctl.wire.block import decode
+from tests.builders.miniature import Daemon, until
+
+
+def test_killed_gateway_costs_no_sample_and_no_event(own: Daemon) -> None:
+    with own.client() as client:
+        fast = FastReader(client)
+        plain = client.session.declare_subscriber(client.keys.fast, zenoh.handlers.RingChannel(4096))
+        events = client.follow(client.keys.event("*"), 1000)
+        # Long enough that the gateway has noted its listeners.
+        until(lambda: list(fast.read()) and fast.count.blocks > 10, "the stream")
+        seen = []
+        for _ in range(3):
+            own.kill_gateway()
+            time.sleep(0.5)
+            list(fast.read())  # what was still on its way
+            own.start_gateway()
+            until(lambda: list(fast.read()), "the stream to go on")
+            until(lambda: client.state()["loop_alive"], "the gateway to answer")
+            # Killed right after these, a gateway may not have published them yet: the next one does.
+            seen.append(client.command("arm", "kim")["accepted"])
+            seen.append(client.command("disarm", "kim")["accepted"])
+        head = client.state()["seq"]
+        until(lambda: list(fast.read()) and fast.count.last_seq >= head, "the last records")
+        count = fast.count
+        sequence: list[int] = []
+
+        def six_events() -> bool:
+            while (event := events.take()) is not None:
+                if event["source"] == "loop":
+                    sequence.append(event["seq"])
+            return len(set(sequence)) >= 6  # killed between publishing and noting it: published again
+
+        until(six_events, "two events each time")
+        numbers: list[int] = []
+        while (sample := plain.try_recv()) is not None:
+            block = decode(bytes(sample.payload))
+            numbers += range(block.first_seq, block.last_seq + 1)
+    assert all(seen)
+    assert count.lost == 0
+    assert count.received == count.produced == count.last_seq - count.first_seq + 1
+    assert count.streams == 1  # the same daemon all along
+    assert sorted(set(sequence)) == list(range(min(sequence), max(sequence) + 1))
+    # Even without asking again: the new gateway goes on where the killed one stopped, once its listener is back.
+    assert len(set(numbers)) >= 0.9 * (numbers[-1] - numbers[0] + 1)
+
+
+def test_events_made_while_no_gateway_runs_come_with_the_next(own: Daemon) -> None:
+    with own.client() as client:
+        events = client.follow(client.keys.event("*"))
+        client.command("arm", "kim")
+        first = until(lambda: (e := events.take()) and e["source"] == "loop" and e, "an event: it knows that we listen")
+        own.kill_gateway()
+        disarm = (time.monotonic_ns(), 1, int(Verb.DISARM), 0.0)
+        own.runtime.command_writer().write(*disarm)  # nobody else writes now
+        head = own.runtime.event_reader()
+        until(lambda: head.head > first["seq"], "the event")
+        own.start_gateway()
+        event = until(lambda: (e := events.take()) and e["seq"] > first["seq"] and e["source"] == "loop" and e, "it")
+    assert event["text"] == "HOLD -> DISARMED: disarm commanded"
+
+
+def test_records_overwritten_before_they_were_published_are_counted() -> None:
+    daemon = Daemon()
+    nothing = [0] * len(RECORD.fields)
+    capacity = daemon.settings.loop.rate_hz * daemon.settings.telemetry.history_s
+    try:
+        writer = daemon.runtime.record_writer()
+        for _ in range(100):
+            writer.write(*nothing)
+        daemon.start_gateway()
+        with daemon.client() as client:
+            fast = FastReader(client)
+            writer.write(*nothing)
+            until(lambda: list(fast.read()), "the record")
+            age_ms = client.state()["age_ms"]
+            until(lambda: client.state()["age_ms"] != age_ms, "the gateway to note how far it has come")
+            daemon.kill_gateway()
+            for _ in range(capacity + 1000):
+                writer.write(*nothing)
+            daemon.start_gateway()
+            until(lambda: list(fast.read()) and fast.count.last_seq == writer.head, "the newest record")
+            lost = client.state()["samples_lost"]
+            block = decode(client.ask(f"{client.keys.fast}?after=0")[1])
+    finally:
+        daemon.close()
+    # Of the newest `capacity` slots one is being written over.
+    assert lost == fast.count.lost == writer.head - 101 - (capacity - 1)
+    assert fast.count.produced == writer.head - 100
+    assert fast.count.received == fast.count.produced - lost
+    assert block.first_seq == writer.head - capacity + 2
+
+
+def test_counter_process_counts_everything(own: Daemon) -> None:
+    own.client().close()
+    counter = own.spawn("-m", "rigctl.client.counter", "--connect", own.endpoint)
+    assert counter.stdout is not None
+    assert json.loads(counter.stdout.readline())["ready"] is True
+    own.kill_gateway()
+    own.start_gateway()
+    own.client().close()
+    head = own.runtime.record_reader().head
+    counter.send_signal(signal.SIGTERM)
+    figures = json.loads(counter.stdout.readline())
+    assert counter.wait(10) == 0
+    assert figures["received"] == figures["produced"] == figures["last_seq"] - figures["first_seq"] + 1
+    assert figures["last_seq"] >= head
+    assert figures["lost"] == 0
+
+
+def test_counter_without_a_daemon_is_one_line(own: Daemon) -> None:
+    import subprocess
+
+    own.client().close()
+    own.kill_gateway()
+    counter = own.spawn("-m", "rigctl.client.counter", "--connect", own.endpoint, stderr=subprocess.PIPE)
+    _, complaint = counter.communicate(timeout=15)
+    assert counter.returncode == 1
+    assert complaint == f"no daemon answers at {own.endpoint} (absent, or not allowed)\n"
+
+
+@pytest.mark.parametrize("damage", [b"\xff", b"[" * 100_000, b"", b"9" * 5000, None])
+def test_a_gateway_comes_back_with_whatever_stands_in_the_place_of_its_files(own: Daemon, damage: bytes | None) -> None:
+    with own.client() as client:
+        assert client.command("arm", "kim")["accepted"]
+    own.kill_gateway()
+    for name in ("lease.json", "gateway.cursor", "calibration.json", "recorder.json", "control.json"):
+        file = own.runtime.directory / name
+        file.unlink(missing_ok=True)
+        if damage is None:
+            os.mkfifo(file)
+        else:
+            file.write_bytes(damage)
+    own.start_gateway()
+    with own.client() as client:
+        assert own.state(client)["lease"] is None
+        told = client.past_events()
+        assert "lease.json holds no lease to be believed; nobody holds it" in [event["text"] for event in told]
+        assert client.command("hold", "kim")["accepted"]
+        assert own.gateway is not None
+        assert own.gateway.poll() is None

@@ -1,0 +1,354 @@
+"""Leases over real sessions: who is refused, what is told, what survives; and that none of it moves the rig."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import random
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import pytest
+
+from rigctl.client.connection import Client, NoDaemonError
+from rigctl.client.messages import Feed
+from rigctl.control.modes import Verb
+from rigctl.gateway.lease_service import IN_FORCE
+from tests.builders.miniature import ROOT, Daemon, until
+
+HOW = "to take it over: rigctl lease take --reason TEXT"
+
+
+def shorten(daemon: Daemon, left_s: float) -> None:
+    """A new gateway, on a lease that has so much time left."""
+    daemon.kill_gateway()
+    written = daemon.runtime.read_json(IN_FORCE)
+    daemon.runtime.write_json(IN_FORCE, {**written, "until_ns": time.monotonic_ns() + round(left_s * 1e9)})
+    daemon.start_gateway()
+
+
+def answers(client: Client) -> None:
+    """Wait until the client has found the new gateway."""
+
+    def found() -> bool:
+        with contextlib.suppress(NoDaemonError):
+            return bool(client.state()["loop_alive"])
+        return False
+
+    until(found, "the gateway to answer")
+
+
+def commands(daemon: Daemon) -> int:
+    """How many the loop has been given so far."""
+    return daemon.runtime.command_reader().head
+
+
+def of_kind(feed: Feed, kind: str) -> Callable[[], dict[str, Any] | None]:
+    def newest() -> dict[str, Any] | None:
+        event = feed.take()
+        return event if event is not None and event["kind"] == kind else None
+
+    return newest
+
+
+def test_a_second_operator_is_refused_by_name_and_may_hold(own: Daemon) -> None:
+    with own.client() as anna, own.client() as kim:
+        events = anna.follow(anna.keys.event("*"))
+        armed = anna.command("arm", "anna")
+        lease = armed["lease"]
+        assert (lease["holder"], len(lease["id"])) == ("anna", 32)
+        assert 295 < lease["left_s"] <= 300
+        assert lease["until_ns"] > time.monotonic_ns()
+        given = commands(own)
+        for verb in Verb:
+            if verb is Verb.HOLD:
+                continue
+            more: dict[str, Any] = {"value": 280.0} if verb in (Verb.TARGET, Verb.CONFIRM_STROKE) else {}
+            more |= {"options": {"gain_file": "x", "name": "x"}} if verb is Verb.GAINS else {}
+            options = more.pop("options", {})
+            refused = kim.command(verb.name.lower(), "kim", **more, **options)
+            assert refused["accepted"] is False
+            if refused["reason"] == "not_possible":  # for anyone on this rig
+                continue
+            assert refused["reason"] == "lease_held"
+            assert refused["text"].startswith(f"{verb.name} refused: anna holds the lease, since ")
+            assert refused["text"].endswith(HOW)
+            assert refused["lease"]["holder"] == "anna"
+            assert "id" not in refused["lease"]
+        assert commands(own) == given  # the loop has heard of none of them
+        assert anna.command("tension", "anna")["accepted"]
+        held = kim.command("hold", "kim")
+        assert held["accepted"]
+        assert held["text"].startswith("HOLD: stroke held at")
+        assert held["lease"]["holder"] == "anna"
+        assert "id" not in held["lease"]
+        event = until(of_kind(events, "HOLD_WITHOUT_LEASE"), "the note")
+        assert (event["severity"], event["source"]) == ("warning", "gateway")
+        assert event["text"] == "HOLD given by kim without the lease, which anna holds"
+        assert anna.command("tension", "anna")["accepted"]  # hers all along
+        state = own.state(kim)
+        assert state["lease"]["holder"] == "anna"
+        assert "id" not in state["lease"]  # everyone may see this
+        assert lease["id"] not in msgspec.json.encode([state, kim.active(), kim.past_events()]).decode()
+
+
+def test_the_same_name_elsewhere_is_somebody_else_until_the_id_is_shown(own: Daemon) -> None:
+    with own.client() as first, own.client() as second:
+        lease = first.command("arm", "anna")["lease"]["id"]
+        refused = second.command("tension", "anna")
+        assert refused["text"].startswith(
+            "TENSION refused: anna holds the lease in another terminal or program, since "
+        )
+        second.leases["anna"] = lease
+        assert second.command("tension", "anna")["accepted"]
+
+
+def test_a_takeover_needs_a_reason_and_is_told(own: Daemon) -> None:
+    with own.client() as anna, own.client() as kim:
+        events = anna.follow(anna.keys.event("warning"))
+        anna.command("arm", "anna")
+        refused = kim.take_lease("kim")
+        assert refused["accepted"] is False
+        assert refused["text"].startswith("LEASE refused: anna holds the lease, since ")
+        assert refused["text"].endswith(HOW)
+        given = commands(own)
+        taken = kim.take_lease("kim", "anna has gone home")
+        assert taken["accepted"]
+        assert taken["text"] == "LEASE: kim holds the lease, until 300 s after the last command"
+        event = until(of_kind(events, "LEASE_TAKEN_OVER"), "the note")
+        assert event["text"] == "kim takes the lease over from anna: anna has gone home"
+        assert (event["operator"], event["other"]) == ("kim", "anna")
+        assert (commands(own), own.state(kim)["mode"]) == (given, "HOLD")
+        lost = anna.command("tension", "anna")
+        assert (lost["reason"], lost["lease"]["holder"]) == ("lease_held", "kim")
+        assert kim.command("tension", "kim")["accepted"]
+        assert anna.return_lease("anna")["reason"] == "lease_held"
+        assert kim.return_lease("kim")["text"] == "LEASE: given back; the rig goes on as it is"
+        until(lambda: kim.state()["lease"] is None, "the state to follow")
+        lapsed = anna.command("release", "anna")
+        assert lapsed["reason"] == "lease_lapsed"
+        assert "rigctl lease take" in lapsed["text"]
+        assert commands(own) == given + 1
+        assert anna.take_lease("anna")["accepted"]
+        assert anna.command("release", "anna")["accepted"]
+
+
+def test_a_lapse_is_told_and_moves_nothing(own: Daemon) -> None:
+    with own.client() as client:
+        client.command("arm", "anna")
+        client.command("tension", "anna")
+        given = commands(own)
+        shorten(own, 1.0)
+        answers(client)
+        (event,) = until(lambda: [e for e in client.past_events() if e["kind"] == "LEASE_LAPSED"], "the lapse")
+        assert event["severity"] == "warning"
+        assert event["text"] == "the lease of anna has lapsed; the rig goes on as it is"
+        until(lambda: client.state()["mode"] == "COMPENSATING", "the end of the ramp")
+        assert own.state(client)["lease"] is None
+        assert commands(own) == given
+        assert client.command("release", "anna")["reason"] == "lease_lapsed"
+        with own.client() as kim:
+            assert kim.command("hold", "kim")["accepted"]
+            until(lambda: client.state()["mode"] == "HOLD", "the hold")
+            assert client.state()["lease"] is None  # hold takes none
+            assert kim.command("release", "kim")["lease"]["holder"] == "kim"
+
+
+def test_a_dead_terminal_leaves_the_rig_as_it_is_and_the_lease_to_the_next(own: Daemon) -> None:
+    with own.client() as client:
+        command = [sys.executable, "-m", "rigctl.cli.app", "target", "111", "--operator", "anna"]
+        waiting = subprocess.Popen(command, cwd=ROOT, env=own.environment())  # the loop does not answer this one
+        given_to_loop = own.runtime.command_reader(from_start=True)
+        until(lambda: 111.0 in given_to_loop.read()["value"], "the lease to be taken, kept, and the command given")
+        waiting.kill()
+        waiting.wait()
+        assert own.cli("arm", "--operator", "anna").returncode == 0
+        command = [sys.executable, "-m", "rigctl.cli.app", "tension", "--wait", "--operator", "anna"]
+        waiting = subprocess.Popen(command, cwd=ROOT, env=own.environment(), stdout=subprocess.PIPE)
+        assert waiting.stdout is not None
+        assert b"ramping" in waiting.stdout.readline()
+        given = commands(own)
+        waiting.kill()
+        waiting.communicate()
+        state = until(lambda: (s := client.state())["mode"] == "COMPENSATING" and s, "the end of the ramp")
+        assert (commands(own), state["target_n"]) == (given, 300.0)
+        assert state["lease"]["holder"] == "anna"
+        stranger = own.cli("release", "--operator", "anna", user="stranger")
+        assert stranger.stderr.startswith("rigctl: RELEASE refused: anna holds the lease in another terminal")
+        assert own.cli("release", "--operator", "anna").stdout.startswith("RELEASE: ramping")
+
+
+def test_a_lease_survives_the_gateway(own: Daemon) -> None:
+    with own.client() as anna:
+        events = anna.follow(anna.keys.event("*"))
+        before = anna.command("arm", "anna")["lease"]
+        until(of_kind(events, "LEASE_TAKEN"), "the note")
+        noted = anna.state()["seq"]
+        until(lambda: anna.state()["seq"] > noted + 100, "the gateway to note how far it has come")
+        own.kill_gateway()
+        own.start_gateway()
+        answers(anna)
+        with own.client() as kim:
+            assert kim.command("tension", "kim")["reason"] == "lease_held"
+        after = anna.command("tension", "anna")
+        assert after["accepted"]
+        assert (after["lease"]["id"], after["lease"]["since_ns"]) == (before["id"], before["since_ns"])
+        assert [e["kind"] for e in anna.past_events() if e["source"] == "gateway"] == ["LEASE_TAKEN"]
+        anna.return_lease("anna")
+        told = until(lambda: (e := events.take()) and e["source"] == "gateway" and e, "the next note")
+        assert told["kind"] == "LEASE_RETURNED"  # the one before is not told again
+
+
+def test_of_any_sequence_the_loop_hears_the_holder_and_every_hold_and_nothing_else(own: Daemon) -> None:
+    draw = random.Random(5)
+    with own.client() as anna, own.client() as kim:
+        anna.command("arm", "anna")
+        holder: str | None = "anna"
+        given = commands(own)
+        for _ in range(300):
+            client, operator = draw.choice([(anna, "anna"), (kim, "kim")])
+            what = draw.choice(["hold", "target", "target", "take", "take for a reason", "return", "forget"])
+            if what == "forget":
+                client.leases.pop(operator, None)
+                continue
+            holds = holder == operator and operator in client.leases
+            match what:
+                case "hold":
+                    answer, passes, heard = client.command("hold", operator), True, 1
+                case "target":
+                    lapsed = holder is None and operator in client.leases
+                    passes = holds or (holder is None and not lapsed)
+                    answer, heard = client.command("target", operator, draw.uniform(60, 340)), int(passes)
+                    holder = operator if passes else holder
+                case "return":
+                    answer, passes, heard = client.return_lease(operator), holds, 0
+                    holder = None if passes else holder
+                case _:
+                    passes, heard = holds or holder is None or what == "take for a reason", 0
+                    answer = client.take_lease(operator, "a reason" if what == "take for a reason" else "")
+                    holder = operator if passes else holder
+            given += heard
+            assert (answer.get("reason", "").startswith("lease_"), commands(own)) == (not passes, given), (what, answer)
+            assert (answer["lease"] or {"holder": None})["holder"] == holder
+        assert own.state(client)["mode"] == "HOLD"
+
+
+@pytest.mark.parametrize("forged", ["garbage", "another's", "folder"])
+def test_a_lease_that_cannot_be_believed_keeps_nobody_out(own: Daemon, forged: str) -> None:
+    with own.client() as client:
+        client.command("arm", "anna")
+        client.command("tension", "anna")
+        own.kill_gateway()
+        file = own.runtime.directory / IN_FORCE
+        if forged == "garbage":
+            file.write_bytes(b"\xff{")
+        elif forged == "another's":
+            far = {"id": "0" * 32, "holder": "mallory", "since_ns": 0, "until_ns": 2**62}
+            file.write_bytes(msgspec.json.encode(far))
+        else:
+            file.unlink()
+            file.mkdir()
+        own.start_gateway()
+        answers(client)
+        with own.client() as kim:
+            assert kim.command("hold", "kim")["accepted"]
+            until(lambda: client.state()["mode"] == "HOLD", "the hold")
+            assert kim.command("release", "kim")["lease"]["holder"] == "kim"
+            kinds = [e["kind"] for e in kim.past_events() if e["source"] == "gateway"]
+        assert kinds == ["LEASE_TAKEN", "LEASE_NOT_BELIEVED", "HOLD_WITHOUT_LEASE", "LEASE_TAKEN"]
+
+
+@pytest.mark.parametrize(
+    ("lease", "says"),
+    [(7, "int"), ([], "list"), ("", "text of 0 letters"), ("x" * 5000, "text of 5000"), ("0" * 31, "text of 31")],
+)
+def test_a_bad_lease_is_one_line_and_keeps_nobody_from_holding(shared: Daemon, lease: Any, says: str) -> None:
+    body = msgspec.json.encode({"operator": "kim", "lease": lease})
+    with shared.client() as client:
+        for verb in ("arm", "lease_take", "lease_return"):
+            answered, raw = client.ask(client.keys.command(verb), body)
+            answer = msgspec.json.decode(raw)
+            assert (answered, answer["reason"]) == (False, "bad_request")
+            assert f"found lease: {says}" in answer["text"]
+            assert "\n" not in answer["text"]
+        _, raw = client.ask(client.keys.command("hold"), body)
+        assert msgspec.json.decode(raw)["reason"] == "wrong_mode"  # the loop's own word: nothing is held in DISARMED
+        assert client.state()["lease"] is None
+
+
+def test_hold_comes_through_a_crowd(own: Daemon) -> None:
+    """As many commands unanswered as the commands keeps: the next is turned away, HOLD is not."""
+    with own.client() as client:
+        client.command("arm", "anna")
+        lease = client.leases["anna"]
+        body = msgspec.json.encode({"operator": "anna", "lease": lease, "value": 111.0})  # is never answered
+        replies = [client.session.get(client.keys.command("target"), payload=body, timeout=5) for _ in range(70)]
+        with own.client() as kim:
+            assert kim.command("hold", "kim")["accepted"]
+        answers = [msgspec.json.decode(bytes(r.err.payload)) for reply in replies for r in reply if r.err is not None]
+        assert {answer["reason"] for answer in answers} == {"no_answer"}
+
+
+def test_the_lease_typed(own: Daemon) -> None:
+    own.client().close()
+    show = own.cli("lease")
+    assert (show.returncode, show.stdout) == (0, "lease: nobody holds it\n")
+    assert own.cli("lease", "--json").stdout == "null\n"
+    own.cli("arm", "--operator", "anna")
+    line = own.cli("lease", "show", user="kim").stdout
+    assert line.startswith("lease: anna, since ")
+    assert " s\n" in line
+    shown = json.loads(own.cli("lease", "--json").stdout)
+    assert (shown["holder"], "id" in shown) == ("anna", False)
+    for reader in ("status", "lease"):
+        assert "anna, since " in own.cli(reader, user="kim").stdout
+
+    refused = own.cli("lease", "take", "--operator", "kim", user="kim")
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert refused.stderr.startswith("rigctl: LEASE refused: anna holds the lease, since ")
+    assert refused.stderr.endswith(f"{HOW}\n")
+    taken = own.cli("lease", "take", "--reason", "tea", "--operator", "kim", user="kim")
+    assert (taken.returncode, taken.stderr) == (0, "")
+    assert taken.stdout == "LEASE: kim holds the lease, until 300 s after the last command\n"
+    assert own.cli("disarm", "--operator", "anna").stderr.startswith("rigctl: DISARM refused: kim holds the lease, ")
+    assert own.cli("disarm", "--operator", "kim", user="kim").returncode == 0
+    assert own.cli("lease", "return", "--operator", "kim", user="kim").returncode == 0
+    nothing = own.cli("lease", "return", "--operator", "kim", user="kim")
+    assert (nothing.returncode, nothing.stderr) == (1, "rigctl: LEASE refused: nobody holds the lease\n")
+    # Her id has long been worth nothing; who types a command looks at the rig.
+    assert own.cli("arm", "--operator", "anna").stdout.startswith("ARM: armed")
+    with Client(own.endpoint) as client:
+        texts = [event["text"] for event in client.past_events() if event["source"] == "gateway"]
+    assert texts == [
+        "anna takes the lease",
+        "kim takes the lease over from anna: tea",
+        "kim gives the lease back; the rig goes on as it is",
+        "anna takes the lease",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("lease", "steal"), "'steal' is not one of 'show', 'take', 'return'"),
+        (("lease", "return", "--reason", "x"), "found --reason, expected with take alone"),
+        (("lease", "take", "--reason"), "requires an argument"),
+    ],
+)
+def test_a_lease_wrongly_typed_is_one_line_and_exit_2(shared: Daemon, arguments: tuple[str, ...], says: str) -> None:
+    result = shared.cli(*arguments)
+    assert (result.returncode, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+    assert says in result.stderr
+
+
+@pytest.mark.parametrize("reason", ["x" * 121, "a\nb", "\udcff" * 121], ids=["long", "two lines", "no text"])
+def test_a_reason_that_is_none_is_one_line(shared: Daemon, reason: str) -> None:
+    shared.client().close()
+    result = shared.cli("lease", "take", "--reason", reason)
+    assert result.returncode == 1
+    assert "expected up to 120 printable letters" in result.stderr
+    assert result.stderr.count("\n") == 1

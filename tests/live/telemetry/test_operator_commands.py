@@ -1,0 +1,226 @@
+"""The operator's commands as processes: exit codes, one line each, JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from tests.builders.miniature import PATIENCE_S, ROOT, Daemon, free_port, running
+
+WAIVED = "waived: calibration, tare (simulated cell: there is no weight to hang on it)"
+
+
+def test_a_session_typed(own: Daemon) -> None:
+    own.client().close()
+    steps = [
+        (("tension",), 1, "", "rigctl: TENSION refused: tension is not possible in DISARMED: arm first\n"),
+        (("arm",), 0, f"ARM: armed, HOLD, stroke 0.00 mm, tension 0.0 N; {WAIVED}\n", ""),
+        (("arm",), 1, "", "rigctl: ARM refused: already HOLD\n"),
+        (("target", "5"), 1, "", "rigctl: TARGET refused: target must be 50 to 350 N\n"),
+        (("target", "-5"), 1, "", "rigctl: TARGET refused: target must be 50 to 350 N\n"),
+        (("target", "250"), 0, "TARGET: 250 N, HOLD\n", ""),
+        (("reset",), 1, "", "rigctl: RESET refused: reset is not possible in HOLD: there is no fault\n"),
+    ]
+    for arguments, code, said, complained in steps:
+        result = own.cli(*arguments)
+        assert (result.returncode, result.stdout, result.stderr) == (code, said, complained), arguments
+    result = own.cli("tension", "--wait")
+    assert result.returncode == 0
+    first, last = result.stdout.splitlines()
+    assert first == "TENSION: ramping to 250 N, TENSIONING"
+    assert last.startswith("TENSION: COMPENSATING, tension 2")
+    held = json.loads(own.cli("hold", "--json", "--operator", "kim").stdout)
+    assert held["accepted"] is True
+    assert (held["mode"], held["operator"]) == ("HOLD", "kim")
+    assert own.cli("lease", "return").stdout == "LEASE: given back; the rig goes on as it is\n"
+    result = own.cli("release", "--wait", "--json", RIGCTL_OPERATOR="lee")
+    answer = json.loads(result.stdout)
+    assert (result.returncode, answer["accepted"], answer["mode"], answer["operator"]) == (0, True, "HOLD", "lee")
+    assert own.cli("disarm", "--operator", "lee").stdout == "DISARM: drive off, brake closed, DISARMED\n"
+    refused = own.cli("hold", "--json")
+    assert refused.returncode == 1
+    assert json.loads(refused.stdout)["reason"] == "wrong_mode"
+
+
+def test_wait_ends_when_the_rig_trips(slow: Daemon) -> None:
+    slow.client().close()
+    slow.cli("arm")
+    waiting = slow.spawn("-m", "rigctl.cli.app", "tension", "--wait", stderr=subprocess.PIPE, env=slow.environment())
+    assert waiting.stdout is not None
+    assert waiting.stdout.readline() == "TENSION: ramping to 300 N, TENSIONING\n"
+    slow.cli("target", "222")  # the stand-in trips
+    said, complaint = waiting.communicate(timeout=PATIENCE_S)
+    assert said == ""
+    assert waiting.returncode == 1
+    assert complaint == "rigctl: TENSION failed: ended in FAULT TENSION_HIGH: tension 412.0 N above 400.0 N\n"
+
+
+@pytest.fixture
+def slow() -> Iterator[Daemon]:
+    """A daemon whose ramps never end."""
+    yield from running("--slow")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("target", "abc"), "found 'abc', expected a number of newtons"),
+        (("target", "nan"), "found 'nan', expected a number of newtons"),
+        (("target", "inf"), "found 'inf', expected a number of newtons"),
+        (("target",), "Missing argument"),
+        (("target", "1", "2"), "unexpected extra argument"),
+        (("bogus",), "No such command"),
+        (("arm", "--bogus"), "No such option"),
+        ((), "Missing command"),
+        (("status", "--connect", "nonsense"), "found endpoint 'nonsense', expected e.g. tcp/127.0.0.1:7447"),
+        (("status", "--rig", "No Such"), "found rig 'No Such', expected a rig's name"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_exit_2(shared: Daemon, arguments: tuple[str, ...], says: str) -> None:
+    result = shared.cli(*arguments)
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert says in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [("status",), ("arm",), ("target", "300"), ("tension", "--wait")])
+def test_no_daemon_is_one_line_and_exit_1(shared: Daemon, arguments: tuple[str, ...]) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    result = shared.cli(*arguments, RIGCTL_CONNECT=endpoint)
+    assert result.returncode == 1
+    assert result.stdout == ""
+    assert result.stderr == f"rigctl: no daemon answers at {endpoint} (absent, or not allowed)\n"
+
+
+def test_another_rig_is_not_this_one(shared: Daemon) -> None:
+    shared.client().close()
+    result = shared.cli("status", "--rig", "other")
+    assert result.returncode == 1
+    assert result.stderr == f"rigctl: no daemon of other answers at {shared.endpoint}, only of paper_rig\n"
+
+
+def test_status_fits_a_small_screen(shared: Daemon) -> None:
+    shared.client().close()
+    result = shared.cli("status")
+    assert result.returncode == 0
+    lines = result.stdout.splitlines()
+    assert len(lines) <= 24
+    assert max(map(len, lines)) <= 80
+    for word in ("DISARMED", "tension", "vertical error", "target", "stroke", "tangential", "lateness", "skipped"):
+        assert word in result.stdout
+    assert json.loads(shared.cli("status", "--json").stdout)["mode"] == "DISARMED"
+
+
+def test_watch_prints_lines_through_a_restart(own: Daemon) -> None:
+    own.client().close()
+    command = [sys.executable, "-m", "rigctl.cli.app", "watch", "--connect", own.endpoint]
+    watching = subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert watching.stdout is not None
+    assert "DISARMED" in watching.stdout.readline()
+    own.kill_gateway()
+    assert any(line.startswith("no data for ") for line in watching.stdout)
+    own.start_gateway()
+    assert any("DISARMED" in line for line in watching.stdout)
+    watching.send_signal(signal.SIGINT)
+    assert watching.communicate(timeout=PATIENCE_S)[1] == ""
+    assert watching.returncode == 0
+
+
+@pytest.mark.parametrize("options", [(), ("--json",)])
+def test_watch_waits_for_a_daemon(options: tuple[str, ...]) -> None:
+    late = Daemon()
+    command = [sys.executable, "-m", "rigctl.cli.app", "watch", *options, "--connect", late.endpoint]
+    watching = subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        assert watching.stdout is not None
+        assert watching.stderr is not None
+        assert watching.stderr.readline() == f"waiting for a daemon at {late.endpoint}; Ctrl-C ends\n"
+        late.start_loop()
+        late.start_gateway()
+        assert "DISARMED" in watching.stdout.readline()
+        watching.send_signal(signal.SIGINT)
+        assert watching.communicate(timeout=PATIENCE_S)[1] == ""  # it was said once
+        assert watching.returncode == 0
+    finally:
+        watching.kill()
+        watching.communicate()
+        late.close()
+
+
+def test_watch_stops_waiting_at_ctrl_c() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-m", "rigctl.cli.app", "watch", "--connect", endpoint]
+    watching = subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        assert watching.stderr is not None
+        assert watching.stderr.readline() == f"waiting for a daemon at {endpoint}; Ctrl-C ends\n"
+        watching.send_signal(signal.SIGINT)
+        said, complaint = watching.communicate(timeout=PATIENCE_S)
+        assert said == ""
+        assert "Traceback" not in complaint
+        assert watching.returncode == 0
+    finally:
+        watching.kill()
+        watching.communicate()
+
+
+def test_watch_json_is_one_state_per_line(shared: Daemon) -> None:
+    shared.client().close()
+    command = [sys.executable, "-m", "rigctl.cli.app", "watch", "--json", "--connect", shared.endpoint]
+    watching = subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert watching.stdout is not None
+    ticks = [json.loads(watching.stdout.readline())["tick"] for _ in range(10)]
+    watching.stdout.close()  # as `| head` does
+    assert watching.wait(PATIENCE_S) == 0
+    assert ticks == sorted(ticks)
+
+
+def test_watch_screen_survives_a_restart_and_ends_with_ctrl_c(own: Daemon) -> None:
+    own.client().close()
+    master, slave = pty.openpty()
+    command = [sys.executable, "-m", "rigctl.cli.app", "watch", "--connect", own.endpoint]
+    environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"}
+    watching = subprocess.Popen(command, cwd=ROOT, env=environment, stdin=slave, stdout=slave, stderr=slave)
+    os.close(slave)
+
+    def shows(words: str) -> bool:
+        end, text = time.monotonic() + PATIENCE_S, ""
+        while words not in text:
+            assert time.monotonic() < end, text[-2000:]
+            if select.select([master], [], [], 0.1)[0]:
+                text = (text + os.read(master, 65536).decode(errors="replace"))[-20_000:]
+        return True
+
+    try:
+        assert shows("D I S A R M E D")
+        own.kill_gateway()
+        assert shows("NO DATA FOR")
+        own.start_gateway()
+        assert shows("D I S A R M E D")
+        watching.send_signal(signal.SIGINT)
+        assert watching.wait(PATIENCE_S) == 0
+    finally:
+        watching.kill()
+        os.close(master)
+
+
+def test_one_of_several_rigs_must_be_chosen(own: Daemon) -> None:
+    with own.client() as client:
+        token = client.session.liveliness().declare_token("rigctl/other_rig/live/daemon")  # a second daemon behind it
+        result = own.cli("status")
+        assert result.returncode == 2
+        assert result.stderr == (
+            f"rigctl: several rigs answer at {own.endpoint}: other_rig, paper_rig; choose one with --rig\n"
+        )
+        assert own.cli("status", RIGCTL_RIG="paper_rig").returncode == 0
+        token.undeclare()  # type: ignore[no-untyped-call]

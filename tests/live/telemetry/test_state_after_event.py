@@ -1,0 +1,21 @@
+"""Who has heard an event and then asks for the state is shown what the event led to."""
+
+from __future__ import annotations
+
+from rigctl.client import Rig
+from tests.builders.miniature import PATIENCE_S, Daemon
+
+
+def commanded(rig: Rig, verb: str, mode: str) -> None:
+    assert rig.command(verb, operator="kim")["accepted"]
+    event = rig.wait_event(kind="MODE", timeout_s=PATIENCE_S)
+    state = rig.state()
+    assert event is not None
+    assert (state["mode"], state["event_seq"] >= event["seq"]) == (mode, True)
+
+
+def test_the_state_asked_for_after_an_event_is_not_from_before_it(own: Daemon) -> None:
+    with own.rig() as rig:
+        for _ in range(25):
+            commanded(rig, "arm", "HOLD")
+            commanded(rig, "disarm", "DISARMED")

@@ -1,0 +1,173 @@
+"""The comparison as a user runs it: one process, two short scenarios, every law."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.compare import study
+from hil.compare.rivals import CONTROLLERS
+from hil.compare.scenarios import QUICK, scenarios
+from hil.compare.study import settling_s
+from rigctl.config import rig_file as config
+from tests.builders.paths import ROOT
+
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
+RIG = config.load(ROOT / "config/paper_rig.yaml")
+FIGURES = {"eta_true_max_pct", "eta_true_rms_pct", "speed_max_mm_s", "settle_s", "ended"}
+
+
+def compare(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "hil", "compare", *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280, check=False)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
+    return tmp_path_factory.mktemp("compare")
+
+
+@pytest.fixture(scope="module")
+def done(folder: pathlib.Path) -> subprocess.CompletedProcess[str]:
+    files = "--json", str(folder / "figures.json"), "--plots", str(folder / "plots")
+    return compare("--only", "jolt", "--only", "shake_3hz", *files)
+
+
+@pytest.fixture(scope="module")
+def said(done: subprocess.CompletedProcess[str], folder: pathlib.Path) -> dict[str, Any]:
+    assert done.returncode == 0, done.stderr
+    document: dict[str, Any] = json.loads((folder / "figures.json").read_text())
+    return document
+
+
+def test_every_law_has_every_figure_in_every_scenario(said: dict[str, Any]) -> None:
+    assert list(said["scenarios"]) == ["shake_3hz", "jolt"]  # the table's order, whatever is asked for first
+    for laws in said["scenarios"].values():
+        assert list(laws) == [controller.name for controller in CONTROLLERS]
+        assert all(set(figures) == FIGURES for figures in laws.values())
+        assert all(figures["eta_true_rms_pct"] <= figures["eta_true_max_pct"] for figures in laws.values())
+
+
+def test_every_active_law_is_better_than_none_and_none_is_sandbagged(said: dict[str, Any]) -> None:
+    shake, jolt = said["scenarios"]["shake_3hz"], said["scenarios"]["jolt"]
+    for controller in CONTROLLERS[1:]:
+        assert shake[controller.name]["eta_true_max_pct"] < shake["passive"]["eta_true_max_pct"]
+        assert jolt[controller.name]["settle_s"] < 1.0  # at 10 mm/s the millimetre alone takes 0.1 s
+        assert jolt[controller.name]["speed_max_mm_s"] <= RIG.tension.speed_max_mm_s * 1.01
+    assert jolt["passive"]["settle_s"] is None
+    assert {laws[name]["ended"] for laws in (shake, jolt) for name in laws} == {"COMPENSATING", "LOCKED"}
+
+
+def test_the_locked_cylinder_shakes_by_what_the_spring_says(said: dict[str, Any]) -> None:
+    expected_pct = RIG.plant.stiffness_n_mm * 0.05 / RIG.tension.target_n * 100.0
+    assert said["scenarios"]["shake_3hz"]["passive"]["eta_true_max_pct"] == pytest.approx(expected_pct, rel=0.03)
+
+
+def test_ours_is_held_against_its_limits(said: dict[str, Any]) -> None:
+    limits = {(row["scenario"], row["quantity"]): row for row in said["limits"]}
+    assert set(limits) == {("shake_3hz", "eta_true_max_over_passive"), ("jolt", "settle_s")}
+    jolt = limits["jolt", "settle_s"]
+    assert jolt["measured"] == said["scenarios"]["jolt"]["ours"]["settle_s"]
+    assert all(row["ok"] is (row["measured"] <= row["limit"]) for row in said["limits"])
+
+
+def test_what_the_cell_is_wrong_by_the_load_is_wrong_by(said: dict[str, Any]) -> None:
+    cell = said["cell"]
+    sum_pct = sum(cell["budget_n"].values()) / 300.0 * 100.0
+    assert 0.05 < cell["combined_n"] / 300.0 * 100.0 < sum_pct
+    for name, having in cell["ours_with_errors"].items():
+        without = said["scenarios"][name]["ours"]
+        assert having["eta_true_max_pct"] == pytest.approx(sum_pct, abs=1.2 * without["eta_true_max_pct"])
+        assert having["eta_true_rms_pct"] == pytest.approx(sum_pct, abs=2.0 * without["eta_true_rms_pct"])
+
+
+def test_the_json_says_by_which_rule_and_at_what_price(said: dict[str, Any]) -> None:
+    laws = said["controllers"]
+    assert set(laws) == {controller.name for controller in CONTROLLERS}
+    assert all(laws[name]["rule"] for name in laws)
+    assert laws["passive"]["ms"] is None
+    assert min((laws[name]["ms_family"], name) for name in laws if laws[name]["ms_family"] is not None)[1] == "ours"
+
+
+def test_the_terminal_says_where_ours_does_not_win(done: subprocess.CompletedProcess[str]) -> None:
+    lines = done.stdout.splitlines()
+    assert max(map(len, lines)) <= 100
+    after = lines[lines.index("Where ours does not win") + 1 :]
+    assert any(line.startswith("  jolt, settle: P ") for line in after)
+    assert any("shake_3hz" in line and "at most" not in line for line in lines)
+    assert not done.stderr  # no bar where nobody watches
+
+
+def test_a_picture_of_all_and_one_per_trace(said: dict[str, Any], folder: pathlib.Path) -> None:
+    assert said
+    pictures = {file.name: file.read_bytes() for file in (folder / "plots").iterdir()}
+    assert set(pictures) == {"eta_max.png", "jolt.png", "shake_3hz.png"}
+    assert all(data.startswith(b"\x89PNG") and len(data) > 20_000 for data in pictures.values())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["missing.yaml"], "missing.yaml: cannot be read"),
+        (["config/rig.yaml"], "simulation: found nothing"),
+        (["--only", "nothing"], "--only: found 'nothing', expected paper_k6"),
+        (["--controllers", "pi,bang"], "--controllers: found 'bang', expected passive, p,"),
+        (["--json", "missing/rows.json"], "--json: missing/rows.json cannot be written"),
+        (["--plots", "README.md"], "--plots: README.md cannot be made"),
+        (["--depth", "3"], "No such option"),
+    ],
+)
+def test_wrong_usage_is_one_line(arguments: list[str], words: str, in_process: Command) -> None:
+    result = in_process("hil", "compare", *arguments)
+    assert result.returncode == 2
+    assert words in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_a_scenario_changes_what_it_says_and_nothing_else() -> None:
+    for scenario in scenarios(RIG):
+        settings = scenario.settings(RIG, "because")
+        same = settings.model_copy(update={"plant": RIG.plant, "simulation": RIG.simulation, "design": RIG.design})
+        assert same == RIG
+        assert settings.simulation is not None
+        assert RIG.simulation is not None
+        assert settings.simulation.seed == RIG.simulation.seed
+        assert settings.plant == RIG.plant.model_copy(update=dict(scenario.plant))
+        assert (settings.simulation == RIG.simulation) is (not scenario.simulation)
+    rubbing = next(s for s in scenarios(RIG) if s.name == "friction_x2").settings(RIG, "because").simulation
+    assert rubbing is not None
+    assert rubbing.rail.friction_static == pytest.approx(2.0 * 0.012)
+    assert rubbing.pulley.friction_dynamic == pytest.approx(2.0 * 0.0008)
+
+
+def test_settling_is_over_when_the_error_stays_small() -> None:
+    t_s = 1e-3 * np.arange(-100, 400, dtype=np.float64)
+    error = np.where((t_s >= 0.0) & (t_s < 0.1), 1.0, 0.0)
+    assert settling_s(t_s, error) == pytest.approx(0.1)
+    again = error + np.where(np.isclose(t_s, 0.25), -0.2, 0.0)
+    assert settling_s(t_s, again) == pytest.approx(0.251)
+    assert settling_s(t_s, np.full_like(t_s, 0.2)) is None
+    assert settling_s(t_s, np.where(t_s < 0.0, 9.0, 0.05)) == 0.0
+
+
+def test_the_bar_moves_until_the_last_piece_of_work_is_done() -> None:
+    chosen = [scenario for scenario in scenarios(RIG) if scenario.name == "jolt"]
+    laws = [law for law in CONTROLLERS if law.name in ("passive", "ours")]
+    told: list[tuple[float, str]] = []
+    study.run(RIG, chosen, laws, lambda seconds, what: told.append((seconds, what)))
+    assert sum(seconds for seconds, _ in told) == pytest.approx(study.length_s(chosen, laws))
+    assert {what for _, what in told if what.startswith("robustness")} == {f"robustness: {law.title}" for law in laws}
+    assert any("with the cell's errors" in what for _, what in told)
+
+
+def test_the_quick_comparison_is_a_part_of_the_whole_one() -> None:
+    whole = {scenario.name: scenario.seconds for scenario in scenarios(RIG)}
+    assert set(QUICK) < set(whole)
+    assert sum(whole[name] for name in QUICK) < 0.3 * sum(whole.values())

@@ -1,0 +1,207 @@
+"""The fault catalogue: its table, some rows on the real loop, and that a broken safety table makes rows fail."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+
+import pytest
+
+from hil.faults import command, output, processes, study
+from hil.faults.catalogue import BY_ID, CATALOGUE
+from hil.faults.expected import ARMED, Fault, Reaction
+from hil.faults.judge import Row
+from hil.faults.run import Bench
+from hil.scenario.errors import ScenarioError
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
+from rigctl.control import modes, safety
+from rigctl.control.escalation import Escalator
+from rigctl.control.modes import Mode
+from rigctl.design.margins import design_and_check
+from tests.builders.paths import ROOT
+
+RIG = ROOT / "config/paper_rig.yaml"
+PAGE = (ROOT / "docs/faults.md").read_text()
+
+WHOLE: list[Fault | processes.ProcessFault] = [*CATALOGUE, *processes.CATALOGUE]
+
+
+@pytest.fixture(scope="module")
+def settings() -> RigSettings:
+    return config.load(RIG)
+
+
+@pytest.fixture(scope="module")
+def bench(settings: RigSettings) -> Bench:
+    return Bench(settings, design_and_check(settings).gains)
+
+
+def row(bench: Bench, settings: RigSettings, name: str, mode: Mode) -> Row:
+    return study.row_of(bench, settings, BY_ID[name], mode)
+
+
+# -- the table ------------------------------------------------------------------------------------------------------
+def test_there_are_enough_faults_and_no_two_have_one_name() -> None:
+    assert len(set(command.NAMES)) == len(command.NAMES) >= 45
+
+
+@pytest.mark.parametrize("fault", CATALOGUE, ids=lambda fault: fault.id)
+def test_what_is_expected_is_possible_in_that_mode(fault: Fault) -> None:
+    assert fault.modes
+    for mode in fault.modes:
+        possible = {
+            Mode.DISARMED: {Reaction.RIDDEN, Reaction.REFUSED, Reaction.LATCHED, Reaction.MOVES},
+            Mode.FAULT: {Reaction.KEPT, Reaction.DRIVE_OFF, Reaction.DRIVE_STOPS},
+        }.get(mode, {Reaction.RIDDEN, Reaction.HELD, Reaction.EITHER, Reaction.DRIVE_OFF, Reaction.DRIVE_STOPS})
+        assert fault.expected[mode] in possible
+
+
+def test_no_fault_is_expected_to_end_in_a_release() -> None:
+    """Hold is safe, release is not: nothing but riding it through, holding or losing power is ever expected."""
+    moves = {(fault.id, mode) for fault in WHOLE for mode in fault.expected if fault.expected[mode] is Reaction.MOVES}
+    # Nothing may switch a motor on by itself to hold what the brake does not, and nothing on the bus stops that tool.
+    at_rest = ("brake_stuck_open", "brake_slips_slowly", "drive_tool_deaf")
+    assert moves == {(name, Mode.DISARMED) for name in at_rest}
+    for fault in WHOLE:
+        assert not set(fault.expected.values()) & {Reaction.LEFT, Reaction.ARMED}
+
+
+def test_only_what_breaks_the_rope_may_drop_the_load() -> None:
+    dropped = {fault.id for fault in CATALOGUE if not fault.carried}
+    assert dropped == {"rope_breaks", "rope_slips_away", "spring_breaks", "payload_lifted"}
+    for name in dropped:
+        assert all(BY_ID[name].expected[mode] is Reaction.HELD for mode in ARMED if mode in BY_ID[name].expected)
+
+
+def test_the_page_has_every_fault_as_the_table_has_it() -> None:
+    rows = [output.page_row(fault) for fault in WHOLE]
+    written = [line for line in PAGE.splitlines() if line.startswith("| `")]
+    assert written == rows
+
+
+# -- rows, played ---------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("name", "mode"),
+    [
+        ("cell_silent", Mode.COMPENSATING),
+        ("cell_silent", Mode.FAULT),
+        ("cell_nan", Mode.RELEASING),
+        ("cell_overload", Mode.DISARMED),
+        ("slope_invalid", Mode.HOLD),
+        ("frames_lost_1pct", Mode.COMPENSATING),
+        ("burst_50ms", Mode.TENSIONING),
+        ("length_wrong_1pct", Mode.HOLD),
+        ("foreign_ids", Mode.COMPENSATING),
+        ("bus_off", Mode.COMPENSATING),
+        ("io_e_stop", Mode.COMPENSATING),
+        ("io_e_stop", Mode.FAULT),
+        ("io_e_stop_bounces", Mode.DISARMED),
+        ("io_silent", Mode.RELEASING),
+        ("io_reboots", Mode.TENSIONING),
+        ("foreign_abort_option", Mode.COMPENSATING),
+        ("lost_heartbeat_watch", Mode.TENSIONING),
+        ("sdo_silent", Mode.DISARMED),
+        ("encoder_restarts", Mode.COMPENSATING),
+        ("encoder_restarts", Mode.DISARMED),
+        ("drive_trips", Mode.COMPENSATING),
+        ("rope_breaks", Mode.COMPENSATING),
+        ("payload_bumped", Mode.COMPENSATING),
+        ("power_dip", Mode.HOLD),
+        ("controller_hangs", Mode.COMPENSATING),
+    ],
+)
+def test_it_comes_to_what_is_expected(bench: Bench, settings: RigSettings, name: str, mode: Mode) -> None:
+    found = row(bench, settings, name, mode)
+    assert found.findings == ()
+
+
+def test_a_rigs_row_says_what_was_so(bench: Bench, settings: RigSettings) -> None:
+    found = row(bench, settings, "cell_silent", Mode.COMPENSATING)
+    assert (found.reaction, found.fault, found.load_carried) == ("held", "CELL_STALE", True)
+    assert found.detection_ms == pytest.approx(settings.safety.stale_ms, abs=3.0)  # and the ticks on the way
+    assert found.latency_ms == 0.0
+    assert found.stroke_mm < 0.1
+    assert found.tension_min_n == pytest.approx(300.0, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("fault", "name", "mode"),
+    [
+        (safety.Fault.CELL_STALE, "cell_silent", Mode.HOLD),
+        (safety.Fault.CELL_INVALID, "cell_overload", Mode.COMPENSATING),
+        (safety.Fault.INCLINATION_STALE, "slope_silent", Mode.TENSIONING),
+        (safety.Fault.E_STOP_UNSEEN, "io_silent", Mode.COMPENSATING),
+        (safety.Fault.E_STOP_UNSEEN, "io_silent", Mode.DISARMED),
+        (safety.Fault.E_STOP, "io_e_stop", Mode.HOLD),
+    ],
+)
+def test_a_safety_table_without_a_row_makes_rows_fail(
+    bench: Bench,
+    settings: RigSettings,
+    monkeypatch: pytest.MonkeyPatch,
+    fault: safety.Fault,
+    name: str,
+    mode: Mode,
+) -> None:
+    whole = safety.table
+    monkeypatch.setattr(safety, "table", lambda s: tuple(r for r in whole(s) if r.fault is not fault))
+    assert row(bench, settings, name, mode).findings
+
+
+@pytest.mark.parametrize(("escalates", "reaction"), [(True, Reaction.DRIVE_OFF), (False, Reaction.LEFT)])
+def test_a_rig_that_releases_the_load_after_a_trip_is_found_out(
+    bench: Bench, settings: RigSettings, monkeypatch: pytest.MonkeyPatch, escalates: bool, reaction: Reaction
+) -> None:
+    """The escalation ends such a release by taking the drive's power away: too late for the row, and said."""
+    monkeypatch.setitem(modes.TRANSITIONS, (Mode.COMPENSATING, modes.Event.TRIP), modes.Transition(Mode.RELEASING))
+    if not escalates:
+        monkeypatch.setattr(Escalator, "look", lambda *_: None)
+    found = row(bench, settings, "payload_caught", Mode.COMPENSATING)
+    assert found.reaction == reaction
+    assert found.findings
+
+
+def test_rows_are_the_same_every_time(bench: Bench, settings: RigSettings) -> None:
+    first, again = (row(bench, settings, "frames_lost_10pct", Mode.HOLD) for _ in range(2))
+    assert first == again
+
+
+# -- the command ----------------------------------------------------------------------------------------------------
+def test_the_command_writes_the_rows(tmp_path: pathlib.Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "rows.json"
+    assert command.run(RIG, ["cell_silent"], ["HOLD", "FAULT"], file) == 0
+    written = json.loads(file.read_text())
+    assert (written["ok"], written["total"]) == (True, 2)
+    keys = {"id", "mode", "expected", "reaction", "latency_ms", "tension_min_n", "tension_max_n", "stroke_mm", "ok"}
+    assert all(keys <= set(found) for found in written["faults"])
+    assert [found["mode"] for found in written["faults"]] == ["HOLD", "FAULT"]
+    assert "2 rows of 1 fault: all as expected" in capsys.readouterr().out
+
+
+def test_what_is_not_as_expected_comes_first_and_ends_with_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = safety.table
+    monkeypatch.setattr(
+        safety, "table", lambda s: tuple(r for r in whole(s) if r.fault is not safety.Fault.CELL_INVALID)
+    )
+    assert command.run(RIG, ["cell_silent", "cell_overload"], ["HOLD"], None) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[1].startswith("cell_overload")
+    assert "1 not as expected" in said[-1]
+
+
+@pytest.mark.parametrize(
+    ("only", "modes", "said"),
+    [
+        (["cell_gone"], [], "--only: found 'cell_gone'"),
+        ([], ["COMPENSATE"], "--mode: found 'COMPENSATE'"),
+        (["drive_runs_up"], ["DISARMED"], "--mode: found DISARMED"),
+    ],
+)
+def test_what_does_not_exist_is_refused_in_one_line(only: list[str], modes: list[str], said: str) -> None:
+    with pytest.raises(ScenarioError, match=said) as refused:
+        command.choose(only, modes)
+    assert refused.value.exit_code == 2
+    assert len(refused.value.findings) == 1

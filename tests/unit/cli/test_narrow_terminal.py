@@ -1,0 +1,78 @@
+"""What fits into a narrow terminal: values before words."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from rigctl.cli import check
+from rigctl.cli.watch_screen import Screen
+from rigctl.config import rig_file as config
+from rigctl.devices import busload
+from rigctl.wire import state_words as figures
+from tests.builders.paths import ROOT
+from tests.unit.client.test_hostile_messages import EVENT, STATE, view_of
+
+RIG = config.load(ROOT / "config/paper_rig.yaml")
+
+
+def shown(width: int) -> list[str]:
+    out = io.StringIO()
+    check.show(RIG, Console(file=out, width=width))
+    return out.getvalue().splitlines()
+
+
+def leaves(data: dict[str, Any]) -> int:
+    return sum(leaves(value) if isinstance(value, dict) else 1 for value in data.values())
+
+
+@pytest.mark.parametrize("width", [30, 40, 60, 80, 200])
+def test_check_shows_every_value_at_any_width(width: int) -> None:
+    lines = shown(width)
+    text = "".join("".join(lines).split())
+    for key, value in (("rate_hz", "1000"), ("stroke_max_mm", f"{RIG.cylinder.stroke_max_mm:g}"),
+                       ("bitrate_bit_s", str(RIG.can.bitrate_bit_s))):  # fmt: skip
+        assert f"{key}{value}" in text or width < 40  # below, keys are broken over lines
+    values = [line for line in lines if line.startswith("   ") and len(line.split()) >= 2]
+    assert len(values) >= 0.8 * leaves(RIG.model_dump(exclude={"directory", "plain"}))
+    assert max(map(len, lines)) <= max(width, 32)
+
+
+def test_check_tells_units_and_meanings_where_there_is_room() -> None:
+    assert any("Hz" in line and "loop rate" in line for line in shown(80))
+    assert not any("loop rate" in line for line in shown(40))
+
+
+def test_check_breaks_no_name_of_a_frame_at_40_columns() -> None:
+    text = "\n".join(shown(40))
+    for word in ("inclination", "heartbeat,", "controller", "heartbeats,"):
+        assert word in text.split()
+    for item in busload.traffic(RIG):
+        assert f"{item.bit_s:.0f}" in text.split()
+
+
+def screen(width: int, height: int = 60) -> list[str]:
+    out = io.StringIO()
+    Console(file=out, width=width, height=height, highlight=False).print(Screen(view_of()))
+    return out.getvalue().splitlines()
+
+
+@pytest.mark.parametrize("width", [30, 40, 60, 71])
+def test_watch_goes_on_in_the_next_line_where_a_terminal_is_narrow(width: int) -> None:
+    lines = screen(width)
+    text = "".join("".join(lines).split())
+    assert max(map(len, lines)) <= width
+    assert "…" not in text
+    for value in (
+        figures.error(STATE), figures.inclination(STATE), figures.percentiles(STATE["work_us"]),
+        figures.counters(STATE), figures.calibration(STATE)[0], figures.recorder(STATE)[0], figures.lease(STATE),
+        EVENT["text"],
+    ):  # fmt: skip
+        assert "".join(value.split()) in text
+
+
+def test_watch_keeps_to_its_height_where_a_terminal_is_narrow() -> None:
+    assert len(screen(40, 24)) <= 24

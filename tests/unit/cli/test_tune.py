@@ -1,0 +1,151 @@
+"""``rigctl tune`` as a user runs it: exit codes, table, JSON, picture."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import subprocess
+import sys
+from collections.abc import Callable
+
+import pytest
+
+from rigctl.config.rig_file import RigSettings
+from rigctl.design import picture, table
+from rigctl.design.margins import design_and_check
+from tests.builders import daemons
+
+Rig = Callable[..., RigSettings]
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
+PAPER = "config/paper_rig.yaml"
+NO_SPRING = {"spring_n_mm": None}  # unstable with a compliant mechanism, fine with a rigid one
+WAIVER = "rigid mechanism,\nchecked by hand"
+
+
+def test_json_has_what_the_contract_says(in_process: Command) -> None:
+    answer = in_process("rigctl", "tune", PAPER, "--json", "-")
+    assert (answer.returncode, answer.stderr) == (0, "")
+    said = json.loads(answer.stdout)
+    assert set(said["gains"]) == {"k_tension", "k_speed", "k_integral"}
+    keys = {"k_m", "k_scale", "delay_scale", "ms", "gm_db", "pm_deg", "dm_ms"}
+    assert all(keys <= set(member) for member in said["margins"])
+    family = {(m["k_m"], m["k_scale"], m["delay_scale"]) for m in said["margins"]}
+    assert family == {(k_m, k, d) for k_m in (None, 1000.0, 60.0, 20.0, 6.0) for k in (0.8, 1.0, 1.2) for d in (1, 2)}
+    assert {m["k_m"] for m in said["reported"]} == {2.0}
+    assert said["accepted"] is True
+    assert said["ms_max"] == max(max(m["ms"], m["ms_output"]) for m in said["margins"])
+    assert said["ms_max"] <= 1.6
+    assert len(said["provenance"]["inputs_sha256"]) == 64
+
+
+def test_everything_at_once(tmp_path: pathlib.Path, in_process: Command) -> None:
+    figures, plot, gains = tmp_path / "t.json", tmp_path / "t.PNG", tmp_path / "gains.yaml"
+    answer = in_process("rigctl", "tune", PAPER, "--json", str(figures), "--plot", str(plot), "--gains", str(gains))
+    assert (answer.returncode, answer.stderr) == (0, "")
+    assert "accepted: Ms 1.5" in answer.stdout
+    assert answer.stdout.count("<- worst") == 1
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    made = json.loads(figures.read_text())["provenance"]["inputs_sha256"]
+    assert made in gains.read_text()
+    # Written again over itself, and used from a rig file beside it.
+    assert in_process("rigctl", "tune", PAPER, "--gains", str(gains)).returncode == 0
+    rig = daemons.rig_file(tmp_path, {"design": {"gains_file": gains.name}})
+    assert f"takes the gains of {gains}, not these" in in_process("rigctl", "tune", str(rig)).stdout
+
+
+def test_a_refused_design_is_exit_code_1_and_said_in_words(tmp_path: pathlib.Path, in_process: Command) -> None:
+    file = daemons.rig_file(tmp_path, {"plant": NO_SPRING})
+    answer = in_process("rigctl", "tune", str(file), "--gains", str(tmp_path / "g.yaml"))
+    assert answer.returncode == 1
+    assert answer.stdout.count("UNSTABLE") > 1
+    assert answer.stderr.count("\n") == 1
+    assert (
+        "design refused: unstable with 6 of 30 plants, expected at most 1.6 (or a design.waiver in words)"
+        in answer.stderr
+    )
+    assert "accepted: false" in (tmp_path / "g.yaml").read_text()
+    said = json.loads(in_process("rigctl", "tune", str(file), "--json", "-").stdout)
+    assert (said["accepted"], said["ms_max"]) == (False, None)
+    assert {m["ms"] for m in said["margins"] if not m["stable"]} == {None}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("nothing.yaml",), "nothing.yaml: cannot be read"),
+        (("config",), "config: cannot be read: Is a directory"),
+        (("README.md",), "README.md:"),
+        ((PAPER, "--json"), "--json"),
+        ((PAPER, "--json", "nowhere/x.json"), "--json: nowhere/x.json cannot be written: there is no folder nowhere"),
+        ((PAPER, "--json", "config"), "--json: config cannot be written: Is a directory"),
+        ((PAPER, "--json", PAPER), "is the rig file"),
+        ((PAPER, "--plot", "x.jpg"), "expected a name ending in .png, .svg, .pdf"),
+        ((PAPER, "--plot", "/proc/x.png"), "--plot: /proc/x.png cannot be written: No such file"),
+        ((PAPER, "--gains", "config/rig.yaml"), "is there and is no gain file"),
+        ((PAPER, "--gains", "/dev/null"), "is there and is no gain file"),
+        ((PAPER, "--gains", "/proc/g.yaml"), "--gains: /proc/g.yaml cannot be written: "),
+    ],
+)
+def test_wrong_input_is_one_line_and_exit_code_2(words: tuple[str, ...], said: str, in_process: Command) -> None:
+    before = (daemons.ROOT / "config/rig.yaml").read_bytes(), (daemons.ROOT / PAPER).read_bytes()
+    answer = in_process("rigctl", "tune", *words)
+    assert answer.returncode == 2
+    assert answer.stderr.count("\n") == 1
+    assert said in answer.stderr
+    assert "Traceback" not in answer.stderr
+    assert before == ((daemons.ROOT / "config/rig.yaml").read_bytes(), (daemons.ROOT / PAPER).read_bytes())
+
+
+def test_numbers_no_plant_has_are_one_line(tmp_path: pathlib.Path, in_process: Command) -> None:
+    answer = in_process("rigctl", "tune", str(daemons.rig_file(tmp_path, {"plant": {"spring_n_mm": 1e-300}})))
+    assert answer.returncode == 2
+    assert "no design" in answer.stderr
+    assert answer.stderr.count("\n") == 1
+
+
+def test_a_closed_pipe_is_no_error() -> None:
+    answer = subprocess.run(
+        ["bash", "-c", f"{sys.executable} -m rigctl tune {PAPER} | head -1"],
+        capture_output=True, text=True, check=True, cwd=daemons.ROOT,
+    )  # fmt: skip
+    assert answer.stdout == "paper_rig: gains\n"
+    assert answer.stderr == ""
+
+
+@pytest.mark.parametrize("plant", [{}, NO_SPRING, {**NO_SPRING, "mechanism_n_mm": 6.0}])
+def test_table_fits_80_columns_and_shows_every_plant(rig: Rig, plant: dict[str, float | None]) -> None:
+    settings = rig(plant=plant)
+    found = design_and_check(settings)
+    shown = list(table.lines(settings, found))
+    assert sum(" x 0.8 " in line or " x 1 " in line or " x 1.2 " in line for line in shown) == 36
+    assert sum("UNSTABLE" in line for line in shown) == sum(not m.stable for m in (*found.margins, *found.reported)) + (
+        found.performance is None
+    )
+    assert max(len(line) for line in shown[:-1] if not line.startswith(("accepted", "design", "WARNING"))) <= 80
+
+
+def test_a_waiver_is_shown_with_its_words_on_one_line(rig: Rig) -> None:
+    settings = rig(plant=NO_SPRING, design={"waiver": WAIVER})
+    *_, verdict, warning = table.lines(settings, design_and_check(settings))
+    assert verdict == "accepted: unstable with 6 of 30 plants (limit 1.6, waived)"
+    assert warning.endswith("waived: rigid mechanism, checked by hand")
+
+
+def test_a_waiver_that_does_not_help_is_said_so(rig: Rig) -> None:
+    settings = rig(plant={**NO_SPRING, "mechanism_n_mm": 6.0}, design={"waiver": WAIVER})
+    assert "no waiver helps" in design_and_check(settings).verdict()
+
+
+def test_an_ms_just_above_its_limit_is_not_shown_as_equal(rig: Rig) -> None:
+    ms = design_and_check(rig()).ms_max
+    assert f"Ms {ms:.6f}" in design_and_check(rig(design={"ms_max": ms - 1e-5})).verdict()
+
+
+@pytest.mark.parametrize(("suffix", "start"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")])
+@pytest.mark.parametrize("plant", [{}, {**NO_SPRING, "mechanism_n_mm": 6.0}], ids=["accepted", "unstable"])
+def test_picture_of_any_design_in_every_format(
+    rig: Rig, tmp_path: pathlib.Path, suffix: str, start: bytes, plant: dict[str, float | None]
+) -> None:
+    settings = rig(plant=plant)
+    picture.draw(settings, design_and_check(settings), tmp_path / f"x{suffix}")
+    assert (tmp_path / f"x{suffix}").read_bytes().startswith(start)

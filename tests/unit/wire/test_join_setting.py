@@ -1,0 +1,26 @@
+"""``telemetry.join``: endpoints of other routers, and nothing else."""
+
+from __future__ import annotations
+
+import pathlib
+from typing import Any
+
+import pytest
+
+from rigctl.config import rig_file as config
+from tests.builders.daemons import rig_file
+
+
+def test_a_gateway_joins_nobody_unless_told_to(tmp_path: pathlib.Path) -> None:
+    assert config.load(rig_file(tmp_path)).telemetry.join == []
+    others = ["tcp/192.168.1.10:7447", "unixsock-stream//run/zenohd.sock"]
+    assert config.load(rig_file(tmp_path, {"telemetry": {"join": others}})).telemetry.join == others
+
+
+@pytest.mark.parametrize(
+    "join", ["tcp/192.168.1.10:7447", ["192.168.1.10:7447"], ["udp/192.168.1.10:7447"], [7447], ["tcp/a b"], None]
+)
+def test_what_is_no_list_of_endpoints_is_refused_in_words(tmp_path: pathlib.Path, join: Any) -> None:
+    with pytest.raises(config.ConfigError) as refused:
+        config.load(rig_file(tmp_path, {"telemetry": {"join": join}}))
+    assert "telemetry.join" in str(refused.value)

@@ -1,0 +1,217 @@
+"""The state message, the events and the gateway's memory."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rigctl.commission.preflight import Verdict
+from rigctl.config import rig_file as config
+from rigctl.control.events import Kind
+from rigctl.control.modes import Mode
+from rigctl.control.safety import Action, Fault
+from rigctl.gateway.active import Active
+from rigctl.gateway.gateway_process import StateView
+from rigctl.gateway.published_position import Cursor
+from rigctl.gateway.streams import BLOCK_RECORDS, blocks_of
+from rigctl.ipc.ledger import Standing
+from rigctl.ipc.record import EVENT, RECORD, Flag, Quality
+from rigctl.ipc.ring import RingReader, create
+from rigctl.ipc.runtime_folder import Runtime
+from rigctl.wire.event_message import event_message
+from rigctl.wire.state_message import ALIVE_NS, Recent, Trip, percentiles_us, quality_words, state_of, warnings_of
+from tests.builders.paths import ROOT
+
+NOW, WALL = 10_000_000_000, 1_700_000_000_000_000_000
+
+
+def record(**values: Any) -> np.void:
+    slots = np.zeros(1, RECORD.dtype)
+    for name, value in ({"t_ns": NOW - 1_000_000} | values).items():
+        slots[name] = value
+    return slots[0]  # type: ignore[no-any-return]
+
+
+def event(kind: int, a: int = 0, b: int = 0, value: float = 0.0, limit: float = 0.0, text: bytes = b"") -> np.void:
+    return np.array([(1, NOW, kind, a, b, value, limit, text)], EVENT.dtype)[0]  # type: ignore[no-any-return]
+
+
+def state(found: np.void | None, trip: Trip | None = None) -> dict[str, Any]:
+    made = state_of(found, trip or Trip(), Recent(), NOW, WALL)
+    return dict(msgspec.json.decode(msgspec.json.encode(made)))
+
+
+def test_error_is_given_only_while_compensating() -> None:
+    for mode in Mode:
+        found = state(record(mode=mode, target_n=300.0, vertical_n=298.5))
+        if mode is Mode.COMPENSATING:
+            assert (found["error_n"], found["error_pct"]) == (-1.5, pytest.approx(0.5))
+        else:
+            assert (found["error_n"], found["error_pct"]) == (None, None)
+        assert found["mode"] == mode.name
+
+
+def test_every_field_of_the_record_is_there_by_its_name() -> None:
+    found = state(record(tangential_rad=math.pi / 2, normal_rad=math.nan, flags=Flag.ARMING | Flag.DRIVE_ENABLED))
+    assert {field.name for field in RECORD.fields} <= found.keys()
+    assert found["tangential_deg"] == pytest.approx(90.0)
+    assert found["normal_deg"] is None
+    assert found["flag_names"] == ["arming", "drive_enabled"]
+    assert found["wall_ns"] == WALL - 1_000_000
+
+
+@pytest.mark.parametrize(("age_ns", "alive"), [(0, True), (ALIVE_NS - 1, True), (ALIVE_NS, False)])
+def test_a_loop_is_alive_while_its_records_are_new(age_ns: int, alive: bool) -> None:
+    found = state(record(t_ns=NOW - age_ns))
+    assert found["loop_alive"] is alive
+    assert found["age_ms"] == pytest.approx(age_ns / 1e6)
+
+
+def test_a_record_made_meanwhile_has_no_negative_age() -> None:
+    assert state(record(t_ns=NOW + 1_400_000))["age_ms"] == 0.0
+
+
+def test_a_signal_that_never_came_has_no_age() -> None:
+    found = state(record(tension_age_ns=(1 << 61) + 5, drive_age_ns=7))
+    assert (found["tension_age_ns"], found["drive_age_ns"]) == (None, 7)
+
+
+def test_no_record_is_a_state_too() -> None:
+    found = state(None)
+    assert found["loop_alive"] is False
+    assert found["mode"] is None
+
+
+def test_numbers_from_another_version_are_shown_not_raised() -> None:
+    found = state(record(mode=77, fault=999, tension_quality=64))
+    assert (found["mode"], found["fault"]) == ("UNKNOWN_77", "UNKNOWN_999")
+    assert found["fault_text"] == "unknown fault 999"
+
+
+def test_the_trip_is_worded_with_its_figures() -> None:
+    trip = Trip()
+    trip.note(np.array([event(Kind.STARTED), event(Kind.TRIP, Fault.CELL_STALE, 0, 2e7, 1.5e7)]))
+    assert trip.text(Fault.CELL_STALE) == "no tension sample for 20 ms (limit 15 ms)"
+    assert trip.text(Fault.TENSION_HIGH) == "tension high"  # its event is gone
+    assert trip.text(Fault.NONE) == ""
+
+
+def test_a_state_with_a_fault_says_why_however_the_trip_falls_between_what_is_read(tmp_path: pathlib.Path) -> None:
+    settings, runtime = config.load(ROOT / "config/paper_rig.yaml"), Runtime(tmp_path)
+    runtime.make_rings(settings)
+    records, events = runtime.record_writer(), runtime.event_writer()
+    nothing = dict.fromkeys((field.name for field in RECORD.fields), 0)
+    records.write(*nothing.values())
+
+    class Tripping(RingReader):
+        """The loop trips right after a read."""
+
+        def read(self, limit: int | None = None) -> npt.NDArray[Any]:
+            found = super().read(limit)
+            events.write(NOW, int(Kind.TRIP), Fault.TENSION_HIGH, Action.HOLD, 412.0, 400.0, b"")
+            records.write(*(nothing | {"fault": int(Fault.TENSION_HIGH)}).values())
+            return found
+
+    for torn in ("_events", "_records"):
+        view = StateView(runtime, settings, Active(runtime))
+        path, dtype = (runtime.events, EVENT.dtype) if torn == "_events" else (runtime.records, RECORD.dtype)
+        setattr(view, torn, Tripping(path, dtype, from_start=True))
+        cursor = Cursor(tmp_path / "cursor", runtime.records, 0)
+        for _ in range(2):
+            made = msgspec.json.decode(view.make(NOW, 0, Standing(), None, Verdict(), cursor))
+            assert made["fault"] is None or made["fault_text"] == "tension 412.0 N above 400.0 N", torn
+        assert made["fault"] == "TENSION_HIGH"
+
+
+def test_quality_in_words() -> None:
+    assert quality_words(0) == "good"
+    assert quality_words(Quality.STALE | Quality.NEVER) == "stale+never"
+
+
+@given(st.lists(st.integers(0, 10**9), min_size=1, max_size=3000))
+def test_percentiles_are_samples_in_order(values: list[int]) -> None:
+    found = percentiles_us(np.array(values))
+    assert found is not None
+    ranked = [found[name] for name in ("p50", "p99", "p999", "max")]
+    assert ranked == sorted(ranked)
+    assert found["max"] == round(max(values) / 1000, 1)
+
+
+def test_recent_holds_a_second() -> None:
+    recent = Recent()
+    assert recent.figures() == {"lateness_us": None, "work_us": None}
+    for start in range(0, 3000, 20):
+        part = np.zeros(20, RECORD.dtype)
+        part["t_ns"] = (start + np.arange(20)) * 1_000_000
+        part["lateness_ns"] = 1_000_000 if start < 1500 else 5000
+        recent.add(part)
+    assert recent.figures()["lateness_us"] == {"p50": 5.0, "p99": 5.0, "p999": 5.0, "max": 5.0}
+
+
+@pytest.mark.parametrize(
+    ("control", "found"),
+    [({}, []), ({"warnings": ["a", 1]}, ["a", "1"]), ({"warnings": "a"}, []), ({"warnings": None}, [])],
+)
+def test_warnings_whatever_the_file_holds(control: dict[str, Any], found: list[str]) -> None:
+    assert warnings_of(control) == found
+
+
+@given(
+    kind=st.integers(0, 2**16 - 1) | st.integers(0, 12),
+    a=st.integers(0, 2**32 - 1) | st.integers(0, 12),
+    b=st.integers(0, 2**32 - 1) | st.integers(0, 12),
+    value=st.floats(),
+    text=st.binary(max_size=80),
+)
+def test_every_event_slot_becomes_a_message(kind: int, a: int, b: int, value: float, text: bytes) -> None:
+    severity, message = event_message(event(kind, a, b, value, value, text), 5)
+    assert severity in ("info", "warning", "error")
+    assert message["text"]
+    assert message["wall_ns"] == NOW + 5
+    msgspec.json.encode(message)
+
+
+@given(st.sets(st.integers(1, 2000), max_size=1500))
+def test_blocks_hold_every_record_and_break_at_gaps(tmp_path_factory: pytest.TempPathFactory, seqs: set[int]) -> None:
+    from rigctl.wire.block import decode
+
+    path = tmp_path_factory.mktemp("ring") / "records"
+    create(path, RECORD.dtype, 4)
+    records = np.zeros(len(seqs), RECORD.dtype)
+    records["seq"] = sorted(seqs)
+    found = [decode(raw) for raw in blocks_of(records, RingReader(path, RECORD.dtype), 3, 4)]
+    assert [n for part in found for n in range(part.first_seq, part.last_seq + 1)] == sorted(seqs)
+    assert all(part.count <= BLOCK_RECORDS and part.lost == 3 and part.stream == 4 for part in found)
+
+
+def test_cursor_is_remembered_for_the_same_ring_only(tmp_path: pathlib.Path) -> None:
+    ring, path = tmp_path / "records", tmp_path / "cursor"
+    create(ring, RECORD.dtype, 8)
+    first = Cursor(path, ring, head=0)
+    assert not first.resumed
+    first.fast_seq, first.fast_lost, first.event_seq, first.fast_listened = 10, 2, 3, True
+    first.save()
+    first.close()
+
+    again = Cursor(path, ring, head=12)
+    assert again.resumed
+    assert (again.fast_seq, again.fast_lost, again.event_seq, again.stream) == (10, 2, 3, first.stream)
+    assert (again.fast_listened, again.events_listened) == (True, False)
+    assert not Cursor(path, ring, head=9).resumed  # ahead of the ring: of another one
+
+    (tmp_path / "keep").hardlink_to(ring)  # so that the new ring is another inode
+    create(ring, RECORD.dtype, 8)
+    path.write_bytes(path.read_bytes()[:-1] + b"\x01")
+    other = Cursor(path, ring, head=100)
+    assert not other.resumed
+    assert other.fast_seq == 0
+    path.write_bytes(b"garbage")
+    assert not Cursor(path, ring, head=100).resumed
