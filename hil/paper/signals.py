@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.scenario.figures import first_peak
+from rigctl.metrics.tension_error import error_pct
 
 Floats = npt.NDArray[np.float64]
 
@@ -45,7 +46,8 @@ class Signals(NamedTuple):
 
     def eta_pct(self, target_n: float) -> Floats:
         """Compensating error, equation (16), signed."""
-        return (self.vertical_n - target_n) / target_n * 100.0
+        error: Floats = error_pct(self.vertical_n, target_n)
+        return error
 
     def plateau(self, values: Floats) -> Floats:
         """The part of ``values`` that lies on the plateau."""

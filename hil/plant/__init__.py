@@ -15,7 +15,7 @@ Where the equations of the paper (Wang et al.) are:
 (13)   kinetic energy of the rail                `kernel.step`, ``rail_inertia`` (the printed formula repeats (10))
 (14)   damping: D_l; D_theta, friction           `kernel.pull`; `kernel.step`, viscous and ``stribeck``
 (15)   M q'' + D q' + C q' + g = tau             `kernel.step`, in phi, r and u; judged by ``tests/plant/lagrangian.py``
-(16)   error of the vertical component           `rigctl.metrics.tension_error.eta_pct`, from ``Truth.vertical_n``
+(16)   error of the vertical component           `rigctl.metrics.tension_error.error_pct`, from ``Truth.vertical_n``
 (17)   spring and rope in series                 `rigctl.config.rig_file.PlantSettings.stiffness_n_mm`
 ====== ========================================= =======================================================================
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from hil.scenario.play import Played
 from rigctl.control.modes import Mode
 from rigctl.ipc.record import Flag
+from rigctl.metrics.tension_error import error_pct
 
 Floats = npt.NDArray[np.float64]
 Values = dict[str, float | None]
@@ -32,7 +33,7 @@ class Span:
 
     def eta_pct(self, vertical_n: Floats) -> Floats:
         """Compensating error ``|Fz - Fd| / Fd`` of every row, equation (16)."""
-        return np.abs(vertical_n - self.target_n) / self.target_n * 100.0
+        return np.abs(error_pct(vertical_n, self.target_n))
 
 
 @dataclass(frozen=True)

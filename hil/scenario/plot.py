@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.scenario.case import Case
 from hil.scenario.play import Played
+from rigctl.metrics.tension_error import error_pct
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -84,7 +85,7 @@ def _work_of_the_loop(stroke: Axes, error: Axes, played: Played) -> None:
     speed.set_ylabel("speed, mm/s", color="#3a8a5f")
     speed.tick_params(axis="y", colors="#3a8a5f")
     stroke.set_ylabel("(e) stroke of the cylinder, mm", color=_TRUTH)
-    eta_pct = np.abs(truth["vertical_n"] - played.target_n) / played.target_n * 100.0
+    eta_pct = np.abs(error_pct(truth["vertical_n"], played.target_n))
     _curve(error, t_s, eta_pct, _TRUTH, "truth", linewidth=0.6)
     error.set_ylabel("(f) error of the force, %")
     error.set_ylim(bottom=0.0)

@@ -13,6 +13,7 @@ from rigctl.demo.live_rig import own
 from rigctl.demo.script import Moment
 from rigctl.demo.summary import Summary, rows
 from rigctl.ipc.runtime_folder import daemons
+from rigctl.metrics.tension_error import error_pct
 
 GIVES_WAY = 20
 """Priorities below a daemon's loop; the simulated rig runs 10 below the loop it serves."""
@@ -65,7 +66,7 @@ def own_settings(settings: RigSettings, recordings: pathlib.Path) -> RigSettings
 
 
 def _line(moment: Moment, step: str) -> str:
-    error = (moment.vertical_n - moment.target_n) / moment.target_n * 100.0
+    error = error_pct(moment.vertical_n, moment.target_n)
     shown = f"{error:+8.4f} %" if moment.mode is Mode.COMPENSATING else "         -"
     late = f"  late p99 {moment.lateness_p99_us:4.0f} us" if moment.lateness_p99_us else ""
     return (

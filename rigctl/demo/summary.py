@@ -77,8 +77,10 @@ def summarise(
     """
     spans = metrics.compensating_windows(records, demo.settle_s)
     target_n = float(records["target_n"][-1])
-    true_max, true_rms = metrics.eta_pct(truth["vertical_n"][metrics.within(truth["t_ns"], spans)], target_n)
-    cell_max, _ = metrics.eta_pct(records["vertical_n"][metrics.within(records["t_ns"], spans)], target_n)
+    true_max, true_rms = metrics.largest_and_rms_pct(
+        truth["vertical_n"][metrics.within(truth["t_ns"], spans)], target_n
+    )
+    cell_max, _ = metrics.largest_and_rms_pct(records["vertical_n"][metrics.within(records["t_ns"], spans)], target_n)
     lost = int(np.min(records["frames_lost"][-metrics.IN_FLIGHT_TICKS :])) + int(records["send_failures"][-1])
     tripped = bool(np.any(records["mode"] == Mode.FAULT))
     passed = (

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.metrics.phases import Phase
-from rigctl.metrics.tension_error import eta_pct
+from rigctl.metrics.tension_error import largest_and_rms_pct
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -51,7 +51,7 @@ def statistics(records: Array, judged: list[Phase], rate_hz: float) -> ErrorStat
     if not np.any(known):
         return None
     relative = np.concatenate([error / phase.target_n for error, phase in zip(errors, judged, strict=True)])
-    largest, rms = eta_pct(1.0 + relative[known], 1.0)
+    largest, rms = largest_and_rms_pct(1.0 + relative[known], 1.0)
     at = int(np.argmax(np.where(known, np.abs(relative), -1.0)))
     rows = np.concatenate([np.arange(phase.first, phase.after) for phase in judged])
     there = [records[phase.judged] for phase in judged]

@@ -1,4 +1,4 @@
-"""Figures: percentiles of the loop's timing, and the compensating error of equation (16)."""
+"""The compensating error of equation (16), the windows it is taken over, and percentiles of nanoseconds."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
 def percentiles_us(values_ns: Array) -> dict[str, float]:
-    """p50, p99, p99.9 and maximum of nanoseconds, in microseconds; zeros for none."""
+    """p50, p99, p99.9 and maximum of nanoseconds, in microseconds (interpolated between ranks); zeros for none."""
     if not len(values_ns):
         return dict.fromkeys(PERCENTILES, 0.0)
-    return {name: round(float(np.percentile(values_ns, q)) / 1000.0, 1) for name, q in PERCENTILES.items()}
+    found = np.percentile(values_ns, list(PERCENTILES.values()))
+    return {name: round(float(value) / 1000.0, 1) for name, value in zip(PERCENTILES, found, strict=True)}
 
 
 def compensating_windows(records: Array, settle_s: float) -> list[tuple[int, int]]:
@@ -42,9 +43,14 @@ def within(t_ns: Array, spans: list[tuple[int, int]]) -> npt.NDArray[np.bool_]:
     return inside
 
 
-def eta_pct(vertical_n: Array, target_n: float) -> tuple[float, float]:
-    """Compensating error ``|Fz - Fd| / Fd`` in percent, equation (16): maximum and rms; NaN for no sample."""
+def error_pct(vertical_n: Any, target_n: Any) -> Any:
+    """Compensating error ``(Fz - Fd) / Fd`` in percent: equation (16) with its sign; of numbers or arrays."""
+    return (vertical_n - target_n) / target_n * 100.0
+
+
+def largest_and_rms_pct(vertical_n: Array, target_n: float) -> tuple[float, float]:
+    """Largest magnitude and rms of the compensating error in percent; NaN for no sample."""
     if not len(vertical_n):
         return float("nan"), float("nan")
-    error = (vertical_n - target_n) / target_n * 100.0
+    error = error_pct(vertical_n, target_n)
     return float(np.max(np.abs(error))), float(np.sqrt(np.mean(error**2)))

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from rigctl.control.modes import Mode
 from rigctl.ipc.record import Quality
+from rigctl.metrics.tension_error import error_pct
 
 Values = npt.NDArray[np.float64]
 _NOT_SEEN = int(Quality.STALE | Quality.INVALID | Quality.NEVER)
@@ -39,7 +40,7 @@ def _error_pct(records: npt.NDArray[Any]) -> Values:
     target = records["target_n"]
     known = (records["mode"] == Mode.COMPENSATING) & (target > 0)
     known &= (records["tension_quality"] & _NOT_SEEN) == 0
-    return np.where(known, 100.0 * (records["vertical_n"] - target) / np.where(known, target, 1.0), np.nan)
+    return np.where(known, error_pct(records["vertical_n"], np.where(known, target, 1.0)), np.nan)
 
 
 SIGNALS: tuple[Signal, ...] = (

@@ -10,6 +10,7 @@ from scipy.stats import norm
 
 from rigctl.metrics.error_statistics import error_n
 from rigctl.metrics.phases import Phase
+from rigctl.metrics.tension_error import error_pct
 from rigctl.report import sensor_budget
 from rigctl.report.drawing import (
     BLUE,
@@ -35,14 +36,14 @@ Floats = npt.NDArray[np.float64]
 
 def error(found: Findings, phase: Phase) -> Chart:
     """The error against time, with what the cell may have wrong as a band."""
-    error_pct = 100.0 * error_n(found.recording.records, phase) / phase.target_n
+    eta_pct = error_pct(found.recording.records["vertical_n"][phase.judged], phase.target_n)
     t_ns = found.recording.records["t_ns"][phase.judged]
     t_s = (t_ns - t_ns[0]) * 1e-9
     drawn = figure(2.6)
     axes = drawn.subplots()
-    axes.plot(*trace(t_s, error_pct, POINTS), color=BLUE, linewidth=0.6, label="error the cell saw")
+    axes.plot(*trace(t_s, eta_pct, POINTS), color=BLUE, linewidth=0.6, label="error the cell saw")
     size = max(1, round(found.rate_hz))
-    smooth = np.convolve(error_pct, np.full(size, 1.0 / size), "valid") if len(error_pct) > 2 * size else error_pct[:0]
+    smooth = np.convolve(eta_pct, np.full(size, 1.0 / size), "valid") if len(eta_pct) > 2 * size else eta_pct[:0]
     offset = size // 2
     axes.plot(
         *trace(t_s[offset : offset + len(smooth)], smooth, POINTS), color=ORANGE, linewidth=1.1, label="mean over 1 s"
@@ -50,8 +51,8 @@ def error(found: Findings, phase: Phase) -> Chart:
     if found.budget:
         half = 100.0 * sensor_budget.combined_n(found.budget) / phase.target_n
         axes.axhspan(-half, half, color=PALE, alpha=0.55, zorder=0, label=f"sensor budget ±{half:.2g} %")
-    at = int(np.nanargmax(np.abs(error_pct)))
-    axes.plot(t_s[at], error_pct[at], "o", color=RED, markersize=3.5, label=f"largest {error_pct[at]:+.3g} %")
+    at = int(np.nanargmax(np.abs(eta_pct)))
+    axes.plot(t_s[at], eta_pct[at], "o", color=RED, markersize=3.5, label=f"largest {eta_pct[at]:+.3g} %")
     axes.set_ylabel("error of vertical tension, %")
     axes.set_xlabel("judged time, s")
     axes.margins(x=0.01)

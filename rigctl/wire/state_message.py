@@ -16,22 +16,13 @@ from rigctl.control.modes import Mode
 from rigctl.control.safety import BLOCK_RESET, Action, Check, Fault, Row
 from rigctl.ipc.record import NEVER_AGE_NS, Flag, Quality
 from rigctl.ipc.ring import RingReader
+from rigctl.metrics.tension_error import error_pct, percentiles_us
 from rigctl.wire.meanings import Rows
 
 ALIVE_NS = 250_000_000  # a loop whose newest record is older than this does not run
 WINDOW_NS = 1_000_000_000
 TEXT_BYTES = 80  # of a row's text in an event
 RECORDER_SILENT_NS = 5_000_000_000
-_PERCENTILES = (("p50", 0.5), ("p99", 0.99), ("p999", 0.999), ("max", 1.0))
-
-
-def percentiles_us(values_ns: npt.NDArray[np.int64]) -> dict[str, float] | None:
-    """p50, p99, p99.9 and maximum in microseconds (nearest rank); None of nothing."""
-    if not len(values_ns):
-        return None
-    ordered = np.sort(values_ns)
-    last = len(ordered) - 1
-    return {name: round(float(ordered[math.ceil(q * last)]) / 1000.0, 1) for name, q in _PERCENTILES}
 
 
 def quality_words(bits: int) -> str:
@@ -220,7 +211,7 @@ def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wa
         "fault_text": trip.text(values["fault"]),
         "flag_names": [f.name.lower() for f in Flag if values["flags"] & f and f.name],
         "error_n": error_n,
-        "error_pct": None if error_n is None else 100.0 * abs(error_n) / values["target_n"],
+        "error_pct": None if error_n is None else abs(error_pct(values["vertical_n"], values["target_n"])),
         "tangential_deg": math.degrees(values["tangential_rad"]),
         "normal_deg": math.degrees(values["normal_rad"]),
         "quality": {name: quality_words(values[f"{name}_quality"]) for name in ("tension", "inclination", "drive")},

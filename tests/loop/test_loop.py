@@ -31,7 +31,7 @@ def test_it_tensions_holds_releases_and_ends_slack(rig: Lockstep, enter: Enter) 
     enter(Mode.COMPENSATING)
     rig.run(2.0)
     truth = [rig.rig.truth.vertical_n for _ in rig.run(1.0)]
-    assert max(metrics.eta_pct(np.array(truth), 300.0)) < 0.05
+    assert max(metrics.largest_and_rms_pct(np.array(truth), 300.0)) < 0.05
     assert rig.command(Verb.RELEASE) is Refusal.NONE
     rig.run_until(Mode.HOLD, 10.0)
     assert rig.rig.truth.tension_n == 0.0
@@ -129,7 +129,7 @@ def test_the_error_stays_within_the_demo_limits_while_the_mechanism_moves(rig: L
     assert rig.rig.truth.tangential_rad > math.radians(0.45)
     demo = rig.settings.demo
     assert demo is not None
-    peak, rms = metrics.eta_pct(np.array(truth), 300.0)
+    peak, rms = metrics.largest_and_rms_pct(np.array(truth), 300.0)
     assert peak <= demo.eta_max_pct
     assert rms <= demo.eta_rms_pct
 

@@ -54,7 +54,7 @@ def test_it_tensions_and_holds_within_the_demo_limits_while_the_mechanism_moves(
         truth.append(rig.rig.truth.vertical_n)
     demo = rig.settings.demo
     assert demo is not None
-    peak, rms = metrics.eta_pct(np.array(truth), rig.settings.tension.target_n)
+    peak, rms = metrics.largest_and_rms_pct(np.array(truth), rig.settings.tension.target_n)
     assert peak <= demo.eta_max_pct
     assert rms <= demo.eta_rms_pct
     assert lost == 0

@@ -23,10 +23,10 @@ def test_percentiles_are_in_microseconds() -> None:
 
 
 def test_eta_is_equation_16() -> None:
-    peak, rms = metrics.eta_pct(np.array([300.0, 303.0, 297.0, 300.0]), 300.0)
+    peak, rms = metrics.largest_and_rms_pct(np.array([300.0, 303.0, 297.0, 300.0]), 300.0)
     assert peak == pytest.approx(1.0)
     assert rms == pytest.approx(math.sqrt(0.5))
-    assert all(math.isnan(value) for value in metrics.eta_pct(np.array([]), 300.0))
+    assert all(math.isnan(value) for value in metrics.largest_and_rms_pct(np.array([]), 300.0))
 
 
 def test_windows_are_the_time_in_the_closed_loop_without_its_beginning() -> None:
