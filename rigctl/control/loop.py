@@ -140,7 +140,9 @@ class Loop:
         self._logbook.tick += 1 + skipped
         self.observer.look(now_ns, skipped)
         sent_mm_s = law.command_mm_s if snapshot.drive_enabled else 0.0
-        self._plausibility.look(self.inbox, snapshot, sent_mm_s, ticks=1 + skipped, slack=self.observer.slack)
+        self._plausibility.look(
+            self.inbox, snapshot, sent_mm_s, ticks=1 + skipped, slack=self.observer.slack, mode=machine.mode
+        )
         snapshot.lateness_ns, snapshot.command_age_ns = now_ns - t_ns, t_ns - self._commanded_ns
         regulated = machine.mode is Mode.TENSIONING or machine.mode is Mode.COMPENSATING
         compensating = machine.mode is Mode.COMPENSATING
@@ -193,12 +195,10 @@ class Loop:
 
     def _begin_modes(self, estimate: Estimate) -> None:
         """What begins with a change of mode."""
-        machine, law, snapshot = self.machine, self.law, self.observer.snapshot
+        machine, law = self.machine, self.law
         for change in machine.changes:
             if change.before is Mode.FAULT or change.event is Event.ENABLED:
                 self._stroke_hold.follow()  # acknowledged; or the motor takes the load over from the brake
-            if change.before is Mode.FAULT or change.after in (Mode.HOLD, Mode.FAULT):
-                self._plausibility.forget_stretch(snapshot)
             if change.after is Mode.COMPENSATING:
                 self._travel_from_mm = estimate.stroke_mm
             if change.after in (Mode.TENSIONING, Mode.RELEASING):

@@ -9,6 +9,7 @@ import math
 
 from rigctl.config.rig_file import RigSettings
 from rigctl.control.inbox import Inbox
+from rigctl.control.modes import Mode
 from rigctl.control.safety import Snapshot
 
 STROKE_MEMORY_S = 1.0
@@ -17,6 +18,7 @@ STRETCH_MEMORY_S = 2.0
 UNREST_S = 0.1
 LARGEST_STEP_NOISES = 150.0  # beyond this, and 1 mm of stretch, a step counts as no larger
 RATE_S = 0.005
+_AT_REST = frozenset({Mode.HOLD, Mode.FAULT})
 LATCH_TICKS = 1  # what the drive latches in a tick is read in the next
 
 
@@ -44,10 +46,21 @@ class Plausibility:
         self._stroke_mm = self._tension_n = self._smooth_n = self._repeated_n = math.nan
         self._largest_n = LARGEST_STEP_NOISES * settings.tension_cell.noise_n + plant.stiffness_n_mm
         self._unrest_share = dt / UNREST_S
+        self._mode = Mode.DISARMED
         self._unheard, self._modelled_mm = 0, 0.0  # ticks since the drive's newest word, and the model's way in them
 
-    def look(self, inbox: Inbox, snapshot: Snapshot, command_mm_s: float, *, ticks: int, slack: bool) -> None:
-        """One tick, ``ticks`` after the last; ``command_mm_s`` is what was sent in the last one."""
+    def look(
+        self, inbox: Inbox, snapshot: Snapshot, command_mm_s: float, *, ticks: int, slack: bool, mode: Mode
+    ) -> None:
+        """One tick, ``ticks`` after the last; ``command_mm_s`` is what was sent in the last one, ``mode`` that it left.
+
+        Stretch that a mode in motion tolerates is forgotten once the stroke is held, whatever ended the motion, an
+        exception in the loop too: the limit at rest is far lower. What stood before a reset is acknowledged with it.
+        """
+        if mode is not self._mode:
+            if mode in _AT_REST or self._mode is Mode.FAULT:
+                snapshot.unexplained_mm = 0.0
+            self._mode = mode
         if inbox.cell_fresh:
             self._look_at_cell(inbox, snapshot)
         self._modelled_mm += self._model(command_mm_s, ticks)
@@ -67,10 +80,6 @@ class Plausibility:
             snapshot.speed_error_mm_s = snapshot.stroke_error_mm = 0.0
         snapshot.contradiction_mm = self._contradiction_keep * snapshot.contradiction_mm + moved_mm - said_mm
         self._look_at_stretch(inbox, snapshot, moved_mm, slack)
-
-    def forget_stretch(self, snapshot: Snapshot) -> None:
-        """What was unexplained before is acknowledged, or was of another mode."""
-        snapshot.unexplained_mm = 0.0
 
     def _model(self, command_mm_s: float, ticks: int) -> float:
         """Let the modelled drive go on; how far it moves, in mm."""

@@ -366,6 +366,27 @@ def test_an_exception_anywhere_in_the_tick_stops_the_stroke_and_is_latched(
         rig.run_until(Mode.COMPENSATING, 5.0)
 
 
+@pytest.mark.parametrize("step", ["_speed", "_send", "_record"])
+def test_stretch_tolerated_in_motion_costs_no_power_once_an_exception_holds_the_stroke(
+    rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    enter(Mode.COMPENSATING)
+    rig.loop.observer.snapshot.unexplained_mm = 8.0  # below the limit of a mode that moves, above that at rest
+
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("made up")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.loop, step, broken)
+        rig.run(0.001)
+    records = rig.run(1.0)
+    assert set(records["fault"]) == {Fault.LOOP_EXCEPTION}
+    assert not any(
+        event["a"] == Fault.STRETCH_UNEXPLAINED for event in rig.events.read() if event["kind"] == Kind.CAUSE
+    )
+    assert rig.rig.drive.control.enabled
+
+
 def test_a_burst_of_overruns_trips(rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch) -> None:
     enter(Mode.COMPENSATING)
     plain = rig.clock.next_tick

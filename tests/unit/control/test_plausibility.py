@@ -11,6 +11,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.control.inbox import Inbox
+from rigctl.control.modes import Mode
 from rigctl.control.plausibility import STRETCH_MEMORY_S, Plausibility
 from rigctl.control.safety import Snapshot
 from tests.builders.paths import ROOT
@@ -33,7 +34,7 @@ class Stand:
         bus.shutdown()
         self.snapshot = Snapshot(drive_enabled=True)
         self.subject = Plausibility(SETTINGS)
-        self._t = 0.0
+        self.mode = Mode.COMPENSATING
 
     def run(
         self, seconds: float, tension: Signal, stroke: Signal = lambda _: 50.0, speed: Signal = lambda _: 0.0,
@@ -46,7 +47,7 @@ class Stand:
             if fresh(n):
                 inbox.reading_n = inbox.tension_n = tension(t) + next(DITHER)
                 inbox.stroke_mm, inbox.speed_mm_s = stroke(t), speed(t)
-            self.subject.look(inbox, self.snapshot, command(t - DT), ticks=1, slack=slack)
+            self.subject.look(inbox, self.snapshot, command(t - DT), ticks=1, slack=slack, mode=self.mode)
             seen.append(Snapshot(**{name: getattr(self.snapshot, name) for name in Snapshot.__slots__}))
         return seen
 
@@ -123,8 +124,12 @@ def test_tension_that_no_stroke_explains_is_counted_as_stretch_and_forgotten() -
     assert seen[102].unexplained_mm == pytest.approx(-60.0 / K, rel=0.01)
     later = stand.run(STRETCH_MEMORY_S, lambda _t: 240.0)
     assert later[-1].unexplained_mm == pytest.approx(-60.0 / K * math.exp(-0.4 / STRETCH_MEMORY_S - 1), rel=0.02)
-    stand.subject.forget_stretch(stand.snapshot)
-    assert stand.snapshot.unexplained_mm == 0.0
+    for before, after in ((Mode.COMPENSATING, Mode.HOLD), (Mode.HOLD, Mode.FAULT), (Mode.FAULT, Mode.DISARMED)):
+        stand.mode, stand.snapshot.unexplained_mm = before, 5.0
+        stand.run(DT, lambda _t: 240.0)
+        stand.mode, stand.snapshot.unexplained_mm = after, 5.0
+        stand.run(DT, lambda _t: 240.0)
+        assert abs(stand.snapshot.unexplained_mm) < 1e-3
 
 
 def test_stroke_that_the_tension_does_not_show_is_counted_too_but_not_on_a_slack_rope() -> None:
@@ -149,7 +154,7 @@ def test_equal_samples_in_a_row_are_counted_and_one_other_ends_it() -> None:
     for value in values:
         stand.inbox.cell_fresh, stand.inbox.drive_fresh = True, False
         stand.inbox.reading_n = stand.inbox.tension_n = value
-        stand.subject.look(stand.inbox, stand.snapshot, 0.0, ticks=1, slack=False)
+        stand.subject.look(stand.inbox, stand.snapshot, 0.0, ticks=1, slack=False, mode=stand.mode)
         counts.append(stand.snapshot.cell_repeats)
     assert counts == [*range(25), 0, 1, 2, 3]
 
@@ -175,7 +180,7 @@ def test_ticks_that_were_skipped_are_caught_up() -> None:
         stand.inbox.cell_fresh = stand.inbox.drive_fresh = True
         stand.inbox.reading_n = stand.inbox.tension_n = follow(stroke)(t) + next(DITHER)
         stand.inbox.stroke_mm, stand.inbox.speed_mm_s = stroke(t), speed(t)
-        stand.subject.look(stand.inbox, stand.snapshot, command(t - DT), ticks=3, slack=False)
+        stand.subject.look(stand.inbox, stand.snapshot, command(t - DT), ticks=3, slack=False, mode=stand.mode)
         assert stand.snapshot.speed_error_mm_s < 1.6
         assert abs(stand.snapshot.stroke_error_mm) < 0.1
 
@@ -195,6 +200,6 @@ def test_a_loop_that_was_stopped_does_not_blame_the_drive_that_went_on(at: int, 
         if silent <= 0:
             stand.inbox.reading_n = stand.inbox.tension_n = follow(stroke)(n * DT) + next(DITHER)
             stand.inbox.stroke_mm, stand.inbox.speed_mm_s = stroke(n * DT), speed(n * DT)
-        stand.subject.look(stand.inbox, stand.snapshot, command((n - 1) * DT), ticks=ticks, slack=False)
+        stand.subject.look(stand.inbox, stand.snapshot, command((n - 1) * DT), ticks=ticks, slack=False, mode=stand.mode)
         assert abs(stand.snapshot.stroke_error_mm) < 0.05
         assert silent > 0 or stand.snapshot.speed_error_mm_s < 0.6
