@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from hil.faults.stand import Injector, Stand, Step
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Verb
-from rigctl.control.safety import Action, Fault, Trip
+from rigctl.control.safety import Action, Trip
 
 
 def hangs(ticks: int) -> Injector:

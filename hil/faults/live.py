@@ -23,8 +23,8 @@ from hil.faults import wall_clock
 from hil.truth import TRUTH_DTYPE
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.config.rig_file import RigSettings
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Fault
 from rigctl.demo import live_rig
 from rigctl.devices import objects
 from rigctl.devices.objects import AiStatus

@@ -16,9 +16,9 @@ from hil.plant.inputs import Track
 from hil.scenario.errors import ScenarioError
 from hil.truth import TRUTH_DTYPE
 from rigctl.config.rig_file import RigSettings
+from rigctl.control.faults import Fault
 from rigctl.control.loop import LawFactory
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
 from rigctl.design.gain_file import design_in_use
 from rigctl.design.gains import DesignError

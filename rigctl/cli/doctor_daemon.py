@@ -14,7 +14,7 @@ from rigctl import __version__
 from rigctl.cli.doctor_host import Finding, fails, good, warning
 from rigctl.commission import preflight
 from rigctl.config.rig_file import LoopSettings, RigSettings
-from rigctl.control.safety import Check
+from rigctl.control.checks import Check
 from rigctl.ipc import ledger
 
 TRY_S = 20.0

@@ -180,7 +180,7 @@ def _document(found: Against) -> dict[str, Any]:
 
 
 def _fault(number: int) -> str:
-    from rigctl.control.safety import Fault
+    from rigctl.control.faults import Fault
 
     return Fault(number).name
 

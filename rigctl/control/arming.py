@@ -14,7 +14,8 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 from rigctl.config.rig_file import RigSettings
-from rigctl.control.safety import Check, Snapshot
+from rigctl.control.checks import Check
+from rigctl.control.safety import Snapshot
 
 STILL_NS = 200_000_000
 STILL_MM = 0.02

@@ -19,11 +19,11 @@ from pydantic import ValidationError
 
 from rigctl.config.rig_file import RigSettings
 from rigctl.control import last_stroke, realtime
+from rigctl.control.checks import Check
 from rigctl.control.clock import GridClock, SimulatedClock
 from rigctl.control.inbox import rival_ids
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
-from rigctl.control.safety import Check
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.devices import startup

@@ -10,10 +10,12 @@ from types import MappingProxyType
 
 from rigctl.config.limits_section import SIGNALS
 from rigctl.config.quantity import Number, count, significant
+from rigctl.control.checks import Check
 from rigctl.control.escalation import Symptom
+from rigctl.control.faults import Fault, Trait
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
-from rigctl.control.safety import Action, Check, EStop, Fault
+from rigctl.control.safety import Action, EStop
 from rigctl.devices import can_errors, emergency
 from rigctl.ipc.record import NEVER_AGE_NS
 
@@ -59,110 +61,10 @@ class Worded:
     text: str
 
 
-FAULT_TEXT: dict[Fault, str] = {
-    Fault.NONE: "no fault",
-    Fault.TENSION_HIGH: "tension {value:.1f} N above {limit:.1f} N",
-    Fault.TENSION_LOW: "tension lost ({value:.1f} N, limit {limit:.1f} N)",
-    Fault.CELL_STALE: "no tension sample for {value:.0f} ms (limit {limit:.0f} ms)",
-    Fault.CELL_INVALID: "tension cell reports overload or no valid value (status {value:.0f})",
-    Fault.INCLINATION_STALE: "no inclination sample for {value:.0f} ms (limit {limit:.0f} ms)",
-    Fault.INCLINATION_INVALID: "inclinometer reports no valid value",
-    Fault.DRIVE_STALE: "no drive status for {value:.0f} ms (limit {limit:.0f} ms)",
-    Fault.DRIVE_FAULT: "drive reports a fault and holds by itself",
-    Fault.BUS_SILENT: "no frame on the bus for {value:.0f} ms (limit {limit:.0f} ms)",
-    Fault.OVERRUN: "{value:.0f} ticks skipped, loop cannot keep its rate (limit {limit:.0f} ticks)",
-    Fault.LOOP_EXCEPTION: "exception in the loop",
-    Fault.STROKE_END: "stroke limit reached before the tension was",
-    Fault.DRIVE_NOT_FOLLOWING: "drive does not do what it is told (enabled state or speed)",
-    Fault.INNOVATION: "tension or cylinder speed contradicts what the filter expects",
-    Fault.SIGN_DRIVE: "the stroke does not go where the drive is told: check the drive's sign and scale",
-    Fault.SIGN_CELL: "the tension does not follow the stroke as the plant says: check the signs of cell and drive",
-    Fault.LIMIT: "{text} {limit:.10g}{unit} ({value:.4g}{unit})",
-    Fault.CELL_STUCK: "tension cell has sent the very same value {value:.0f} times more",
-    Fault.DRIVE_CONTRADICTS: "drive's position and speed contradict each other by {value:.2f} mm "
-    "(limit {limit:.2f} mm)",
-    Fault.STROKE_MOVES: "the stroke moves though the drive is off ({value:.2f} mm/s): the brake does not hold; "
-    "reset, then arm: the motor carries",
-    Fault.BRAKE_SLIPS: "brake test: the stroke moved by {value:.2f} mm on the closed brake (limit {limit:.2f} mm), the "
-    "drive stays off; secure the load, or reset, then arm: the motor carries; have the brake repaired",
-    Fault.STRETCH_UNEXPLAINED: "tension and stroke contradict each other by {value:.1f} mm of stretch "
-    "(limit {limit:.1f} mm): rope, cell or payload",
-    Fault.STROKE_NOT_HELD: "the stroke has moved {value:.2f} mm from where it was latched (limit {limit:.2f} mm): "
-    "the drive creeps or the brake slips",
-    Fault.POSITION_DRIFTS: "holding the stroke has moved the load by {value:.2f} mm (limit {limit:.2f} mm): "
-    "the drive's position drifts, check its encoder",
-    Fault.E_STOP: "emergency stop pressed ({seen})",
-    Fault.E_STOP_UNSEEN: "the I/O node that mirrors the emergency stop has sent nothing for {value:.0f} ms "
-    "(limit {limit:.0f} ms)",
-    Fault.STATUS_STALE: "no current, temperature and inputs of the drive for {value:.0f} ms (limit {limit:.0f} ms): "
-    "neither its emergency stop's input nor its temperature is seen",
-    Fault.LIMIT_UNSEEN: "{text} is limited by the rig file and does not come: no sample for {value:.0f} ms "
-    "(limit {limit:.0f} ms)",
-    Fault.DRIVE_UNASKED: "{text}, and this daemon has not asked for it{speed}: find who commands the drive, withdraw "
-    "the tool, then reset",
-    Fault.DRIVE_REFUSES: "drive says that {text}",
-    Fault.NODE_NOT_OPERATIONAL: "{text} {state}",
-    Fault.RIVAL: "another controller {text}: find it and stop it",
-    Fault.SUPERVISION_LOST: "a device does not keep what start-up wrote, {text}: start the daemon anew, it writes all "
-    "of it again",
-    Fault.STROKE_JUMPED: "the drive's position jumped by {value:.2f} mm (limit {limit:.1f} mm): it is not believed; "
-    "measure the stroke at the cylinder, then rigctl confirm-stroke MM",
-    Fault.CELL_NOISY: "tension cell jumps by {value:.1f} N from sample to sample (limit {limit:.1f} N)",
-    Fault.CELL_NEGATIVE: "tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
-    Fault.SENSOR_EMERGENCY: "a sensor's emergency message stands ({emergency})",
-    Fault.DRIVE_EMERGENCY: "the drive's emergency message stands ({emergency})",
-    Fault.DEVICE_RESTARTED: "a device restarted and lost its settings; start the daemon anew",
-}
-
-_SCALE: dict[Fault, float] = {
-    Fault.CELL_STALE: 1e-6, Fault.INCLINATION_STALE: 1e-6, Fault.DRIVE_STALE: 1e-6, Fault.BUS_SILENT: 1e-6,
-    Fault.E_STOP_UNSEEN: 1e-6, Fault.STATUS_STALE: 1e-6, Fault.LIMIT_UNSEEN: 1e-6,
-}  # fmt: skip
-
 _SEEN: dict[float, str] = {
     EStop.DRIVE: "drive's input",
     EStop.IO_NODE: "I/O node's input",
     EStop.DRIVE | EStop.IO_NODE: "inputs of drive and I/O node",
-}
-
-CHECK_TEXT: dict[Check, str] = {
-    Check.CELL_STALE: "no fresh tension sample: check the cell's power and cable",
-    Check.CELL_INVALID: "tension cell reports overload or no valid value: unload it, check its cable",
-    Check.INCLINATION_STALE: "no fresh inclination sample: check the inclinometer's power and cable",
-    Check.INCLINATION_INVALID: "inclinometer reports no valid value: check its mounting and range",
-    Check.DRIVE_STALE: "no fresh drive status: check the drive's power and cable",
-    Check.DRIVE_FAULT: "drive reports a fault (reset clears it)",
-    Check.TENSION_HIGH: "tension above its limit: unload the rope",
-    Check.STROKE_RANGE: "stroke beyond its limits: bring it back by hand or with the drive's own tool",
-    Check.STROKE_NEAR_END: "stroke too near its end (preflight.stroke_margin_mm): rigctl arm --near-end, then tension "
-    "or release, whichever leads away from it",
-    Check.DRIVE_SUPERVISION: "the devices do not keep what start-up wrote, or a device started anew (see the events): "
-    "start the daemon anew, it writes all of it again",
-    Check.CELL_IMPLAUSIBLE: "tension cell is stuck, noisy or reads a push: check cable and amplifier",
-    Check.EMERGENCY: "a device's emergency message stands (see the events)",
-    Check.RIVAL: "another controller commands this bus: find it and stop it",
-    Check.LIMIT: "a limit of the rig file is passed, or its signal does not come (rigctl watch shows the signals)",
-    Check.E_STOP: "emergency stop is pressed (drive's input): release it, then rigctl reset",
-    Check.E_STOP_IO: "emergency stop is pressed (I/O node's input): release it, then rigctl reset",
-    Check.STROKE_UNCONFIRMED: "the stroke is not the one last known (see the events): measure it at the cylinder, then "
-    "rigctl confirm-stroke MM",
-    Check.E_STOP_UNSEEN: "emergency stop's input is not seen: check the drive's second TPDO (cylinder.e_stop_input)",
-    Check.STATUS_STALE: "no current, temperature and inputs of the drive: check its second TPDO "
-    "(cylinder.status_rate_hz)",
-    Check.DRIVE_REFUSES: "drive is not ours to command: somebody else has enabled it, its remote bit is off, or a "
-    "limit of its own is active (statusword bits 9, 11): withdraw its panel or service tool, look at its display",
-    Check.NODE_NOT_OPERATIONAL: "a device sends no heartbeat or is not operational: check its power and cable",
-    Check.NOT_AT_STANDSTILL: "the stroke does not stand still (within 0.02 mm and below 0.05 mm/s for 0.2 s): wait; if "
-    "it goes on, the brake slips",
-    Check.SEQUENCE_RUNNING: "the drive is not off with its brake closed yet (cylinder.brake_delay_ms): wait a second; "
-    "if it goes on, switch the drive's power off and on",
-    Check.E_STOP_IO_UNSEEN: "emergency stop's input on the I/O node is not seen: check the node's power and cable",
-    Check.TARE: "no tare on record that still holds: rigctl tare (or calibration.waiver)",
-    Check.MARGINS: "no accepted margins of the law in use: rigctl tune",
-    Check.REALTIME: "real-time settings are not in force: rigctl doctor (or loop.realtime_waiver)",
-    Check.DISK: "disk nearly full: make room for ledger, audit log and trip dumps",
-    Check.HOST: "tare, margins, real time and disk have not been looked at: try again in a second",
-    Check.CALIBRATION: "tension cell's calibration is missing or overdue: rigctl calibrate (or calibration.waiver)",
 }
 
 _EVENT_TEXT: dict[Event, str] = {
@@ -185,8 +87,8 @@ _NMT: dict[float, str] = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pr
 
 def fault_text(fault: Fault, value: float, limit: float, text: str = "") -> str:
     """One line for a fault; ``text``: what is beyond its limit, where the rig file says so."""
-    scale, words = _SCALE.get(fault, 1.0), FAULT_TEXT[fault]
-    if fault in _SCALE and value > NEVER_AGE_NS:
+    scale, words = 1e-6 if Trait.AGE in fault.traits else 1.0, fault.words
+    if Trait.AGE in fault.traits and value > NEVER_AGE_NS:
         words = words.replace("{value:.0f} ms", "as long as the loop has run")
     return words.format(
         value=Number(value * scale),
@@ -238,7 +140,7 @@ _ACTION_TEXT = {
 
 def failed_checks(bits: int, known: Mapping[Check, str] = MappingProxyType({})) -> list[str]:
     """Preflight checks that failed, in words; ``known``: what more is known of some."""
-    return [known.get(check, CHECK_TEXT[check]) for check in Check if bits & check]
+    return [known.get(check, check.words) for check in Check if bits & check]
 
 
 def refusal_text(
@@ -276,7 +178,9 @@ def refusal_text(
             there = [cause for cause in Fault if checks >> cause & 1] or [fault]
             there.sort(key=lambda cause: list(standing).index(cause) if cause in standing else len(standing))
             words = [f"{cause.name} ({standing[cause]})" if cause in standing else cause.name for cause in there]
-            return f"cause still present: {', '.join(words)}" + (_SILENT_HINT if _SILENT & {*there} else "")
+            return f"cause still present: {', '.join(words)}" + (
+                _SILENT_HINT if any(Trait.DEVICE_SILENT in cause.traits for cause in there) else ""
+            )
         case Refusal.WRONG_MODE:
             return f"{verb.name.lower()} is not possible in {mode.name}{_HINT.get((mode, verb), '')}"
         case Refusal.STOP_RUNNING:
@@ -298,10 +202,6 @@ _PLAIN_TEXT = {
     Refusal.FAULT_LATCHED: "a limit has the tension ramped down; only hold stops that",
     Refusal.STRAYED: "tension or stroke left the bounds of the excitation, or would have; the stroke is held",
 }
-_SILENT = frozenset(
-    {Fault.DEVICE_RESTARTED, Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE,
-     Fault.E_STOP_UNSEEN, Fault.STATUS_STALE, Fault.NODE_NOT_OPERATIONAL, Fault.SUPERVISION_LOST}
-)  # fmt: skip
 _UNSEEN = (
     Check.DRIVE_SUPERVISION
     | Check.CELL_STALE

@@ -8,8 +8,9 @@ from operator import attrgetter
 
 from rigctl.config.limits_section import SIGNALS, LimitSettings
 from rigctl.config.rig_file import RigSettings
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.control.safety import ARMED, Action, Fault, Row, Snapshot, status_stale_ns
+from rigctl.control.safety import ARMED, Action, Row, Snapshot, status_stale_ns
 
 RATE_S = 0.02  # a rate is that of the signal low-passed by this
 _GAP_NS = 100_000_000

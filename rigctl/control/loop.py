@@ -8,9 +8,11 @@ import can
 
 from rigctl.config.rig_file import RigSettings
 from rigctl.control import arming, limits
+from rigctl.control.checks import Check
 from rigctl.control.clock import Clock
 from rigctl.control.escalation import Escalator
 from rigctl.control.events import Kind
+from rigctl.control.faults import Fault
 from rigctl.control.homed import Homed, LastStroke
 from rigctl.control.inbox import Inbox
 from rigctl.control.logbook import Logbook, Rings, number
@@ -21,7 +23,7 @@ from rigctl.control.orders import Orders
 from rigctl.control.outbox import Outbox
 from rigctl.control.plausibility import Plausibility
 from rigctl.control.readback import Readback
-from rigctl.control.safety import Action, Check, Fault, Trip, Watch
+from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.signs import SignCheck
 from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
 from rigctl.control.tension import Estimate, Gains, TensionLaw

@@ -8,8 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rigctl.control import modes
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Event, Mode, Refusal, Situation, Verb
-from rigctl.control.safety import Action, Fault, Trip
+from rigctl.control.safety import Action, Trip
 from rigctl.devices.drive import Power
 
 ARM_LIMIT_NS = 2_000_000_000

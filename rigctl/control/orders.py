@@ -7,14 +7,16 @@ from dataclasses import replace
 
 from rigctl.config.rig_file import RigSettings
 from rigctl.control import arming, modes, safety, trials
+from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.control.events import Kind
+from rigctl.control.faults import Fault
 from rigctl.control.homed import Homed
 from rigctl.control.logbook import Logbook, number
 from rigctl.control.machine import Machine
 from rigctl.control.modes import Mode, Refusal, Setting, Situation, Verb
 from rigctl.control.observer import Observer
 from rigctl.control.readback import Readback
-from rigctl.control.safety import HOST_CHECKS, Action, Check, Fault, Trip, Watch
+from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.tension import Gains, TensionLaw
 from rigctl.ipc.correction import Correction, tare_limit_n
 from rigctl.ipc.record import COMMAND_LIFETIME_NS

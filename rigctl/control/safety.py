@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 
 from rigctl.config.rig_file import RigSettings
+from rigctl.control.checks import Check
+from rigctl.control.faults import Fault
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.modes import Mode
 from rigctl.control.run_out import stale_ns
@@ -29,95 +31,11 @@ class Action(IntEnum):
     POWER_OFF = 4  # the same, and the brake closes in any case once the drive has had its time to stop
 
 
-class Fault(IntEnum):
-    """What can trip the rig; the number is latched in every record until an operator resets it."""
-
-    NONE = 0
-    TENSION_HIGH = 1
-    TENSION_LOW = 2
-    CELL_STALE = 3
-    CELL_INVALID = 4
-    INCLINATION_STALE = 5
-    INCLINATION_INVALID = 6
-    DRIVE_STALE = 7
-    DRIVE_FAULT = 8
-    BUS_SILENT = 9
-    OVERRUN = 10
-    LOOP_EXCEPTION = 11
-    STROKE_END = 12
-    DRIVE_NOT_FOLLOWING = 13
-    DEVICE_RESTARTED = 14
-    INNOVATION = 15  # tension or drive speed went on contradicting what the filter expects
-    SIGN_DRIVE = 16  # a positive command does not move the stroke up
-    SIGN_CELL = 17  # a shorter rope does not pull harder, or far from what the plant says
-    LIMIT = 18  # a row of the rig file's limits; the trip's event names it
-    CELL_STUCK = 19  # the cell goes on sending the very same value
-    DRIVE_CONTRADICTS = 20  # the drive's speed is not what its position does
-    STROKE_MOVES = 21  # the stroke moves though the drive is off: the brake does not hold
-    STRETCH_UNEXPLAINED = 22  # tension changed as no stroke explains, or did not where the stroke says it must
-    E_STOP = 23  # the emergency stop is seen pressed
-    CELL_NOISY = 24  # far more than the cell's noise, and no payload moves like that
-    CELL_NEGATIVE = 25  # a rope cannot push
-    SENSOR_EMERGENCY = 26  # cell, inclinometer or I/O node has sent an emergency message, and not taken it back
-    DRIVE_EMERGENCY = 27  # the drive has
-    RIVAL = 28  # another controller commands this bus
-    E_STOP_UNSEEN = 29  # the I/O node that mirrors the emergency stop is silent
-    STROKE_NOT_HELD = 30  # the stroke has left where HOLD, FAULT or DISARMED latched it
-    POSITION_DRIFTS = 31  # correcting the stroke moved the load: the drive's position is not where the stroke is
-    STATUS_STALE = 33  # the drive's current, temperature and inputs have stopped coming
-    LIMIT_UNSEEN = 34  # the signal that a limit of the rig file watches is not there
-    DRIVE_UNASKED = 35  # the drive is enabled, or moves under power, and not because we asked for it
-    DRIVE_REFUSES = 36  # the drive says itself that it does not do as it is told: statusword bits 9, 11, 12
-    NODE_NOT_OPERATIONAL = 37  # a device's heartbeat has stopped, or says that it has left OPERATIONAL
-    SUPERVISION_LOST = 38  # an object that safety hangs on is not what start-up wrote, or is not answered for
-    STROKE_JUMPED = 39  # the drive's position went from one sample to the next where no stroke can go
-    BRAKE_SLIPS = 41  # the brake let the stroke move in the brake test
-
-
 class EStop(IntFlag):
     """Where the emergency stop is seen pressed; the value of its trip."""
 
     DRIVE = 1
     IO_NODE = 2
-
-
-class Check(IntFlag):
-    """Preflight checks an arm command must pass."""
-
-    CELL_STALE = 1
-    CELL_INVALID = 2
-    INCLINATION_STALE = 4
-    INCLINATION_INVALID = 8
-    DRIVE_STALE = 16
-    DRIVE_FAULT = 32
-    TENSION_HIGH = 64
-    STROKE_RANGE = 128
-    DRIVE_SUPERVISION = 256  # the drive's own stop was not verified (0x1016, 0x6007, 0x605E, deadline)
-    CALIBRATION = 512  # the cell's calibration is missing or overdue, and not waived
-    E_STOP = 1024  # the emergency stop is pressed: the drive's input
-    CELL_IMPLAUSIBLE = 2048  # stuck, noisy or negative
-    EMERGENCY = 4096  # a device's emergency message stands
-    LIMIT = 8192  # a limit of the rig file, with an action, is passed now
-    E_STOP_UNSEEN = 1 << 14  # an emergency stop is fitted, and the drive's input is not seen
-    STROKE_NEAR_END = 1 << 15  # within the margin of an end; ``arm --near-end`` is for that
-    TARE = 1 << 16  # no tare on record that still holds, and not waived
-    MARGINS = 1 << 17  # of the law in use there are none, or they are refused
-    REALTIME = 1 << 18  # the system refused what was asked of it, and not waived
-    DISK = 1 << 19  # hardly any room where the rig writes things down
-    RIVAL = 1 << 21  # another controller commands this bus
-    E_STOP_IO = 1 << 22  # the emergency stop is pressed: the I/O node's input
-    E_STOP_IO_UNSEEN = 1 << 23  # an I/O node is fitted, and its input is not seen
-    STATUS_STALE = 1 << 24  # the drive's current, temperature and inputs do not come
-    DRIVE_REFUSES = 1 << 25  # the drive is somebody else's to command, or limits what it is told
-    NODE_NOT_OPERATIONAL = 1 << 26  # no heartbeat of a device, or one of another state
-    NOT_AT_STANDSTILL = 1 << 29  # the stroke has moved within the last STILL_NS, see rigctl.control.arming
-    SEQUENCE_RUNNING = 1 << 30  # the drive is not off, or its brake has not had its time to close
-    HOST = 1 << 20  # these four are not known: the gateway has not judged them within the last seconds
-    STROKE_UNCONFIRMED = 1 << 27  # the drive's position is not the stroke that was last known
-
-
-HOST_CHECKS = Check.TARE | Check.MARGINS | Check.REALTIME | Check.DISK | Check.HOST
-"""What the loop cannot see for itself, see `rigctl.commission.preflight`."""
 
 
 @dataclass(slots=True)
@@ -504,7 +422,7 @@ class Watch:
 
     def _blocking(self, snapshot: Snapshot) -> Iterator[Fault]:
         for row, stands in zip(self._rows, self._stands, strict=True):
-            if row.fault not in BLOCK_RESET or row.text is _LIMITS:
+            if not row.fault.blocks_reset or row.text is _LIMITS:
                 continue  # a limit of the drive's own may stand until its fault is reset; arming is barred by it
             ours = row.text in (_LINGERS, _POWERED) and not stands  # for the moment a drive takes to go off
             if row.value(snapshot) > row.limit and not ours:
@@ -527,15 +445,6 @@ class Watch:
         self._logged[i] = begins
         row = self._rows[i]
         (self.crossed if row.action is Action.LOG else self.causes).append((trip, begins))
-
-
-BLOCK_RESET = frozenset(
-    {Fault.BUS_SILENT, Fault.DRIVE_STALE, Fault.CELL_STALE, Fault.CELL_INVALID, Fault.INCLINATION_STALE,
-     Fault.INCLINATION_INVALID, Fault.TENSION_HIGH, Fault.OVERRUN, Fault.DEVICE_RESTARTED, Fault.CELL_STUCK,
-     Fault.E_STOP, Fault.E_STOP_UNSEEN, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SENSOR_EMERGENCY,
-     Fault.RIVAL, Fault.STATUS_STALE, Fault.DRIVE_UNASKED, Fault.DRIVE_REFUSES,
-     Fault.NODE_NOT_OPERATIONAL, Fault.SUPERVISION_LOST, Fault.STROKE_JUMPED}
-)  # fmt: skip
 
 
 _IMPLAUSIBLE = frozenset({Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE})

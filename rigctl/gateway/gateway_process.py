@@ -20,9 +20,10 @@ from pydantic import ValidationError
 from rigctl.commission.preflight import Preflight, Verdict
 from rigctl.config.rig_file import RigSettings
 from rigctl.control import limits, safety
+from rigctl.control.checks import HOST_CHECKS
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Setting
 from rigctl.control.realtime import die_with_parent
-from rigctl.control.safety import HOST_CHECKS, Fault
 from rigctl.gateway.active import Active, Written
 from rigctl.gateway.calibration_service import CalibrationService
 from rigctl.gateway.command_server import CommandServer

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Fault
 from rigctl.recorder.recording import RECORDER, Recording
 
 _NOT_METADATA = ("versions",)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import IntEnum
 
+from rigctl.control.faults import Fault
 from rigctl.control.gate import Verdict
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Fault
 from rigctl.ipc.record import RECORD, Quality, Slot
 from rigctl.wire.state_message import quality_words
 

@@ -13,8 +13,9 @@ import numpy as np
 
 from rigctl.config.quantity import significant
 from rigctl.control.events import Kind, failed_checks
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
-from rigctl.control.safety import Action, Fault
+from rigctl.control.safety import Action
 from rigctl.ipc import supervision
 from rigctl.ipc.notes import note_message
 from rigctl.ipc.ring import RingReader

@@ -20,8 +20,8 @@ import numpy.typing as npt
 from rigctl import __version__
 from rigctl.config.rig_file import RigSettings
 from rigctl.control.events import Kind
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Fault
 from rigctl.ipc import ledger
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime

@@ -15,11 +15,11 @@ from pydantic import ValidationError
 from rigctl.config.rig_file import RigSettings
 from rigctl.config.strict_yaml import Document
 from rigctl.config.wording import Wording
+from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.homed import LastStroke
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
-from rigctl.control.safety import Check
 from rigctl.control.tension import Gains
 from rigctl.devices.process_data import ProcessData
 from rigctl.devices.sdo import Watched

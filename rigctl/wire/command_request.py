@@ -13,9 +13,10 @@ import msgspec
 
 from rigctl.config.one_line import on_one_line
 from rigctl.config.quantity import significant
+from rigctl.control.checks import Check
 from rigctl.control.events import failed_checks, refusal_text
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Check, Fault
 from rigctl.ipc.record import Flag
 from rigctl.ipc.ring import RingReader
 from rigctl.wire.lease import ACTS, ID_BYTES, is_id

@@ -6,10 +6,12 @@ from collections.abc import Callable, Mapping
 from enum import IntEnum, IntFlag
 from typing import Any
 
-from rigctl.control.events import FAULT_TEXT, Kind
+from rigctl.control.checks import Check
+from rigctl.control.events import Kind
+from rigctl.control.faults import Fault
 from rigctl.control.gate import Verdict
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Action, Check, Fault
+from rigctl.control.safety import Action
 from rigctl.ipc.notes import Note
 from rigctl.ipc.record import RECORD, Flag, Quality
 from rigctl.wire import block
@@ -128,5 +130,5 @@ def schema(rig: str) -> dict[str, Any]:
             "rule": "one operator commands at a time; hold is accepted from anyone, and takes no lease",
         },
         "enums": {name: {member.name: int(member) for member in kind if member.name} for name, kind in _ENUMS.items()},
-        "fault_texts": {fault.name: text for fault, text in FAULT_TEXT.items()},
+        "fault_texts": {fault.name: fault.words for fault in Fault},
     }

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from rigctl.control.checks import Check
 from rigctl.control.events import Kind, failed_checks, fault_text, setting_words, stroke_words
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.control.safety import BLOCK_RESET, Action, Check, Fault, Row
+from rigctl.control.safety import Action, Row
 from rigctl.ipc.record import NEVER_AGE_NS, Flag, Quality
 from rigctl.ipc.ring import RingReader
 from rigctl.metrics.tension_error import error_pct, percentiles_us
@@ -153,7 +155,7 @@ def _cause(row: Row, cause: Cause | None, wall_ns: int) -> dict[str, Any]:
         "limit": limit,
         "since_ns": None if cause is None else cause.t_ns,
         "since_wall_ns": None if cause is None else cause.t_ns + wall_ns,
-        "blocks_reset": row.fault in BLOCK_RESET,
+        "blocks_reset": row.fault.blocks_reset,
     }
 
 

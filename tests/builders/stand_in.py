@@ -13,7 +13,9 @@ import sys
 import time
 from typing import Any
 
+from rigctl.control.checks import Check
 from rigctl.control.events import Kind
+from rigctl.control.faults import Fault
 from rigctl.control.modes import (
     TRANSITIONS,
     Decision,
@@ -26,7 +28,7 @@ from rigctl.control.modes import (
     decide,
     next_mode,
 )
-from rigctl.control.safety import Action, Check, Fault
+from rigctl.control.safety import Action
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import Runtime
 

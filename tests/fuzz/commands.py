@@ -11,8 +11,8 @@ import numpy as np
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.rig_file import RigSettings
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Verb
-from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
 from rigctl.ipc.ring import RingReader
 from rigctl.wire.command_request import Request, RequestError, parse, verb_of

@@ -10,9 +10,11 @@ from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import Phase
 from rigctl.config.rig_file import RigSettings
 from rigctl.control import arming
-from rigctl.control.events import CHECK_TEXT, Kind, worded
+from rigctl.control.checks import Check
+from rigctl.control.events import Kind, worded
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Action, Check, Fault, Trip
+from rigctl.control.safety import Action, Trip
 from rigctl.control.tension import Gains
 from rigctl.devices.objects import Controlword, DriveState
 
@@ -212,4 +214,4 @@ def test_the_daemon_ends_after_the_brake_has_had_its_time(rig: Lockstep, enter: 
 
 def test_both_checks_are_said_in_words() -> None:
     for check in (Check.NOT_AT_STANDSTILL, Check.SEQUENCE_RUNNING):
-        assert "wait" in CHECK_TEXT[check]
+        assert "wait" in check.words

@@ -9,8 +9,8 @@ import pytest
 
 from hil.lockstep import Lockstep
 from rigctl.control.events import Kind, worded
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Fault
 
 
 def pull_down(rig: Lockstep, patch: pytest.MonkeyPatch) -> None:

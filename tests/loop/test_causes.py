@@ -13,8 +13,8 @@ from hil.wire import FRAME
 from rigctl.cli import status
 from rigctl.commission.preflight import Verdict
 from rigctl.control.events import Kind, worded
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Fault
 from rigctl.devices import objects
 from rigctl.gateway.active import Active
 from rigctl.gateway.gateway_process import StateView

@@ -10,8 +10,8 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from hil.wire import FRAME
 from rigctl.config.rig_file import RigSettings
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
 from rigctl.demo.lockstep import play_lockstep
 from rigctl.demo.summary import Summary

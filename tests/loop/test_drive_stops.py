@@ -11,8 +11,10 @@ from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import Phase
 from rigctl.config.limits_section import OF_STATUS
 from rigctl.config.rig_file import RigSettings
+from rigctl.control.checks import HOST_CHECKS, Check
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
-from rigctl.control.safety import HOST_CHECKS, STATUS_PERIODS, Action, Check, Fault, Trip
+from rigctl.control.safety import STATUS_PERIODS, Action, Trip
 from rigctl.control.tension import Gains
 from rigctl.devices import objects
 from rigctl.devices.objects import drive_state

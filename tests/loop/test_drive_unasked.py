@@ -10,9 +10,11 @@ from hil.lockstep import Lockstep
 from hil.nodes.cylinder_drive import ServiceTool
 from hil.nodes.power_stage import Phase
 from hil.wire import FRAME
+from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Action, Check, Fault
+from rigctl.control.safety import Action
 from rigctl.devices import objects
 
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)

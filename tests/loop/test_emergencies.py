@@ -10,8 +10,8 @@ import pytest
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
 from rigctl.control.events import Kind, worded
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Fault
 from rigctl.devices import objects
 
 CELL, DRIVE = 2, 4

@@ -13,9 +13,9 @@ from hil.lockstep import Lockstep
 from hil.plant.inputs import Track
 from hil.plant.layout import HEIGHT, MECHANISM
 from hil.plant.moves import out_and_back
+from rigctl.control.faults import Fault
 from rigctl.control.gate import Verdict
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Fault
 
 Enter = Callable[[Mode], None]
 

@@ -9,10 +9,12 @@ import pytest
 from hil.faults.in_device import STROKE
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.rig_file import RigSettings
+from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded
+from rigctl.control.faults import Fault
 from rigctl.control.homed import TOLERANCE_MM, LastStroke
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Action, Check, Fault
+from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import Flag
 

@@ -15,8 +15,8 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from rigctl.commission import proposal
 from rigctl.config.rig_file import RigSettings
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
 from rigctl.control.trials import STEP_N, STRAY_N, UNFELT_N
 from tests.builders.paths import ROOT

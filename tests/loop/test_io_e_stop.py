@@ -14,9 +14,11 @@ from hil.wire import FRAME
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import OF_STATUS
 from rigctl.config.rig_file import RigSettings
+from rigctl.control.checks import Check
 from rigctl.control.events import Kind
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Action, Check, EStop, Fault
+from rigctl.control.safety import Action, EStop
 from rigctl.control.tension import Gains
 from rigctl.devices import objects, startup
 

@@ -12,8 +12,8 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.rig_file import RigSettings
 from rigctl.control.events import Kind
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
-from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.ipc.record import Quality

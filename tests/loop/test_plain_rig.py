@@ -10,8 +10,8 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.plain_sensors import PlainSensor
 from rigctl.config import rig_file as config
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
 from rigctl.devices.startup import Device, PlainDevice
 from rigctl.ipc.record import Quality

@@ -14,8 +14,8 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.rig_file import RigSettings
+from rigctl.control.checks import Check
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
-from rigctl.control.safety import Check
 from rigctl.control.tension import Gains
 from rigctl.ipc.correction import Correction
 from rigctl.ipc.ledger import IN_FORCE, Standing

@@ -11,8 +11,8 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.rig_file import RigSettings
 from rigctl.control.events import Kind
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Fault
 from rigctl.control.signs import SLOPE_N
 from rigctl.control.tension import RAMP_EASE_S, Gains
 from rigctl.design.margins import design_and_check

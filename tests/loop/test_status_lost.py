@@ -8,9 +8,11 @@ import pytest
 
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
+from rigctl.control.checks import Check
 from rigctl.control.events import Kind
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import STATUS_PERIODS, Action, Check, Fault
+from rigctl.control.safety import STATUS_PERIODS, Action
 from rigctl.devices import objects
 
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)

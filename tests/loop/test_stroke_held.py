@@ -14,8 +14,9 @@ from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.rig_file import RigSettings
 from rigctl.control.events import Kind, worded
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Action, Fault, Trip
+from rigctl.control.safety import Action, Trip
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, SAID_MM
 from rigctl.control.tension import Gains
 

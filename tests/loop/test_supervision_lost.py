@@ -10,9 +10,11 @@ import pytest
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
 from rigctl.config.rig_file import RigSettings
+from rigctl.control.checks import Check
 from rigctl.control.events import worded
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Action, Check, Fault
+from rigctl.control.safety import Action
 from rigctl.devices import busload, sdo
 from rigctl.devices import objects as od
 

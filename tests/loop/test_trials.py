@@ -9,9 +9,10 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.rig_file import RigSettings
+from rigctl.control.checks import Check
 from rigctl.control.events import Kind
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
-from rigctl.control.safety import Check, Fault
 from rigctl.control.tension import Gains
 from rigctl.devices.objects import AiStatus
 from rigctl.ipc.correction import Correction

@@ -19,8 +19,8 @@ from hil.lockstep import Lockstep, lockstep
 from hil.wire import FRAME
 from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.rig_file import AuditSettings, RigSettings
+from rigctl.control.checks import Check
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
-from rigctl.control.safety import Check
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import ACTIVE

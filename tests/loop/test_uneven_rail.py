@@ -13,8 +13,8 @@ from hil.scenario import disturbances, kinds
 from hil.scenario.play import play
 from hil.wire import FRAME
 from rigctl.config.rig_file import RailEncoderSettings, RigSettings, RunOutSettings
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Fault
 from rigctl.control.tension import Gains
 from rigctl.devices import busload, objects, startup
 from rigctl.ipc.record import Quality

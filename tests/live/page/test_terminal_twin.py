@@ -7,7 +7,8 @@ from typing import Any
 from rigctl.cli.watch import View
 from rigctl.cli.watch_screen import Screen
 from rigctl.control.events import Kind, worded
-from rigctl.control.safety import Action, Fault
+from rigctl.control.faults import Fault
+from rigctl.control.safety import Action
 from rigctl.page.panel import state_message
 from rigctl.page.picture import Picture
 from rigctl.wire.passed_limits import PassedLimits

@@ -11,9 +11,8 @@ import msgspec
 import pytest
 
 from rigctl.client.connection import Client, NoDaemonError
-from rigctl.control.events import CHECK_TEXT
+from rigctl.control.checks import Check
 from rigctl.control.modes import Setting, Verb
-from rigctl.control.safety import Check
 from tests.builders.miniature import RUN_ID, Daemon, running, until
 
 
@@ -67,7 +66,7 @@ def test_preflight_refusal_lists_the_checks(refusing: Daemon) -> None:
     with refusing.client() as client:
         refused = client.command("arm", "kim")
     assert refused["reason"] == "preflight"
-    words = [CHECK_TEXT[check] for check in (Check.CELL_STALE, Check.STROKE_RANGE)]
+    words = [check.words for check in (Check.CELL_STALE, Check.STROKE_RANGE)]
     assert refused["checks"] == words
     hint = "a device that was switched off or a CAN interface that was unplugged needs the daemon started anew"
     assert refused["text"] == f"ARM refused: {'; '.join(words)} ({hint})"

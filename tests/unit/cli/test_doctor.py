@@ -15,8 +15,7 @@ from rigctl.cli import doctor, doctor_can, doctor_daemon, doctor_host
 from rigctl.cli.doctor_host import Finding, Severity
 from rigctl.config import rig_file as config
 from rigctl.config.rig_file import CanSettings
-from rigctl.control import events
-from rigctl.control.safety import Check
+from rigctl.control.checks import Check
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders.paths import ROOT
 from tests.conftest import Command
@@ -206,7 +205,7 @@ def test_a_running_daemons_preflight_is_shown_line_by_line() -> None:
 
 
 def test_a_rigs_io_node_has_lines_of_its_own_and_only_where_one_is_fitted() -> None:
-    words = events.CHECK_TEXT[Check.E_STOP_IO_UNSEEN]
+    words = Check.E_STOP_IO_UNSEEN.words
     state = {"loop_alive": True, "mode": "DISARMED", "preflight": {"failing": {"E_STOP_IO_UNSEEN": words}}}
     plain = RIG.model_dump(mode="json")
     titles = [doctor_daemon.TITLES[check] for check in (Check.E_STOP_IO, Check.E_STOP_IO_UNSEEN)]

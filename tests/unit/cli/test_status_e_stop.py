@@ -6,13 +6,12 @@ from typing import Any
 
 import pytest
 
-from rigctl.control.events import CHECK_TEXT
-from rigctl.control.safety import Check
+from rigctl.control.checks import Check
 from rigctl.wire import state_words as figures
 
 
 def state(mode: str | None, checks: Check) -> dict[str, Any]:
-    failing = {check.name: CHECK_TEXT[check] for check in Check if checks & check}
+    failing = {check.name: check.words for check in Check if checks & check}
     return {"mode": mode, "preflight": {"failing": failing, "waived": {}}}
 
 

@@ -17,7 +17,7 @@ from rigctl.commission import preflight
 from rigctl.commission.preflight import Folder, Preflight, Verdict, judge
 from rigctl.config import rig_file as config
 from rigctl.config.rig_file import RigSettings
-from rigctl.control.safety import HOST_CHECKS, Check
+from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.runtime_folder import Runtime

@@ -13,8 +13,9 @@ from rigctl.config import rig_file as config
 from rigctl.config.limits_section import SIGNALS, LimitSettings, SignalName
 from rigctl.control import limits
 from rigctl.control.events import fault_text
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Action, Fault, Row, Snapshot, Watch
+from rigctl.control.safety import Action, Row, Snapshot, Watch
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigctl.control.faults import Fault
 from rigctl.control.machine import ARM_LIMIT_NS, CUT_AFTER_NS, Answer, Machine
 from rigctl.control.modes import TRANSITIONS, TRIED_IN, Event, Mode, Refusal, Situation, Verb, decide, next_mode
-from rigctl.control.safety import Action, Fault, Trip
+from rigctl.control.safety import Action, Trip
 from rigctl.devices.drive import Power
 
 READY = Situation(unloaded=True, value=300.0, stroke_mm=300.0, target_min_n=50.0, target_max_n=350.0)

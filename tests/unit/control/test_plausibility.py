@@ -200,6 +200,8 @@ def test_a_loop_that_was_stopped_does_not_blame_the_drive_that_went_on(at: int, 
         if silent <= 0:
             stand.inbox.reading_n = stand.inbox.tension_n = follow(stroke)(n * DT) + next(DITHER)
             stand.inbox.stroke_mm, stand.inbox.speed_mm_s = stroke(n * DT), speed(n * DT)
-        stand.subject.look(stand.inbox, stand.snapshot, command((n - 1) * DT), ticks=ticks, slack=False, mode=stand.mode)
+        stand.subject.look(
+            stand.inbox, stand.snapshot, command((n - 1) * DT), ticks=ticks, slack=False, mode=stand.mode
+        )
         assert abs(stand.snapshot.stroke_error_mm) < 0.05
         assert silent > 0 or stand.snapshot.speed_error_mm_s < 0.6

@@ -10,8 +10,10 @@ from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
+from rigctl.control.checks import Check
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Action, Check, EStop, Fault, Row, Snapshot, Watch, preflight, table
+from rigctl.control.safety import Action, EStop, Row, Snapshot, Watch, preflight, table
 from tests.builders.paths import ROOT
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")

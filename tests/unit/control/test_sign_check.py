@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.safety import Fault
+from rigctl.control.faults import Fault
 from rigctl.control.signs import SignCheck
 from tests.builders.paths import ROOT
 

@@ -13,9 +13,10 @@ from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
+from rigctl.control.faults import Fault
 from rigctl.control.machine import ARM_LIMIT_NS, Machine
 from rigctl.control.modes import Event, Mode, Refusal, Situation, Verb
-from rigctl.control.safety import Action, Fault, Snapshot, Trip, Watch
+from rigctl.control.safety import Action, Snapshot, Trip, Watch
 from rigctl.devices.drive import Power
 from tests.builders.paths import ROOT
 

@@ -11,6 +11,8 @@ from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
+from rigctl.control.checks import HOST_CHECKS, Check
+from rigctl.control.faults import Fault
 from rigctl.control.modes import (
     FILED,
     TRANSITIONS,
@@ -26,7 +28,7 @@ from rigctl.control.modes import (
     Verb,
     decide,
 )  # fmt: skip
-from rigctl.control.safety import HOST_CHECKS, Action, Check, Fault, Row, Snapshot, Trip, Watch, preflight, table
+from rigctl.control.safety import Action, Row, Snapshot, Trip, Watch, preflight, table
 from tests.builders.paths import ROOT
 
 MS = 1_000_000

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from rigctl.config import rig_file as config
 from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.rig_file import AuditSettings, RigSettings
+from rigctl.control.faults import Fault
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Fault
 from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.record import FRAME, RECORD, FrameFlag, Slot
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime

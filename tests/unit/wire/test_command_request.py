@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.control.events import CHECK_TEXT
+from rigctl.control.checks import Check
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Check, Fault
 from rigctl.wire.command_request import NewestRecord, Request, RequestError, answer, parse, verb_of
 
 JSON = st.recursive(
@@ -99,7 +99,7 @@ def test_every_answer_has_one_line(verb: Verb, mode: Mode, refusal: Refusal) -> 
     assert found["text"].startswith(f"{verb.name}: " if found["accepted"] else f"{verb.name} refused: ")
     assert "\n" not in found["text"]
     assert (found["operator"], found["verb"], found["mode"]) == ("kim", verb.name.lower(), mode.name)
-    assert found.get("checks") == ([CHECK_TEXT[Check.CELL_STALE]] if refusal is Refusal.PREFLIGHT else None)
+    assert found.get("checks") == ([Check.CELL_STALE.words] if refusal is Refusal.PREFLIGHT else None)
     msgspec.json.encode(found)
 
 
@@ -115,7 +115,7 @@ def test_what_is_known_of_a_check_is_said_instead_of_its_general_phrase() -> Non
     checks = Check.CELL_STALE | Check.DISK
     reply = {"accepted": 0, "reason": 2, "checks": int(checks), "mode": 0, "value": 0.0, "t_ns": 5}
     found = answer(Request(Verb.ARM, "kim"), reply, NewestRecord(), LIMITS, {Check.DISK: "/data is full"})
-    assert found["checks"] == [CHECK_TEXT[Check.CELL_STALE], "/data is full"]
+    assert found["checks"] == [Check.CELL_STALE.words, "/data is full"]
     assert "; /data is full" in found["text"]
 
 
@@ -129,4 +129,4 @@ def test_an_armed_rig_says_what_was_waived_and_why() -> None:
 
 @pytest.mark.parametrize("check", Check)
 def test_every_check_has_a_phrase(check: Check) -> None:
-    assert CHECK_TEXT[check]
+    assert check.words

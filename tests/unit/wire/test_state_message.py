@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 from rigctl.commission.preflight import Verdict
 from rigctl.config import rig_file as config
 from rigctl.control.events import Kind
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Action, Fault
+from rigctl.control.safety import Action
 from rigctl.gateway.active import Active
 from rigctl.gateway.gateway_process import StateView
 from rigctl.gateway.published_position import Cursor

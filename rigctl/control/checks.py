@@ -1,0 +1,186 @@
+"""The checks an arm command must pass: bit, name, and what is wrong and what to do, in words.
+
+When each fails is `rigctl.control.safety.preflight`'s to say.
+"""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+
+class Check(IntFlag):
+    """Preflight checks an arm command must pass. ``words``: what the operator reads where one fails."""
+
+    words: str
+
+    def __new__(cls, bit: int, words: str) -> Check:
+        """A member with its words."""
+        member = int.__new__(cls, bit)
+        member._value_ = bit
+        member.words = words
+        return member
+
+    CELL_STALE = (
+        1 << 0,
+        "no fresh tension sample: check the cell's power and cable",
+    )
+    CELL_INVALID = (
+        1 << 1,
+        "tension cell reports overload or no valid value: unload it, check its cable",
+    )
+    INCLINATION_STALE = (
+        1 << 2,
+        "no fresh inclination sample: check the inclinometer's power and cable",
+    )
+    INCLINATION_INVALID = (
+        1 << 3,
+        "inclinometer reports no valid value: check its mounting and range",
+    )
+    DRIVE_STALE = (
+        1 << 4,
+        "no fresh drive status: check the drive's power and cable",
+    )
+    DRIVE_FAULT = (
+        1 << 5,
+        "drive reports a fault (reset clears it)",
+    )
+    TENSION_HIGH = (
+        1 << 6,
+        "tension above its limit: unload the rope",
+    )
+    STROKE_RANGE = (
+        1 << 7,
+        "stroke beyond its limits: bring it back by hand or with the drive's own tool",
+    )
+    # The drive's own stop was not verified (0x1016, 0x6007, 0x605E, deadline)
+    DRIVE_SUPERVISION = (
+        1 << 8,
+        (
+            "the devices do not keep what start-up wrote, or a device started anew (see the events): start the daemon "
+            "anew, it writes all of it again"
+        ),
+    )
+    # The cell's calibration is missing or overdue, and not waived
+    CALIBRATION = (
+        1 << 9,
+        "tension cell's calibration is missing or overdue: rigctl calibrate (or calibration.waiver)",
+    )
+    # The emergency stop is pressed: the drive's input
+    E_STOP = (
+        1 << 10,
+        "emergency stop is pressed (drive's input): release it, then rigctl reset",
+    )
+    # Stuck, noisy or negative
+    CELL_IMPLAUSIBLE = (
+        1 << 11,
+        "tension cell is stuck, noisy or reads a push: check cable and amplifier",
+    )
+    # A device's emergency message stands
+    EMERGENCY = (
+        1 << 12,
+        "a device's emergency message stands (see the events)",
+    )
+    # A limit of the rig file, with an action, is passed now
+    LIMIT = (
+        1 << 13,
+        "a limit of the rig file is passed, or its signal does not come (rigctl watch shows the signals)",
+    )
+    # An emergency stop is fitted, and the drive's input is not seen
+    E_STOP_UNSEEN = (
+        1 << 14,
+        "emergency stop's input is not seen: check the drive's second TPDO (cylinder.e_stop_input)",
+    )
+    # Within the margin of an end; ``arm --near-end`` is for that
+    STROKE_NEAR_END = (
+        1 << 15,
+        (
+            "stroke too near its end (preflight.stroke_margin_mm): rigctl arm --near-end, then tension or release, "
+            "whichever leads away from it"
+        ),
+    )
+    # No tare on record that still holds, and not waived
+    TARE = (
+        1 << 16,
+        "no tare on record that still holds: rigctl tare (or calibration.waiver)",
+    )
+    # Of the law in use there are none, or they are refused
+    MARGINS = (
+        1 << 17,
+        "no accepted margins of the law in use: rigctl tune",
+    )
+    # The system refused what was asked of it, and not waived
+    REALTIME = (
+        1 << 18,
+        "real-time settings are not in force: rigctl doctor (or loop.realtime_waiver)",
+    )
+    # Hardly any room where the rig writes things down
+    DISK = (
+        1 << 19,
+        "disk nearly full: make room for ledger, audit log and trip dumps",
+    )
+    # Another controller commands this bus
+    RIVAL = (
+        1 << 21,
+        "another controller commands this bus: find it and stop it",
+    )
+    # The emergency stop is pressed: the I/O node's input
+    E_STOP_IO = (
+        1 << 22,
+        "emergency stop is pressed (I/O node's input): release it, then rigctl reset",
+    )
+    # An I/O node is fitted, and its input is not seen
+    E_STOP_IO_UNSEEN = (
+        1 << 23,
+        "emergency stop's input on the I/O node is not seen: check the node's power and cable",
+    )
+    # The drive's current, temperature and inputs do not come
+    STATUS_STALE = (
+        1 << 24,
+        "no current, temperature and inputs of the drive: check its second TPDO (cylinder.status_rate_hz)",
+    )
+    # The drive is somebody else's to command, or limits what it is told
+    DRIVE_REFUSES = (
+        1 << 25,
+        (
+            "drive is not ours to command: somebody else has enabled it, its remote bit is off, or a limit of its own "
+            "is active (statusword bits 9, 11): withdraw its panel or service tool, look at its display"
+        ),
+    )
+    # No heartbeat of a device, or one of another state
+    NODE_NOT_OPERATIONAL = (
+        1 << 26,
+        "a device sends no heartbeat or is not operational: check its power and cable",
+    )
+    # The stroke has moved within the last STILL_NS, see rigctl.control.arming
+    NOT_AT_STANDSTILL = (
+        1 << 29,
+        (
+            "the stroke does not stand still (within 0.02 mm and below 0.05 mm/s for 0.2 s): wait; if it goes on, the "
+            "brake slips"
+        ),
+    )
+    # The drive is not off, or its brake has not had its time to close
+    SEQUENCE_RUNNING = (
+        1 << 30,
+        (
+            "the drive is not off with its brake closed yet (cylinder.brake_delay_ms): wait a second; if it goes on, "
+            "switch the drive's power off and on"
+        ),
+    )
+    # These four are not known: the gateway has not judged them within the last seconds
+    HOST = (
+        1 << 20,
+        "tare, margins, real time and disk have not been looked at: try again in a second",
+    )
+    # The drive's position is not the stroke that was last known
+    STROKE_UNCONFIRMED = (
+        1 << 27,
+        (
+            "the stroke is not the one last known (see the events): measure it at the cylinder, then rigctl "
+            "confirm-stroke MM"
+        ),
+    )
+
+
+HOST_CHECKS = Check.TARE | Check.MARGINS | Check.REALTIME | Check.DISK | Check.HOST
+"""What the loop cannot see for itself, see `rigctl.commission.preflight`."""

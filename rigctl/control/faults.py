@@ -1,0 +1,315 @@
+"""The catalogue of faults: number, name, cause in words, what the operator does about it, and what it bars.
+
+What is watched for each, and for how long, are the rows of `rigctl.control.safety.table`.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+
+
+class Trait(IntFlag):
+    """What else is so of a fault."""
+
+    BLOCKS_RESET = 1
+    """While its cause is there, a reset is refused."""
+    AGE = 2
+    """Value and limit are ages in ns, shown in ms."""
+    DEVICE_SILENT = 4
+    """A device that was switched off or unplugged shows so, and needs the daemon started anew."""
+
+
+class Fault(IntEnum):
+    """What can trip the rig; the number is latched in every record until an operator resets it.
+
+    ``words``: the cause in one line, a template of ``value``, ``limit`` and what `rigctl.control.events.fault_text`
+    has. ``remedy``: what the operator does about it.
+    """
+
+    words: str
+    remedy: str
+    traits: Trait
+
+    def __new__(cls, number: int, words: str, remedy: str = "", traits: Trait = Trait(0)) -> Fault:  # noqa: B008 - a constant
+        """A member with its words."""
+        member = int.__new__(cls, number)
+        member._value_ = number
+        member.words, member.remedy, member.traits = words, remedy, traits
+        return member
+
+    NONE = (
+        0,
+        "no fault",
+    )
+    TENSION_HIGH = (
+        1,
+        "tension {value:.1f} N above {limit:.1f} N",
+        "Unload the rope: release, or lower the payload; find what pulled.",
+        Trait.BLOCKS_RESET,
+    )
+    TENSION_LOW = (
+        2,
+        "tension lost ({value:.1f} N, limit {limit:.1f} N)",
+        "Look at rope, clamp and payload before tensioning again.",
+    )
+    CELL_STALE = (
+        3,
+        "no tension sample for {value:.0f} ms (limit {limit:.0f} ms)",
+        "Check the cell amplifier's power and cable.",
+        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT,
+    )
+    CELL_INVALID = (
+        4,
+        "tension cell reports overload or no valid value (status {value:.0f})",
+        "Unload the cell and check its cable.",
+        Trait.BLOCKS_RESET,
+    )
+    INCLINATION_STALE = (
+        5,
+        "no inclination sample for {value:.0f} ms (limit {limit:.0f} ms)",
+        "Check the inclinometer's power and cable.",
+        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT,
+    )
+    INCLINATION_INVALID = (
+        6,
+        "inclinometer reports no valid value",
+        "Check the inclinometer's mounting and range.",
+        Trait.BLOCKS_RESET,
+    )
+    DRIVE_STALE = (
+        7,
+        "no drive status for {value:.0f} ms (limit {limit:.0f} ms)",
+        "Check the drive's power and cable.",
+        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT,
+    )
+    DRIVE_FAULT = (
+        8,
+        "drive reports a fault and holds by itself",
+        "Read the drive's emergency code in the events; a reset clears it once its cause is gone.",
+    )
+    BUS_SILENT = (
+        9,
+        "no frame on the bus for {value:.0f} ms (limit {limit:.0f} ms)",
+        "Check the CAN interface, its termination and the devices' power.",
+        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT,
+    )
+    OVERRUN = (
+        10,
+        "{value:.0f} ticks skipped, loop cannot keep its rate (limit {limit:.0f} ticks)",
+        "Run rigctl doctor: real-time rights, other load on the loop's processor.",
+        Trait.BLOCKS_RESET,
+    )
+    LOOP_EXCEPTION = (
+        11,
+        "exception in the loop",
+        "Keep the trip dump and report the exception; reset goes on.",
+    )
+    STROKE_END = (
+        12,
+        "stroke limit reached before the tension was",
+        "Bring the stroke away from its end: release, or arm --near-end.",
+    )
+    DRIVE_NOT_FOLLOWING = (
+        13,
+        "drive does not do what it is told (enabled state or speed)",
+        "Look at the drive's display, its enabling inputs and its tuning.",
+    )
+    DEVICE_RESTARTED = (
+        14,
+        "a device restarted and lost its settings; start the daemon anew",
+        "Start the daemon anew: it writes the device's settings again.",
+        Trait.BLOCKS_RESET | Trait.DEVICE_SILENT,
+    )
+    # Tension or drive speed went on contradicting what the filter expects
+    INNOVATION = (
+        15,
+        "tension or cylinder speed contradicts what the filter expects",
+        "Look at cell and encoder; check plant.stiffness_n_mm with rigctl identify.",
+    )
+    # A positive command does not move the stroke up
+    SIGN_DRIVE = (
+        16,
+        "the stroke does not go where the drive is told: check the drive's sign and scale",
+        "Correct the drive's sign or scale in the rig file.",
+    )
+    # A shorter rope does not pull harder, or far from what the plant says
+    SIGN_CELL = (
+        17,
+        "the tension does not follow the stroke as the plant says: check the signs of cell and drive",
+        "Correct the cell's sign, or the plant's stiffness, in the rig file.",
+    )
+    # A row of the rig file's limits; the trip's event names it
+    LIMIT = (
+        18,
+        "{text} {limit:.10g}{unit} ({value:.4g}{unit})",
+        "Look at the signal named; the limit stands in the rig file.",
+    )
+    # The cell goes on sending the very same value
+    CELL_STUCK = (
+        19,
+        "tension cell has sent the very same value {value:.0f} times more",
+        "Check the cell amplifier: it repeats its last value.",
+        Trait.BLOCKS_RESET,
+    )
+    # The drive's speed is not what its position does
+    DRIVE_CONTRADICTS = (
+        20,
+        "drive's position and speed contradict each other by {value:.2f} mm (limit {limit:.2f} mm)",
+        "Check the drive's encoder and its scale.",
+    )
+    # The stroke moves though the drive is off: the brake does not hold
+    STROKE_MOVES = (
+        21,
+        (
+            "the stroke moves though the drive is off ({value:.2f} mm/s): the brake does not hold; reset, then arm: the "
+            "motor carries"
+        ),
+        "Secure the load; reset, then arm has the motor carry it; have the brake repaired.",
+    )
+    # Tension changed as no stroke explains, or did not where the stroke says it must
+    STRETCH_UNEXPLAINED = (
+        22,
+        (
+            "tension and stroke contradict each other by {value:.1f} mm of stretch (limit {limit:.1f} mm): rope, cell or "
+            "payload"
+        ),
+        "Look at rope, cell and payload before a reset.",
+    )
+    # The emergency stop is seen pressed
+    E_STOP = (
+        23,
+        "emergency stop pressed ({seen})",
+        "Release the emergency stop, then reset.",
+        Trait.BLOCKS_RESET,
+    )
+    # Far more than the cell's noise, and no payload moves like that
+    CELL_NOISY = (
+        24,
+        "tension cell jumps by {value:.1f} N from sample to sample (limit {limit:.1f} N)",
+        "Check the cell's cable, shield and amplifier.",
+        Trait.BLOCKS_RESET,
+    )
+    # A rope cannot push
+    CELL_NEGATIVE = (
+        25,
+        "tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
+        "Check the cell's zero (rigctl tare) and its mounting.",
+        Trait.BLOCKS_RESET,
+    )
+    # Cell, inclinometer or I/O node has sent an emergency message, and not taken it back
+    SENSOR_EMERGENCY = (
+        26,
+        "a sensor's emergency message stands ({emergency})",
+        "Read the emergency code in the events, and the sensor's manual.",
+        Trait.BLOCKS_RESET,
+    )
+    # The drive has
+    DRIVE_EMERGENCY = (
+        27,
+        "the drive's emergency message stands ({emergency})",
+        "Read the emergency code in the events, and the drive's manual.",
+    )
+    # Another controller commands this bus
+    RIVAL = (
+        28,
+        "another controller {text}: find it and stop it",
+        "Find the other controller on this bus and stop it.",
+        Trait.BLOCKS_RESET,
+    )
+    # The I/O node that mirrors the emergency stop is silent
+    E_STOP_UNSEEN = (
+        29,
+        "the I/O node that mirrors the emergency stop has sent nothing for {value:.0f} ms (limit {limit:.0f} ms)",
+        "Check the I/O node's power and cable.",
+        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT,
+    )
+    # The stroke has left where HOLD, FAULT or DISARMED latched it
+    STROKE_NOT_HELD = (
+        30,
+        (
+            "the stroke has moved {value:.2f} mm from where it was latched (limit {limit:.2f} mm): the drive creeps or "
+            "the brake slips"
+        ),
+        "Look at the drive's velocity offset (0x60B1) and tuning, and at the brake.",
+    )
+    # Correcting the stroke moved the load: the drive's position is not where the stroke is
+    POSITION_DRIFTS = (
+        31,
+        (
+            "holding the stroke has moved the load by {value:.2f} mm (limit {limit:.2f} mm): the drive's position drifts, "
+            "check its encoder"
+        ),
+        "Check the drive's encoder: its position moves and the stroke does not.",
+    )
+    # The drive's current, temperature and inputs have stopped coming
+    STATUS_STALE = (
+        33,
+        (
+            "no current, temperature and inputs of the drive for {value:.0f} ms (limit {limit:.0f} ms): neither its "
+            "emergency stop's input nor its temperature is seen"
+        ),
+        "Check the drive's second TPDO (cylinder.status_rate_hz).",
+        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT,
+    )
+    # The signal that a limit of the rig file watches is not there
+    LIMIT_UNSEEN = (
+        34,
+        "{text} is limited by the rig file and does not come: no sample for {value:.0f} ms (limit {limit:.0f} ms)",
+        "Check the device that sends the signal named.",
+        Trait.AGE,
+    )
+    # The drive is enabled, or moves under power, and not because we asked for it
+    DRIVE_UNASKED = (
+        35,
+        (
+            "{text}, and this daemon has not asked for it{speed}: find who commands the drive, withdraw the tool, then "
+            "reset"
+        ),
+        "Find who commands the drive, withdraw the tool, then reset.",
+        Trait.BLOCKS_RESET,
+    )
+    # The drive says itself that it does not do as it is told: statusword bits 9, 11, 12
+    DRIVE_REFUSES = (
+        36,
+        "drive says that {text}",
+        "Withdraw the drive's panel or service tool; look at its display.",
+        Trait.BLOCKS_RESET,
+    )
+    # A device's heartbeat has stopped, or says that it has left OPERATIONAL
+    NODE_NOT_OPERATIONAL = (
+        37,
+        "{text} {state}",
+        "Check the device's power and cable; start the daemon anew.",
+        Trait.BLOCKS_RESET | Trait.DEVICE_SILENT,
+    )
+    # An object that safety hangs on is not what start-up wrote, or is not answered for
+    SUPERVISION_LOST = (
+        38,
+        "a device does not keep what start-up wrote, {text}: start the daemon anew, it writes all of it again",
+        "Start the daemon anew: it writes all settings again.",
+        Trait.BLOCKS_RESET | Trait.DEVICE_SILENT,
+    )
+    # The drive's position went from one sample to the next where no stroke can go
+    STROKE_JUMPED = (
+        39,
+        (
+            "the drive's position jumped by {value:.2f} mm (limit {limit:.1f} mm): it is not believed; measure the stroke "
+            "at the cylinder, then rigctl confirm-stroke MM"
+        ),
+        "Measure the stroke at the cylinder, then rigctl confirm-stroke MM.",
+        Trait.BLOCKS_RESET,
+    )
+    # The brake let the stroke move in the brake test
+    BRAKE_SLIPS = (
+        41,
+        (
+            "brake test: the stroke moved by {value:.2f} mm on the closed brake (limit {limit:.2f} mm), the drive stays "
+            "off; secure the load, or reset, then arm: the motor carries; have the brake repaired"
+        ),
+        "Secure the load; reset, then arm has the motor carry it; have the brake repaired.",
+    )
+
+    @property
+    def blocks_reset(self) -> bool:
+        """While its cause is there, a reset is refused."""
+        return Trait.BLOCKS_RESET in self.traits
