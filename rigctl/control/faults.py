@@ -19,6 +19,9 @@ class Trait(IntFlag):
     """A device that was switched off or unplugged shows so, and needs the daemon started anew."""
 
 
+_NO_TRAIT = Trait(0)
+
+
 class Fault(IntEnum):
     """What can trip the rig; the number is latched in every record until an operator resets it.
 
@@ -30,7 +33,7 @@ class Fault(IntEnum):
     remedy: str
     traits: Trait
 
-    def __new__(cls, number: int, words: str, remedy: str = "", traits: Trait = Trait(0)) -> Fault:  # noqa: B008 - a constant
+    def __new__(cls, number: int, words: str, remedy: str = "", traits: Trait = _NO_TRAIT) -> Fault:
         """A member with its words."""
         member = int.__new__(cls, number)
         member._value_ = number
@@ -161,8 +164,8 @@ class Fault(IntEnum):
     STROKE_MOVES = (
         21,
         (
-            "the stroke moves though the drive is off ({value:.2f} mm/s): the brake does not hold; reset, then arm: the "
-            "motor carries"
+            "the stroke moves though the drive is off ({value:.2f} mm/s): the brake does not hold; reset, then arm: "
+            "the motor carries"
         ),
         "Secure the load; reset, then arm has the motor carry it; have the brake repaired.",
     )
@@ -170,8 +173,8 @@ class Fault(IntEnum):
     STRETCH_UNEXPLAINED = (
         22,
         (
-            "tension and stroke contradict each other by {value:.1f} mm of stretch (limit {limit:.1f} mm): rope, cell or "
-            "payload"
+            "tension and stroke contradict each other by {value:.1f} mm of stretch (limit {limit:.1f} mm): rope, cell "
+            "or payload"
         ),
         "Look at rope, cell and payload before a reset.",
     )
@@ -236,8 +239,8 @@ class Fault(IntEnum):
     POSITION_DRIFTS = (
         31,
         (
-            "holding the stroke has moved the load by {value:.2f} mm (limit {limit:.2f} mm): the drive's position drifts, "
-            "check its encoder"
+            "holding the stroke has moved the load by {value:.2f} mm (limit {limit:.2f} mm): the drive's position "
+            "drifts, check its encoder"
         ),
         "Check the drive's encoder: its position moves and the stroke does not.",
     )
@@ -293,8 +296,8 @@ class Fault(IntEnum):
     STROKE_JUMPED = (
         39,
         (
-            "the drive's position jumped by {value:.2f} mm (limit {limit:.1f} mm): it is not believed; measure the stroke "
-            "at the cylinder, then rigctl confirm-stroke MM"
+            "the drive's position jumped by {value:.2f} mm (limit {limit:.1f} mm): it is not believed; measure the "
+            "stroke at the cylinder, then rigctl confirm-stroke MM"
         ),
         "Measure the stroke at the cylinder, then rigctl confirm-stroke MM.",
         Trait.BLOCKS_RESET,
@@ -303,8 +306,8 @@ class Fault(IntEnum):
     BRAKE_SLIPS = (
         41,
         (
-            "brake test: the stroke moved by {value:.2f} mm on the closed brake (limit {limit:.2f} mm), the drive stays "
-            "off; secure the load, or reset, then arm: the motor carries; have the brake repaired"
+            "brake test: the stroke moved by {value:.2f} mm on the closed brake (limit {limit:.2f} mm), the drive "
+            "stays off; secure the load, or reset, then arm: the motor carries; have the brake repaired"
         ),
         "Secure the load; reset, then arm has the motor carry it; have the brake repaired.",
     )

@@ -66,7 +66,7 @@ class Loop:
     ) -> None:
         """``supervised``: start-up has verified that the drive stops by itself when we go silent.
 
-        ``host_checks``: what fails of `rigctl.control.safety.HOST_CHECKS`, until the gateway says otherwise.
+        ``host_checks``: what fails of `rigctl.control.checks.HOST_CHECKS`, until the gateway says otherwise.
         ``law``: makes another law than ours, to be compared with it; it may look into the inbox.
         ``correction``: of the tension cell, from the ledger. ``watched``: what start-up has verified in the devices.
         ``process_data``: as start-up found it; None: as the rig file asks for it.

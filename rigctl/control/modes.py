@@ -64,7 +64,7 @@ class Setting(IntEnum):
     K_TENSION = 131  # these three come in this order, the last puts all in force; see rigctl.control.tension.Gains
     K_SPEED = 132
     K_INTEGRAL = 133
-    HOST_CHECKS = 134  # value: bits of rigctl.control.safety.HOST_CHECKS that fail; told before every ARM
+    HOST_CHECKS = 134  # value: bits of rigctl.control.checks.HOST_CHECKS that fail; told before every ARM
 
 
 class Refusal(IntEnum):
@@ -96,7 +96,7 @@ class Refusal(IntEnum):
 class Situation:
     """What a decision depends on, beside the mode."""
 
-    failed_checks: int = 0  # preflight, bits of safety.Check
+    failed_checks: int = 0  # preflight, bits of checks.Check
     cause_present: bool = False  # the latched fault's cause
     stop_running: bool = False  # the drive is still stopping, or its brake is closing
     fault_latched: bool = False

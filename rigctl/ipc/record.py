@@ -201,7 +201,7 @@ REPLY = Slot(
             "checks",
             "Q",
             "",
-            "preflight checks that failed, bits, see rigctl.control.safety.Check; CAUSE_PRESENT: "
+            "preflight checks that failed, bits, see rigctl.control.checks.Check; CAUSE_PRESENT: "
             "the faults whose causes are there, bits 1 << number",
         ),
         Field("mode", "B", "", "mode after the command"),
