@@ -48,7 +48,7 @@ def _scenario(
     plot: Annotated[pathlib.Path | None, typer.Option(help="draw the run here: .png, .svg or .pdf")] = None,
 ) -> None:
     """Play the scenario of FILE through the real loop in simulated time, or with the cylinder locked."""
-    from hil.scenario.command import run
+    from hil.cli.scenario import run
 
     raise typer.Exit(run(file, json, plot))
 
@@ -60,7 +60,7 @@ def _paper(
     plots: Annotated[pathlib.Path | None, typer.Option(help="folder for a picture per figure")] = None,
 ) -> None:
     """Play the paper's study, locked and with the loop closed, and compare it with what the paper prints."""
-    from hil.paper.command import run
+    from hil.cli.paper import run
 
     raise typer.Exit(run(file, json, plots))
 
@@ -80,7 +80,7 @@ def _compare(
 
     All of it takes about 17 minutes of processor time; --quick about 3.
     """
-    from hil.compare.command import run
+    from hil.cli.compare import run
 
     raise typer.Exit(run(file, only or [], controllers or [], json, plots, quick=quick))
 
@@ -96,7 +96,7 @@ def _faults(
     gateway_kills: Annotated[int, typer.Option(min=0, help="kill the gateway this often instead")] = 0,
 ) -> None:
     """Play the fault catalogue: every fault in every mode, what happens against what has to happen."""
-    from hil.faults import command
+    from hil.cli import faults as command
 
     if list_:
         command.show_list()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hil.faults.expected import Fault, Reaction
-from hil.faults.run import Floats, Run, Trip
+from hil.faults.lockstep_run import Floats, Run, Trip
 from rigctl.config.rig_file import RigSettings
 from rigctl.control import limits, safety
 from rigctl.control.modes import Mode, Refusal

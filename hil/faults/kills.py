@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from hil.faults.expected import Reaction
 from hil.faults.judge import DRIVE_STOPS_MS
-from hil.faults.live import CONTROL, GATEWAY, SUPERVISOR, Live, LiveError, live
+from hil.faults.live_rows_rig import CONTROL, GATEWAY, SUPERVISOR, Live, LiveError, live
 from hil.faults.processes import TOLD_MS, Seen, judged, kills, strike
 from hil.scenario.errors import ScenarioError
 from rigctl.cli.progress import Advance

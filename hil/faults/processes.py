@@ -20,7 +20,7 @@ import yaml
 from hil.faults import wall_clock
 from hil.faults.expected import ACCURACY_N, DRIVE_STOPS, RIDE, Expected, Reaction
 from hil.faults.judge import DRIVE_STOPS_MS, STANDS_MM, Row
-from hil.faults.live import CONTROL, GATEWAY, SUPERVISOR, VICTIMS, Live, LiveError, give, live
+from hil.faults.live_rows_rig import CONTROL, GATEWAY, SUPERVISOR, VICTIMS, Live, LiveError, give, live
 from hil.scenario.errors import ScenarioError
 from rigctl.cli.progress import Advance
 from rigctl.config.rig_file import RigSettings

@@ -7,11 +7,14 @@ import pathlib
 
 import pytest
 
-from hil.faults import command, output, processes, study
+from hil.cli import faults as command
+from hil.faults import lockstep_rows as study
+from hil.faults import printing as output
+from hil.faults import processes
 from hil.faults.catalogue import BY_ID, CATALOGUE
 from hil.faults.expected import ARMED, Fault, Reaction
 from hil.faults.judge import Row
-from hil.faults.run import Bench
+from hil.faults.lockstep_run import Bench
 from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file as config
 from rigctl.config.rig_file import RigSettings

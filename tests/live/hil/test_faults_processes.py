@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.faults import gateway, kills, processes
+from hil.faults import gateway_kills as gateway
+from hil.faults import kills, processes
 from hil.faults.expected import Reaction
-from hil.faults.live import live
+from hil.faults.live_rows_rig import live
+from hil.faults.lockstep_run import changed
 from hil.faults.processes import Seen, judged
-from hil.faults.run import changed
 from hil.truth import TRUTH_DTYPE
 from rigctl.config import rig_file as config
 from rigctl.control.modes import Mode

@@ -7,11 +7,14 @@ import pathlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from hil.faults import gateway, kills, output, processes, study
+from hil.cli.scenario import check_outputs, simulated_rig
+from hil.faults import gateway_kills as gateway
+from hil.faults import kills, processes
+from hil.faults import lockstep_rows as study
+from hil.faults import printing as output
 from hil.faults.catalogue import CATALOGUE
 from hil.faults.expected import Fault
 from hil.faults.judge import Row
-from hil.scenario.command import check_outputs, simulated_rig
 from hil.scenario.errors import ScenarioError
 from rigctl.cli.progress import progress
 from rigctl.control.modes import Mode

@@ -9,10 +9,10 @@ from collections.abc import Collection, Sequence
 
 from rich.console import Console
 
+from hil.cli.scenario import check_folder, check_outputs, simulated_rig
 from hil.compare import plots, study, tables
 from hil.compare.rivals import CONTROLLERS, OURS
 from hil.compare.scenarios import QUICK, scenarios
-from hil.scenario.command import check_folder, check_outputs, simulated_rig
 from hil.scenario.errors import ScenarioError
 from rigctl.cli.progress import progress
 from rigctl.ipc import output_file

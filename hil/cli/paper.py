@@ -8,8 +8,8 @@ import sys
 
 from rich.console import Console
 
+from hil.cli.scenario import check_folder, check_outputs, simulated_rig
 from hil.paper import claims, plots, study, tables
-from hil.scenario.command import check_folder, check_outputs, simulated_rig
 from rigctl.cli.progress import progress
 from rigctl.ipc import output_file
 

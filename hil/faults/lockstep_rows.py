@@ -10,7 +10,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from hil.faults.catalogue import BY_ID
 from hil.faults.expected import Fault
 from hil.faults.judge import Row, judge
-from hil.faults.run import Bench
+from hil.faults.lockstep_run import Bench
 from hil.scenario.play import design
 from rigctl.cli.progress import Advance
 from rigctl.config.rig_file import RigSettings

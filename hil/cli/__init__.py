@@ -1,0 +1,1 @@
+"""Every command of ``python -m hil``: its options and what it prints."""
