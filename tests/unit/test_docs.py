@@ -25,8 +25,10 @@ import yaml
 
 from hil.__main__ import app as hil_app
 from rigctl.cli.app import app as rigctl_app
+from rigctl.config import rig_file as config
 from rigctl.config.rig_file import RigSettings
 from rigctl.control.safety import Fault
+from rigctl.ipc.runtime_folder import Runtime
 
 ROOT = pathlib.Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
@@ -332,6 +334,21 @@ def test_the_table_of_layers_goes_down() -> None:
         next_ = {folder for folder, below in table.items() if {*below} <= done}
         assert next_ - done, f"a circle among {', '.join(sorted(table.keys() - done))}"
         done |= next_
+
+
+def test_every_command_is_documented() -> None:
+    spans = [span for page in PAGES for span in code_spans(page)]
+    lines = [line[2:] for block in BLOCKS if block.info == "console" for line in block.text.splitlines()]
+    text = "\n".join([*spans, *lines, *(block.text for block in BLOCKS if block.info == "text")])
+    for program, group in {"rigctl": GROUPS["rigctl"], "python -m hil": GROUPS["hil"]}.items():
+        missing = [name for name in group.commands if not re.search(rf"^{program} {name}\b", text, re.MULTILINE)]
+        assert not missing, program
+
+
+def test_the_architecture_names_every_ring(tmp_path: pathlib.Path) -> None:
+    Runtime(tmp_path).make_rings(config.load(ROOT / "config/paper_rig.yaml"))
+    table = ARCHITECTURE.read_text().partition("| ring | written by | slot |\n|---|---|---|\n")[2].partition("\n\n")[0]
+    assert sorted(re.findall(r"^\| `(\w+)`", table, re.MULTILINE)) == sorted(file.name for file in tmp_path.iterdir())
 
 
 def test_the_operator_reads_about_every_fault() -> None:
