@@ -57,9 +57,9 @@ def held(rig: Lockstep, enter: Enter) -> Iterator[Lockstep]:
     yield rig
 
 
-def test_the_readme_shows_the_rows_it_finds(held: Lockstep) -> None:
-    readme = (ROOT / "README.md").read_text()
-    shown = readme.split("$ rigctl identify --in tension\n")[1].split("nothing was changed")[0]
+def test_the_documentation_shows_the_rows_it_finds(held: Lockstep) -> None:
+    page = (ROOT / "docs/commission.md").read_text()
+    shown = page.split("$ rigctl identify --in tension\n")[1].split("nothing was changed")[0]
     labels = [line.strip().split("  ")[0] for line in shown.splitlines()[1:]]
     assert labels == list(found(held, excite(held)))
 

@@ -1,4 +1,4 @@
-"""The examples of the README, as they stand there, each a process of its own against a real gateway."""
+"""The examples of README and docs/telemetry.md as they stand there, each a process of its own on a real gateway."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def blocks(file: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", (ROOT / file).read_text(), re.DOTALL | re.MULTILINE)
 
 
-EXAMPLES = blocks("README.md", "python")
+EXAMPLES = [example for file in ("README.md", "docs/telemetry.md") for example in blocks(file, "python")]
 
 
 def test_the_first_of_three_only_reads() -> None:

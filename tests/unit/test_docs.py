@@ -1,0 +1,371 @@
+"""The documentation against the code: commands parse, links lead somewhere, paths and names exist, settings validate.
+
+Python blocks are run by ``tests/telemetry/test_readme.py`` and ``tests/hil/test_docs_examples.py``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib
+import importlib.util
+import json
+import pathlib
+import re
+import runpy
+import shlex
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import typer
+import yaml
+
+from hil.__main__ import app as hil_app
+from rigctl.cli.app import app as rigctl_app
+from rigctl.config import rig_file as config
+from rigctl.config.rig_file import RigSettings
+from rigctl.control.safety import Fault
+from rigctl.ipc.runtime_folder import Runtime
+
+ROOT = pathlib.Path(__file__).parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+ARCHITECTURE = ROOT / "docs/architecture.md"
+KINDS = frozenset({
+    "python",  # run against a live gateway
+    "python test",  # run by pytest, on a rig in lockstep
+    "python recording",  # run beside a recording
+    "python serve",  # run beside a rig that is served
+    "console",  # `$ ` and a command; every other line is output of it
+    "text",  # a picture, or how a command is called
+    "yaml",  # a file, whole
+    "yaml rig",  # sections of a rig file, to lay over config/paper_rig.yaml
+    "json",
+    "mermaid",
+})  # fmt: skip
+PROGRAMS = frozenset({"rigctl", "python", "make", "ip", ".venv/bin/python"})
+"""What a command in a block may begin with."""
+README_LINES = 150
+PICTURE_BYTES = 150_000
+GROUPS = {"rigctl": typer.main.get_group(rigctl_app), "hil": typer.main.get_group(hil_app)}
+PATH = re.compile(r"(?:rigctl|hil|tests|config|docs)(?:/[\w.-]+)+/?|(?:rigctl|hil|tests|config|docs)/")
+NAME = re.compile(r"((?:rigctl|hil|tests)(?:\.[A-Za-z_]\w*)+)(?:\(.*\))?")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block; ``where``: page and line."""
+
+    where: str
+    info: str
+    text: str
+
+
+def name_of(page: pathlib.Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def split(page: pathlib.Path) -> tuple[list[Block], str]:
+    """The fenced blocks of a page, and its text without them."""
+    blocks: list[Block] = []
+    prose: list[str] = []
+    inside: list[str] | None = None
+    for number, line in enumerate(page.read_text().splitlines(), 1):
+        if not line.startswith("```"):
+            (prose if inside is None else inside).append(line)
+        elif inside is None:
+            where, info, inside = f"{name_of(page)}:{number}", line[3:].strip(), []
+        else:
+            assert line == "```", f"{name_of(page)}:{number}: a block ends in ```, found {line}"
+            blocks.append(Block(where, info, "".join(f"{one}\n" for one in inside)))
+            inside = None
+    assert inside is None, f"{where}: the block has no end"
+    return blocks, "\n".join(prose)
+
+
+BLOCKS = [block for page in PAGES for block in split(page)[0]]
+
+
+def code_spans(page: pathlib.Path) -> list[str]:
+    """What stands between single backticks, outside blocks, on one line each."""
+    prose = re.sub(r"``.*?``", "", split(page)[1])
+    return [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", prose)]
+
+
+# -- blocks ---------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.where)
+def test_every_block_says_what_it_is(block: Block) -> None:
+    assert block.info in KINDS, f"{block.where}: found ```{block.info}, expected one of {', '.join(sorted(KINDS))}"
+
+
+def merged(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    both = {
+        key: merged(under[key], value) if isinstance(under.get(key), dict) and isinstance(value, dict) else value
+        for key, value in over.items()
+    }
+    return {**under, **both}
+
+
+@pytest.mark.parametrize("block", [b for b in BLOCKS if b.info.startswith("yaml")], ids=lambda block: block.where)
+def test_settings_validate(block: Block) -> None:
+    shown = yaml.safe_load(block.text)
+    if block.info == "yaml rig":
+        paper = yaml.safe_load((ROOT / "config/paper_rig.yaml").read_text())
+        assert shown.keys() <= RigSettings.model_fields.keys()
+        RigSettings.model_validate({**merged(paper, shown), "directory": str(ROOT / "config")})
+
+
+@pytest.mark.parametrize("block", [b for b in BLOCKS if b.info == "json"], ids=lambda block: block.where)
+def test_json_is_json(block: Block) -> None:
+    json.loads(block.text)
+
+
+@pytest.mark.parametrize("block", [b for b in BLOCKS if b.info.startswith("python")], ids=lambda block: block.where)
+def test_python_is_python(block: Block) -> None:
+    ast.parse(block.text)
+
+
+# -- commands -------------------------------------------------------------------------------------------------------
+class ReachedTheParserError(Exception):
+    """The program has got as far as to parse its command line."""
+
+    def __init__(self, parser: argparse.ArgumentParser, words: list[str]) -> None:
+        super().__init__(parser.prog)
+        self.parser, self.words = parser, words
+
+
+def parser_of(module: str, words: list[str], monkeypatch: pytest.MonkeyPatch) -> ReachedTheParserError:
+    """The parser ``python -m MODULE WORDS`` makes, which then goes no further."""
+
+    def reached(self: argparse.ArgumentParser, args: list[str] | None = None, _into: object = None) -> None:
+        raise ReachedTheParserError(self, sys.argv[1:] if args is None else list(args))
+
+    with monkeypatch.context() as patch, pytest.raises(ReachedTheParserError) as stopped:
+        patch.setattr(argparse.ArgumentParser, "parse_args", reached)
+        patch.setattr(sys, "argv", [module, *words])
+        try:
+            runpy.run_module(module, run_name="__main__")
+        except ModuleNotFoundError as error:  # of an optional group of pyproject.toml
+            pytest.skip(str(error))
+    return stopped.value
+
+
+def options_of(words: list[str]) -> list[str]:
+    return [word.partition("=")[0] for word in words if re.match(r"--?[a-z]", word)]
+
+
+def check_typer(program: str, words: list[str], *, whole: bool) -> None:
+    group = GROUPS[program]
+    if not words or words[0].startswith("-"):
+        assert {*options_of(words)} <= {opt for param in group.params for opt in param.opts} | {"-h", "--help"}
+        return
+    command = group.commands.get(words[0])
+    assert command is not None, f"{program} has no command {words[0]}"
+    known = {option for param in command.params for option in (*param.opts, *param.secondary_opts)}
+    assert {*options_of(words)} <= known | {"-h", "--help"}, f"{program} {words[0]} has {', '.join(sorted(known))}"
+    if whole:
+        command.make_context(f"{program} {words[0]}", words[1:], **command.context_settings)
+
+
+def check_module(module: str, words: list[str], monkeypatch: pytest.MonkeyPatch, *, whole: bool) -> None:
+    if module == "hil":
+        check_typer("hil", words, whole=whole)
+    elif module == "pytest":
+        for word in words:
+            assert word.startswith("-") or (ROOT / word).exists(), f"{word} does not exist"
+    elif module.startswith("tests."):
+        found = parser_of(module, words, monkeypatch)
+        assert {*options_of(words)} <= found.parser._option_string_actions.keys(), f"{module} has no such option"
+        if whole:
+            found.parser.parse_args(found.words)
+    else:
+        assert importlib.util.find_spec(module) is not None, f"there is no module {module}"
+
+
+def targets() -> set[str]:
+    return set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+
+
+def check_command(line: str, monkeypatch: pytest.MonkeyPatch, *, whole: bool) -> None:
+    """Command, options and, if ``whole``, values are those of the program itself."""
+    words = shlex.split(line if whole else re.sub(r"[\[\]]|\.\.\.", "", line), comments=True)
+    for end in (">", "|"):
+        words = words[: words.index(end)] if end in words else words
+    program, *rest = words
+    if program == "rigctl":
+        check_typer("rigctl", rest, whole=whole)
+    elif program == "make":
+        assert {*rest} <= targets(), f"the Makefile has {', '.join(sorted(targets()))}"
+    elif program.endswith("python"):
+        assert rest[0] == "-m", line
+        check_module(rest[1], rest[2:], monkeypatch, whole=whole)
+    else:
+        assert program in PROGRAMS, f"found {program}, expected one of {', '.join(sorted(PROGRAMS))}"
+
+
+def commands() -> Iterator[Any]:
+    for block in BLOCKS:
+        for number, line in enumerate(block.text.splitlines(), 1):
+            if block.info == "console" and line.startswith("$ "):
+                yield pytest.param(line[2:], True, id=f"{block.where}+{number}")
+            elif block.info == "text" and re.match(r"rigctl [a-z]|python -m ", line):
+                yield pytest.param(line, False, id=f"{block.where}+{number}")
+    for page in PAGES:
+        for span in dict.fromkeys(code_spans(page)):
+            if re.match(r"rigctl [-a-z]|python -m (hil|tests|rigctl)\b|make [a-z]+$", span):
+                yield pytest.param(span, False, id=f"{name_of(page)}: {span}")
+
+
+@pytest.mark.parametrize(("line", "whole"), list(commands()))
+def test_commands_are_those_of_the_programs(line: str, whole: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    check_command(line, monkeypatch, whole=whole)
+
+
+@pytest.mark.parametrize(
+    "line", ["rigctl no-such-command", "rigctl arm --no-such-option", "rigctl target many", "make nothing",
+             "python -m hil scenario", "python -m hil paper --no-such-option", "python -m tests.fuzz nothing"]
+)  # fmt: skip
+def test_a_command_that_is_none_is_noticed(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises((Exception, SystemExit, AssertionError)):
+        check_command(line, monkeypatch, whole=True)
+
+
+@pytest.mark.parametrize("block", [b for b in BLOCKS if b.info == "console"], ids=lambda block: block.where)
+def test_a_console_begins_with_a_command(block: Block) -> None:
+    assert block.text.startswith("$ ")
+
+
+# -- links, paths, names --------------------------------------------------------------------------------------------
+def anchors(page: pathlib.Path) -> set[str]:
+    """As GitHub makes them of the headings."""
+    headings = re.findall(r"^#+ (.*)$", split(page)[1], re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def links() -> Iterator[Any]:
+    for page in PAGES:
+        for target in dict.fromkeys(re.findall(r"\]\(([^)\s]+)\)", split(page)[1])):
+            if not target.startswith("http"):
+                yield pytest.param(page, target, id=f"{name_of(page)}: {target}")
+
+
+@pytest.mark.parametrize(("page", "target"), list(links()))
+def test_links_lead_somewhere(page: pathlib.Path, target: str) -> None:
+    file, _, anchor = target.partition("#")
+    there = (page.parent / file).resolve() if file else page
+    assert there.exists(), f"{target} does not exist"
+    if anchor:
+        assert anchor in anchors(there), f"{name_of(there)} has {', '.join(sorted(anchors(there)))}"
+    if there.suffix == ".png":
+        assert there.stat().st_size < PICTURE_BYTES
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_paths_exist(page: pathlib.Path) -> None:
+    missing = [span for span in code_spans(page) if PATH.fullmatch(span) and not (ROOT / span).exists()]
+    assert not missing
+
+
+def resolves(name: str) -> bool:
+    """Whether a dotted name is a module, or something in one."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            found: Any = importlib.import_module(".".join(parts[:count]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[count:]:
+            if not hasattr(found, part) and part not in getattr(found, "__annotations__", {}):
+                return False
+            found = getattr(found, part, None)
+        return True
+    return False
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_names_exist(page: pathlib.Path) -> None:
+    names = {match[1] for span in code_spans(page) if (match := NAME.fullmatch(span))}
+    assert not [name for name in names if not resolves(name)]
+
+
+def defined_in(file: pathlib.Path) -> set[str]:
+    kinds = ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef
+    return {node.name for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, kinds)}
+
+
+def test_functions_are_in_the_files_they_are_said_to_be_in() -> None:
+    text = ARCHITECTURE.read_text()
+    said = re.findall(r"`([\w.]+)`(?: \| |\s+(?:of|in)\s+)`([\w/]+\.py)`", text)
+    assert len(said) > 40
+    for name, file in said:
+        assert {*name.split(".")} <= defined_in(ROOT / file), f"{file} has no {name}"
+
+
+# -- what the pages promise to have ---------------------------------------------------------------------------------
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) <= README_LINES
+
+
+def test_the_readme_leads_to_every_page() -> None:
+    linked = set(re.findall(r"\]\((docs/[\w-]+\.md)", (ROOT / "README.md").read_text()))
+    assert linked == {name_of(page) for page in PAGES if page.parent != ROOT}
+
+
+def layers() -> dict[str, list[str]]:
+    """The table of allowed imports."""
+    table = ARCHITECTURE.read_text().partition("| folder | may import |\n|---|---|\n")[2].partition("\n\n")[0]
+    rows = [re.findall(r"`([^`]+)`", line) for line in table.splitlines()]
+    assert len({row[0] for row in rows}) == len(rows)
+    return {row[0]: row[1:] for row in rows}
+
+
+def test_the_table_of_layers_has_every_folder() -> None:
+    folders = {name_of(init.parent) for root in ("rigctl", "hil") for init in (ROOT / root).glob("*/__init__.py")}
+    loose = {name_of(file) for file in (ROOT / "hil").glob("*.py")} - {"hil/__init__.py"}
+    assert set(layers()) == folders | loose
+
+
+def test_the_table_of_layers_goes_down() -> None:
+    """Each row imports rows only from which no way leads back to it."""
+    table, done = layers(), set[str]()
+    while len(done) < len(table):
+        next_ = {folder for folder, below in table.items() if {*below} <= done}
+        assert next_ - done, f"a circle among {', '.join(sorted(table.keys() - done))}"
+        done |= next_
+
+
+def test_every_command_is_documented() -> None:
+    spans = [span for page in PAGES for span in code_spans(page)]
+    lines = [line[2:] for block in BLOCKS if block.info == "console" for line in block.text.splitlines()]
+    text = "\n".join([*spans, *lines, *(block.text for block in BLOCKS if block.info == "text")])
+    for program, group in {"rigctl": GROUPS["rigctl"], "python -m hil": GROUPS["hil"]}.items():
+        missing = [name for name in group.commands if not re.search(rf"^{program} {name}\b", text, re.MULTILINE)]
+        assert not missing, program
+
+
+def test_the_architecture_names_every_ring(tmp_path: pathlib.Path) -> None:
+    Runtime(tmp_path).make_rings(config.load(ROOT / "config/paper_rig.yaml"))
+    table = ARCHITECTURE.read_text().partition("| ring | written by | slot |\n|---|---|---|\n")[2].partition("\n\n")[0]
+    assert sorted(re.findall(r"^\| `(\w+)`", table, re.MULTILINE)) == sorted(file.name for file in tmp_path.iterdir())
+
+
+def test_the_operator_reads_about_every_fault() -> None:
+    section = (ROOT / "docs/operate.md").read_text().partition("\n## Faults\n")[2]
+    rows = re.findall(r"^\| `([A-Z_]+)` \| \S.* \| \S.* \|$", section, re.MULTILINE)
+    assert sorted(rows) == sorted(fault.name for fault in Fault if fault is not Fault.NONE)
+
+
+def test_the_glossary_has_a_line_for_each_term() -> None:
+    rows = [line for line in (ROOT / "docs/glossary.md").read_text().splitlines() if line.startswith("| ")]
+    terms = [row.split(" | ")[0] for row in rows if row != "| term | meaning |"]
+    assert all(len(row.split(" | ")) == 2 for row in rows)
+    assert len(set(terms)) == len(terms)
+    assert len(terms) > 150
+
+
+def test_decisions_are_numbered_and_have_a_reason() -> None:
+    text = (ROOT / "docs/decisions.md").read_text()
+    numbers = [int(number) for number in re.findall(r"^(\d+)\. \*\*", text, re.MULTILINE)]
+    assert numbers == list(range(1, len(numbers) + 1))
