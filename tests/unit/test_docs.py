@@ -27,10 +27,10 @@ from hil.__main__ import app as hil_app
 from rigctl.cli.app import app as rigctl_app
 from rigctl.config import rig_file as config
 from rigctl.config.rig_file import RigSettings
-from rigctl.control.safety import Fault
+from rigctl.control.faults import Fault
 from rigctl.ipc.runtime_folder import Runtime
+from tests.builders.paths import ROOT
 
-ROOT = pathlib.Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 ARCHITECTURE = ROOT / "docs/architecture.md"
 KINDS = frozenset({

@@ -10,9 +10,9 @@ import sys
 
 import pytest
 
-from tests.unit.recorder.tape import Tape
+from tests.builders.paths import ROOT
+from tests.builders.tape import Tape
 
-ROOT = pathlib.Path(__file__).parents[2]
 LIMIT_S = 240.0
 CHANNEL = "/tmp/rigctl-paper_rig.sock"
 
