@@ -16,7 +16,7 @@ import numpy.typing as npt
 from hil.bus import InProcessBus
 from hil.hub import Hub
 from hil.rig import SimulatedRig
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.clock import SimulatedClock
 from rigctl.control.homed import LastStroke
 from rigctl.control.logbook import Rings

@@ -18,7 +18,7 @@ from hil.plant import Plant
 from hil.plant.layout import MECHANISM
 from hil.plant.moves import out_and_back
 from hil.truth import Truth, TruthLog
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.config.simulation_section import SimulationSettings
 from rigctl.devices import objects
 

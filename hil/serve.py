@@ -20,7 +20,7 @@ from hil.rig import SimulatedRig
 from hil.truth import TruthLog
 from rigctl.config import rig_file as config
 from rigctl.config.quantity import count
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control import realtime
 from rigctl.devices import eds_file
 from rigctl.ipc import output_file

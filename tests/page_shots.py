@@ -18,14 +18,15 @@ import time
 from playwright.sync_api import Browser
 
 from tests.builders import daemons
-from tests.builders.pages import PATIENT, Server, Snapshot, browser, look, serving
+from tests.builders.pages import PATIENT, PageView, Server, browser, look, serving
+from tests.builders.paths import ROOT
 
 BROWSER_PACKAGES = ("chromium", "fonts-dejavu-core")
 SIZES = ((1920, 1080), (1024, 768), (820, 1180))
 THEMES = ("light", "dark")
 
 
-def shoot(seen: Snapshot, folder: pathlib.Path, name: str) -> None:
+def shoot(seen: PageView, folder: pathlib.Path, name: str) -> None:
     """A picture of what the screen shows, and of the whole page where it is longer."""
     seen.page.screenshot(path=folder / f"{name}.png")
     if seen.run("document.documentElement.scrollHeight > innerHeight + 10"):
@@ -84,7 +85,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.page_shots", description=__doc__)
     parser.add_argument("folder", type=pathlib.Path, metavar="DIR", help="where the pictures go")
     folder = parser.parse_args().folder
-    if subprocess.run([daemons.ROOT / "tests/guest/apt", *BROWSER_PACKAGES], check=False).returncode:
+    if subprocess.run([ROOT / "tests/guest/apt", *BROWSER_PACKAGES], check=False).returncode:
         sys.exit(1)  # it has said what is missing
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="rigctl-page-") as work:

@@ -13,7 +13,7 @@ from hil.faults import kills, processes
 from hil.faults import lockstep_rows as study
 from hil.faults import printing as output
 from hil.faults.catalogue import CATALOGUE
-from hil.faults.expected import Fault
+from hil.faults.expected import InjectedFault
 from hil.faults.judge import Row
 from hil.scenario.errors import ScenarioError
 from rigctl.cli.progress import progress
@@ -27,7 +27,7 @@ NAMES = (*(fault.id for fault in CATALOGUE), *(fault.id for fault in processes.C
 class Chosen:
     """Rows to play."""
 
-    lockstep: tuple[tuple[Fault, Mode], ...]
+    lockstep: tuple[tuple[InjectedFault, Mode], ...]
     processes: tuple[tuple[processes.ProcessFault, Mode], ...]
 
 

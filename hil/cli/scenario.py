@@ -15,7 +15,7 @@ from hil.scenario.play import Played, play
 from hil.scenario.plot import SUFFIXES, plot
 from rigctl.cli.progress import progress
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.ipc import output_file
 
 STANDARD_OUTPUT = pathlib.Path("-")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.report.sensor_budget import CREEP_PCT, GAIN_PCT, Error, budget, combined_n
 
 __all__ = ["Error", "budget", "combined_n", "with_errors"]

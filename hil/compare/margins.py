@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.compare.rivals import PASSIVE, Controller
 from hil.compare.rivals.feedback import Feedback, Sample
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import filter_model
 from rigctl.design import closed_loop
 from rigctl.design.gains import design, filter_gain

@@ -13,7 +13,7 @@ from hil.plant.layout import FLOOR_VERTICAL, HEIGHT, MASS, MECHANISM, RUN_OUT
 from hil.plant.moves import leg, out_and_back
 from hil.scenario.disturbances import floor_tone, heave, jolt, level_table, mass_change
 from hil.scenario.kinds import FloorTone, Heave, Jolt, LevelPoint, LevelTable, MassChange
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 
 STEADY_S = 2.0
 """Figures are taken from here on: by then the mechanism has reached its speed, the gantry shakes in full."""

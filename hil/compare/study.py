@@ -19,7 +19,7 @@ from hil.compare.rivals import CONTROLLERS, OURS, PASSIVE, Controller
 from hil.compare.scenarios import Quantity, Scenario, scenarios
 from hil.scenario.errors import ScenarioError
 from hil.scenario.play import Played, play
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 
 Floats = npt.NDArray[np.float64]
 

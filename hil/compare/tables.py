@@ -16,7 +16,7 @@ from hil.compare.rivals import CONTROLLERS, OURS, PASSIVE
 from hil.compare.scenarios import Scenario
 from hil.compare.study import COMPENSATING, LOCKED, SETTLED_PCT, Result, Study, Verdict
 from rigctl.config.quantity import count
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 
 _Value = Callable[[Result], float | None]
 _QUANTITIES: dict[str, tuple[str, _Value]] = {

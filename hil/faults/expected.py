@@ -82,7 +82,7 @@ class Around:
 
 
 @dataclass(frozen=True)
-class Fault:
+class InjectedFault:
     """One fault of the catalogue.
 
     ``band_n`` is how far the true tension may be from what it would be without the fault, up to the reaction, and from

@@ -14,7 +14,7 @@ from hil.scenario.errors import ScenarioError
 from rigctl.cli.progress import Advance
 from rigctl.client.connection import Client
 from rigctl.client.fast import FastReader
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.ipc.ring import RingReader
 

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from hil.faults.expected import Fault, Reaction
+from hil.faults.expected import InjectedFault, Reaction
 from hil.faults.lockstep_run import Floats, Run, Trip
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control import limits, safety
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal
 
 STANDS_MM = 0.1
@@ -75,7 +76,7 @@ class Row:
         return {**values, **unknown, "ok": self.ok}
 
 
-def judge(fault: Fault, mode: Mode, run: Run, undisturbed: Run, settings: RigSettings) -> Row:
+def judge(fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings: RigSettings) -> Row:
     """Hold a run against what the catalogue says."""
     expected = fault.expected[mode]
     at = _reaction_at(run, expected, mode)
@@ -114,7 +115,7 @@ def judge(fault: Fault, mode: Mode, run: Run, undisturbed: Run, settings: RigSet
 
 
 def _named(number: int) -> str:
-    return safety.Fault(number).name
+    return Fault(number).name
 
 
 def _reaction_at(run: Run, expected: Reaction, mode: Mode) -> float | None:
@@ -128,7 +129,7 @@ def _reaction_at(run: Run, expected: Reaction, mode: Mode) -> float | None:
     return float(run.records_t_s[tripped[0]]) if len(tripped) else None
 
 
-def _reaction(fault: Fault, run: Run, undisturbed: Run, mode: Mode, at: float | None) -> Reaction:
+def _reaction(fault: InjectedFault, run: Run, undisturbed: Run, mode: Mode, at: float | None) -> Reaction:
     last = Mode(run.records["mode"][-1])
     expected = fault.expected[mode]
     if last is Mode.FAULT:
@@ -204,7 +205,7 @@ _UNTIMED = frozenset({Reaction.RIDDEN, Reaction.REFUSED, Reaction.KEPT, Reaction
 
 
 def _late(
-    fault: Fault, mode: Mode, expected: Reaction, detection_ms: float | None, latency_ms: float | None
+    fault: InjectedFault, mode: Mode, expected: Reaction, detection_ms: float | None, latency_ms: float | None
 ) -> list[str]:
     if expected in _UNTIMED or latency_ms is None:
         return []
@@ -218,7 +219,7 @@ def _late(
     return findings
 
 
-def _uncounted(fault: Fault, run: Run, undisturbed: Run) -> list[str]:
+def _uncounted(fault: InjectedFault, run: Run, undisturbed: Run) -> list[str]:
     if not fault.counter:
         return []
     grown, usual = (_growth(which, fault.counter) for which in (run, undisturbed))

@@ -14,7 +14,7 @@ from hil.faults.live_rows_rig import CONTROL, GATEWAY, SUPERVISOR, Live, LiveErr
 from hil.faults.processes import TOLD_MS, Seen, judged, kills, strike
 from hil.scenario.errors import ScenarioError
 from rigctl.cli.progress import Advance
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 
 SEED = 1

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from hil.faults import wall_clock
 from hil.truth import TRUTH_DTYPE
 from rigctl.client.connection import Client, NoDaemonError
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
 from rigctl.demo import live_rig

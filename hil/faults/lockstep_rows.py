@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 
 from hil.faults.catalogue import BY_ID
-from hil.faults.expected import Fault
+from hil.faults.expected import InjectedFault
 from hil.faults.judge import Row, judge
 from hil.faults.lockstep_run import Bench
 from hil.scenario.play import design
 from rigctl.cli.progress import Advance
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
 
@@ -24,7 +24,7 @@ _bench: list[tuple[RigSettings, Bench]] = []
 """Of this worker."""
 
 
-def play(rig: RigSettings, rows: Sequence[tuple[Fault, Mode]], advance: Advance) -> list[Row]:
+def play(rig: RigSettings, rows: Sequence[tuple[InjectedFault, Mode]], advance: Advance) -> list[Row]:
     """Play rows; in their order.
 
     Raises:
@@ -50,7 +50,7 @@ def play(rig: RigSettings, rows: Sequence[tuple[Fault, Mode]], advance: Advance)
     return [found[i] for i in range(len(rows))]
 
 
-def row_of(bench: Bench, rig: RigSettings, fault: Fault, mode: Mode) -> Row:
+def row_of(bench: Bench, rig: RigSettings, fault: InjectedFault, mode: Mode) -> Row:
     """Play and judge one row; one whose mode cannot even be reached has failed."""
     try:
         return judge(fault, mode, bench.play(fault, mode), bench.undisturbed(fault, mode), rig)

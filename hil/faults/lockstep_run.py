@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.faults import stand
-from hil.faults.expected import Around, Fault, Reaction
+from hil.faults.expected import Around, InjectedFault, Reaction
 from hil.faults.stand import Stand, Step
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
 from rigctl.control.events import Kind
 from rigctl.control.modes import Mode, Refusal, Verb
@@ -71,11 +71,11 @@ class Bench:
         self._gains = gains
         self._undisturbed = functools.lru_cache(maxsize=None)(self._play_undisturbed)
 
-    def undisturbed(self, fault: Fault, mode: Mode) -> Run:
+    def undisturbed(self, fault: InjectedFault, mode: Mode) -> Run:
         """The run of a row without its fault."""
         return self._undisturbed(fault.around, mode, fault.seconds, fault.from_start)
 
-    def play(self, fault: Fault, mode: Mode) -> Run:
+    def play(self, fault: InjectedFault, mode: Mode) -> Run:
         """The run of a row."""
         arms = fault.expected[mode] is Reaction.REFUSED
         return self._play(fault.around, mode, fault.seconds, fault.from_start, fault, arms=arms)
@@ -84,7 +84,7 @@ class Bench:
         return self._play(around, mode, seconds, from_start, None, arms=False)
 
     def _play(
-        self, around: Around, mode: Mode, seconds: float, from_start: bool, fault: Fault | None, *, arms: bool
+        self, around: Around, mode: Mode, seconds: float, from_start: bool, fault: InjectedFault | None, *, arms: bool
     ) -> Run:
         with lockstep(changed(self._settings, around.change), self._gains) as rig:
             subject = Stand(rig, f"{SEED}:{fault.id if fault else ''}:{mode.name}")

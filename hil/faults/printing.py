@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from hil.faults.expected import ACCURACY_N, Expected, Fault, Reaction
+from hil.faults.expected import ACCURACY_N, Expected, InjectedFault, Reaction
 from hil.faults.judge import Row
 from hil.faults.processes import ProcessFault
 from rigctl.config.quantity import count
@@ -52,7 +52,7 @@ def show_figures(found: Mapping[str, object]) -> None:
         Console(soft_wrap=True).print(f"{name}: {value:.3g}" if isinstance(value, float) else f"{name}: {value}")
 
 
-def show_list(faults: Sequence[Fault | ProcessFault]) -> None:
+def show_list(faults: Sequence[InjectedFault | ProcessFault]) -> None:
     """Print every fault, what it is, and what has to happen in which mode."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("fault", "what", "expected"):
@@ -62,12 +62,12 @@ def show_list(faults: Sequence[Fault | ProcessFault]) -> None:
     Console(width=WIDTH).print(table)
 
 
-def page_row(fault: Fault | ProcessFault) -> str:
+def page_row(fault: InjectedFault | ProcessFault) -> str:
     """The fault's row in docs/faults.md."""
-    what = f"{fault.what}; {fault.why}" if isinstance(fault, Fault) and fault.why else fault.what
-    place = fault.place if isinstance(fault, Fault) else "process"
-    band_n = fault.band_n if isinstance(fault, Fault) else ACCURACY_N
-    bound = f"{band_n:g}" if not isinstance(fault, Fault) or fault.carried else "-"
+    what = f"{fault.what}; {fault.why}" if isinstance(fault, InjectedFault) and fault.why else fault.what
+    place = fault.place if isinstance(fault, InjectedFault) else "process"
+    band_n = fault.band_n if isinstance(fault, InjectedFault) else ACCURACY_N
+    bound = f"{band_n:g}" if not isinstance(fault, InjectedFault) or fault.carried else "-"
     return f"| `{fault.id}` | {place} | {what} | {worded(fault.expected)} | {bound} |"
 
 

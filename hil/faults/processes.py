@@ -23,7 +23,7 @@ from hil.faults.judge import DRIVE_STOPS_MS, STANDS_MM, Row
 from hil.faults.live_rows_rig import CONTROL, GATEWAY, SUPERVISOR, VICTIMS, Live, LiveError, give, live
 from hil.scenario.errors import ScenarioError
 from rigctl.cli.progress import Advance
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 
 WATCHED_S = 0.8

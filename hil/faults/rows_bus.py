@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from hil.faults import in_plant, on_bus
-from hil.faults.expected import EITHER, HOLD, PASSING, RIDE, Around, Fault
+from hil.faults.expected import EITHER, HOLD, PASSING, RIDE, Around, InjectedFault
 
 BUS = (
-    Fault(
+    InjectedFault(
         "frames_lost_1pct",
         "bus",
         "1 % of all frames is lost",
@@ -16,7 +16,7 @@ BUS = (
         band_n=3,
         counter="frames_lost",
     ),
-    Fault(
+    InjectedFault(
         "frames_lost_10pct",
         "bus",
         "10 % of all frames are lost",
@@ -26,7 +26,7 @@ BUS = (
         counter="frames_lost",
         why="once in 20 s three heartbeats in a row are among them, and the drive stops by itself",
     ),
-    Fault(
+    InjectedFault(
         "burst_8ms",
         "bus",
         "no frame for 8 ms",
@@ -35,11 +35,13 @@ BUS = (
         band_n=3,
         why="less than the rig calls silence",
     ),
-    Fault("burst_50ms", "bus", "no frame for 50 ms", on_bus.burst(0.05), PASSING, within_ms=20),
-    Fault("bus_cut", "bus", "no frame any more", on_bus.burst(60.0), HOLD, within_ms=20),
-    Fault("frames_twice", "bus", "every frame comes twice", on_bus.twice(), RIDE, band_n=3, counter="frames_received"),
-    Fault("frames_late_1ms", "bus", "the devices' frames come 1 ms late", on_bus.late(1), RIDE, band_n=3),
-    Fault(
+    InjectedFault("burst_50ms", "bus", "no frame for 50 ms", on_bus.burst(0.05), PASSING, within_ms=20),
+    InjectedFault("bus_cut", "bus", "no frame any more", on_bus.burst(60.0), HOLD, within_ms=20),
+    InjectedFault(
+        "frames_twice", "bus", "every frame comes twice", on_bus.twice(), RIDE, band_n=3, counter="frames_received"
+    ),
+    InjectedFault("frames_late_1ms", "bus", "the devices' frames come 1 ms late", on_bus.late(1), RIDE, band_n=3),
+    InjectedFault(
         "frames_late_3ms",
         "bus",
         "the devices' frames come 3 ms late",
@@ -47,9 +49,11 @@ BUS = (
         RIDE,
         around=Around(motion=in_plant.heaving),
     ),
-    Fault("frames_late_20ms", "bus", "the devices' frames come 20 ms late", on_bus.late(20), PASSING, within_ms=20),
-    Fault("frames_reordered", "bus", "neighbouring frames swap places", on_bus.reordered(), RIDE, band_n=3),
-    Fault(
+    InjectedFault(
+        "frames_late_20ms", "bus", "the devices' frames come 20 ms late", on_bus.late(20), PASSING, within_ms=20
+    ),
+    InjectedFault("frames_reordered", "bus", "neighbouring frames swap places", on_bus.reordered(), RIDE, band_n=3),
+    InjectedFault(
         "length_wrong_1pct",
         "bus",
         "1 % of the cell's samples have a byte too few",
@@ -59,7 +63,7 @@ BUS = (
         seconds=2.0,
         counter="frames_refused",
     ),
-    Fault(
+    InjectedFault(
         "drive_length_wrong",
         "bus",
         "every sample of the drive has a byte too few",
@@ -68,7 +72,7 @@ BUS = (
         within_ms=20,
         counter="frames_refused",
     ),
-    Fault(
+    InjectedFault(
         "rival_commands",
         "bus",
         "another controller sends the drive a speed of 5 mm/s",
@@ -77,7 +81,7 @@ BUS = (
         within_ms=20,
         why="who commands the drive must not be a question",
     ),
-    Fault(
+    InjectedFault(
         "foreign_ids",
         "bus",
         "five frames a millisecond that are nobody's here",
@@ -86,7 +90,7 @@ BUS = (
         band_n=3,
         counter="frames_received",
     ),
-    Fault(
+    InjectedFault(
         "babble_quiet",
         "bus",
         "a node sends all it can, with the lowest priority",
@@ -95,7 +99,7 @@ BUS = (
         band_n=3,
         counter="frames_received",
     ),
-    Fault(
+    InjectedFault(
         "babble_loud",
         "bus",
         "a node sends all it can, with the highest priority",
@@ -103,7 +107,7 @@ BUS = (
         HOLD,
         within_ms=20,
     ),
-    Fault(
+    InjectedFault(
         "impostor",
         "bus",
         "a foreign node sends samples of its own under the cell's identifier",
@@ -112,7 +116,7 @@ BUS = (
         band_n=15,
         within_ms=200,
     ),
-    Fault(
+    InjectedFault(
         "error_passive",
         "bus",
         "the controller reports itself error-passive",
@@ -121,8 +125,10 @@ BUS = (
         band_n=3,
         counter="error_frames",
     ),
-    Fault("bus_off", "bus", "the controller is off the bus: nothing can be sent", on_bus.bus_off(), HOLD, within_ms=20),
-    Fault(
+    InjectedFault(
+        "bus_off", "bus", "the controller is off the bus: nothing can be sent", on_bus.bus_off(), HOLD, within_ms=20
+    ),
+    InjectedFault(
         "nmt_all_stopped",
         "bus",
         "another master stops all nodes",
@@ -130,7 +136,7 @@ BUS = (
         HOLD,
         within_ms=20,
     ),
-    Fault(
+    InjectedFault(
         "nmt_all_reset",
         "bus",
         "another master resets all nodes",
@@ -138,7 +144,7 @@ BUS = (
         HOLD,
         within_ms=20,
     ),
-    Fault(
+    InjectedFault(
         "drive_nmt_stopped",
         "bus",
         "another master stops the drive",
@@ -146,7 +152,7 @@ BUS = (
         HOLD,
         within_ms=20,
     ),
-    Fault(
+    InjectedFault(
         "drive_nmt_preop",
         "bus",
         "another master takes the drive to pre-operational",

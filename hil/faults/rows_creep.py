@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from hil.faults import in_device
-from hil.faults.expected import ARMED, DRIVE_MS, POWER_OFF, RIDE, Expected, Fault, Reaction
+from hil.faults.expected import ARMED, DRIVE_MS, POWER_OFF, RIDE, Expected, InjectedFault, Reaction
 from hil.faults.in_device import SPEED, STROKE, both, reads
 from rigctl.control.modes import Mode
 
@@ -24,11 +24,11 @@ _DRIFTS: Expected = {
 }
 
 
-def _creeps() -> Iterator[Fault]:
+def _creeps() -> Iterator[InjectedFault]:
     for speed_mm_s, seconds in _SECONDS.items():
         corrected = speed_mm_s < _TOO_FAST_MM_S
         for way, does, sign in (("up", "winds up", 1.0), ("down", "pays out", -1.0)):
-            yield Fault(
+            yield InjectedFault(
                 f"creep_{way}_{round(speed_mm_s * 1000)}",
                 "device",
                 f"the motor {does} {speed_mm_s:g} mm/s faster than it is told, seen by its encoder",
@@ -42,9 +42,9 @@ def _creeps() -> Iterator[Fault]:
             )
 
 
-CREEP: tuple[Fault, ...] = (
+CREEP: tuple[InjectedFault, ...] = (
     *_creeps(),
-    Fault(
+    InjectedFault(
         "position_drifts",
         "device",
         "its position drifts by 0.3 mm/s, its speed says nothing of it",
@@ -54,7 +54,7 @@ CREEP: tuple[Fault, ...] = (
         held_mm=HELD_MM,
         why="HOLD corrects what it sees, until the reported speed or the tension shows that the load moved",
     ),
-    Fault(
+    InjectedFault(
         "encoder_drifts",
         "device",
         "position and speed say that it moves by 0.3 mm/s; it does not",
@@ -65,7 +65,7 @@ CREEP: tuple[Fault, ...] = (
         latency_ms=220,
         why="the same, shown by the tension alone; DISARMED, it looks like a slipping brake, which 200 ms tell",
     ),
-    Fault(
+    InjectedFault(
         "brake_slips_slowly",
         "device",
         "the brake gives way by 0.15 mm/s whenever it is closed",

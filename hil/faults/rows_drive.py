@@ -13,7 +13,7 @@ from hil.faults.expected import (
     WHEN_MOVING,
     Around,
     Expected,
-    Fault,
+    InjectedFault,
     Reaction,
 )
 from hil.faults.in_device import SPEED, STATUS, STROKE, both, reads, says, stuck
@@ -26,8 +26,8 @@ STATUS_SILENT_MS = 310.0
 _SEEN_AT_REST: Expected = {**HOLD, Mode.DISARMED: Reaction.LATCHED}
 """A stroke that is said to move on a closed brake."""
 DRIVE_FEEDBACK = (
-    Fault("drive_silent", "bus", "the drive's samples stop", on_bus.silent(on_bus.drive), HOLD, within_ms=20),
-    Fault(
+    InjectedFault("drive_silent", "bus", "the drive's samples stop", on_bus.silent(on_bus.drive), HOLD, within_ms=20),
+    InjectedFault(
         "status_silent",
         "bus",
         "the drive's current, temperature and inputs stop coming, its position and speed go on",
@@ -36,7 +36,7 @@ DRIVE_FEEDBACK = (
         within_ms=STATUS_SILENT_MS,
         why="neither the emergency stop's input nor the temperature is seen without them",
     ),
-    Fault(
+    InjectedFault(
         "stroke_stuck",
         "device",
         "its position stands still, its speed does not",
@@ -47,7 +47,7 @@ DRIVE_FEEDBACK = (
         seconds=1.5,
         around=Around(motion=in_plant.heaving),
     ),
-    Fault(
+    InjectedFault(
         "stroke_jump",
         "device",
         "its position is 10 mm further from one sample to the next",
@@ -56,7 +56,7 @@ DRIVE_FEEDBACK = (
         within_ms=120,
         latency_ms=DRIVE_MS,
     ),
-    Fault(
+    InjectedFault(
         "stroke_drift",
         "device",
         "its position creeps by 5 mm/s, its speed says nothing of it",
@@ -65,7 +65,7 @@ DRIVE_FEEDBACK = (
         seconds=2.0,
         latency_ms=DRIVE_MS,
     ),
-    Fault(
+    InjectedFault(
         "stroke_unit",
         "device",
         "a tenth of the position's unit",
@@ -74,7 +74,7 @@ DRIVE_FEEDBACK = (
         within_ms=120,
         latency_ms=DRIVE_MS,
     ),
-    Fault(
+    InjectedFault(
         "speed_stuck",
         "device",
         "its speed stands at 0",
@@ -84,7 +84,7 @@ DRIVE_FEEDBACK = (
         latency_ms=DRIVE_MS,
         around=Around(motion=in_plant.heaving),
     ),
-    Fault(
+    InjectedFault(
         "speed_sign",
         "device",
         "its speed has the wrong sign",
@@ -94,7 +94,7 @@ DRIVE_FEEDBACK = (
         latency_ms=DRIVE_MS,
         around=Around(motion=in_plant.heaving),
     ),
-    Fault(
+    InjectedFault(
         "speed_noisy",
         "device",
         "noise of 5 mm/s rms on its speed",
@@ -102,7 +102,7 @@ DRIVE_FEEDBACK = (
         EITHER,
         latency_ms=DRIVE_MS,
     ),
-    Fault("status_garbled", "device", "its statusword reads 0", says(STATUS, 0), HOLD, within_ms=40),
+    InjectedFault("status_garbled", "device", "its statusword reads 0", says(STATUS, 0), HOLD, within_ms=40),
 )
 
 _BIT_MS = 40.0
@@ -121,7 +121,7 @@ ROTATION_MS = 600.0
 """Within which every object is read once: 46 objects, one in 10 ms, and the rest for those of other rigs."""
 SUPERVISION = (
     *(
-        Fault(
+        InjectedFault(
             f"foreign_{name}",
             "bus",
             f"another master writes 0 to {what} of the drive",
@@ -132,12 +132,14 @@ SUPERVISION = (
         )
         for name, what, index, sub, size in OWN_STOP
     ),
-    Fault("foreign_sdo_read", "bus", "another master reads the drive's temperature", on_bus.sdo_read(), HOLD,
+    InjectedFault("foreign_sdo_read", "bus", "another master reads the drive's temperature", on_bus.sdo_read(), HOLD,
           within_ms=10),
-    Fault("foreign_sdo_answers", "bus", "the drive answers a master that is not heard", on_bus.sdo_answers(), HOLD,
-          within_ms=10),
+    InjectedFault(
+        "foreign_sdo_answers", "bus", "the drive answers a master that is not heard", on_bus.sdo_answers(), HOLD,
+        within_ms=10,
+    ),
     *(
-        Fault(
+        InjectedFault(
             f"lost_{name}",
             "device",
             f"{what} of the drive reads 0: its own service connection wrote it",
@@ -148,9 +150,9 @@ SUPERVISION = (
         )
         for name, what, index, sub, _ in OWN_STOP
     ),
-    Fault("sdo_silent", "bus", "the drive's SDO server does not answer any more", on_bus.sdo_silent(), HOLD,
+    InjectedFault("sdo_silent", "bus", "the drive's SDO server does not answer any more", on_bus.sdo_silent(), HOLD,
           within_ms=1_500, seconds=2.5, why="what it would do without us is not known any more"),
-    Fault(
+    InjectedFault(
         "encoder_restarts",
         "device",
         "its encoder counts from a new zero",
@@ -163,7 +165,7 @@ SUPERVISION = (
 
 OVERCURRENT, OVERHEATED = 0x2310, 0x4310
 DRIVE = (
-    Fault(
+    InjectedFault(
         "drive_trips",
         "device",
         "the drive finds an overcurrent: it stops, its brake closes",
@@ -171,7 +173,7 @@ DRIVE = (
         HOLD,
         within_ms=10,
     ),
-    Fault(
+    InjectedFault(
         "drive_emergency",
         "bus",
         "the drive reports that it is too hot, and goes on",
@@ -179,7 +181,7 @@ DRIVE = (
         HOLD,
         within_ms=10,
     ),
-    Fault(
+    InjectedFault(
         "drive_emergency_vendor",
         "bus",
         "an emergency message of its maker's own (0xFF10, register 0x81), and it goes on",
@@ -187,14 +189,14 @@ DRIVE = (
         HOLD,
         within_ms=10,
     ),
-    Fault(
+    InjectedFault(
         "drive_emergency_none",
         "bus",
         "an emergency message that says no error (0x00FF, register 0)",
         on_bus.emergency(lambda s: s.drive.id, NO_ERROR_EITHER, 0),
         RIDE,
     ),
-    Fault(
+    InjectedFault(
         "drive_emergency_remains",
         "bus",
         "an emergency message says that one error is over, and its register that others stand (0x0000, register 0x09)",
@@ -202,8 +204,10 @@ DRIVE = (
         HOLD,
         within_ms=10,
     ),
-    Fault("drive_reboots", "device", "the drive starts anew", in_device.reboots(lambda s: s.drive), HOLD, within_ms=20),
-    Fault(
+    InjectedFault(
+        "drive_reboots", "device", "the drive starts anew", in_device.reboots(lambda s: s.drive), HOLD, within_ms=20
+    ),
+    InjectedFault(
         "drive_tool",
         "device",
         "a service tool at the drive has it enabled and winds up at 5 mm/s; quick stop and disable voltage still work",
@@ -213,7 +217,7 @@ DRIVE = (
         band_n=15,
         why="who commands the drive must not be a question, least of all while it is DISARMED",
     ),
-    Fault(
+    InjectedFault(
         "drive_tool_unsaid",
         "device",
         "the same, and the drive's statusword says nothing of the tool",
@@ -222,7 +226,7 @@ DRIVE = (
         latency_ms=DRIVE_MS,
         band_n=15,
     ),
-    Fault(
+    InjectedFault(
         "drive_tool_at_rest",
         "device",
         "a service tool has the drive enabled and does not move it; quick stop and disable voltage still work",
@@ -230,7 +234,7 @@ DRIVE = (
         {**HOLD, Mode.DISARMED: Reaction.LATCHED},
         latency_ms=DRIVE_MS,
     ),
-    Fault(
+    InjectedFault(
         "drive_tool_deaf",
         "device",
         "a service tool moves the drive by 1 mm/s, and nothing on the bus stops it",
@@ -239,7 +243,7 @@ DRIVE = (
         latency_ms=DRIVE_MS,
         why="the operator is told at once; the emergency stop is what is left",
     ),
-    Fault(
+    InjectedFault(
         "drive_remote_lost",
         "device",
         "its statusword says that it takes no commands from the bus (bit 9 off)",
@@ -248,7 +252,7 @@ DRIVE = (
         within_ms=_BIT_MS,
         latency_ms=DRIVE_MS,
     ),
-    Fault(
+    InjectedFault(
         "drive_internal_limit",
         "device",
         "its statusword says that a limit of its own is active (bit 11)",
@@ -257,7 +261,7 @@ DRIVE = (
         within_ms=DRIVE_MS,
         latency_ms=DRIVE_MS,
     ),
-    Fault(
+    InjectedFault(
         "drive_not_following",
         "device",
         "its statusword says that it does not follow the target velocity (bit 12 off)",
@@ -266,7 +270,7 @@ DRIVE = (
         latency_ms=DRIVE_MS,
         why="the bit means something only while the drive is enabled",
     ),
-    Fault(
+    InjectedFault(
         "drive_no_heartbeat",
         "device",
         "the drive sends no heartbeat any more, its samples go on",
@@ -274,7 +278,7 @@ DRIVE = (
         HOLD,
         within_ms=NO_HEARTBEAT_MS,
     ),
-    Fault(
+    InjectedFault(
         "drive_ignores",
         "device",
         "the motor stands still whatever it is told",
@@ -284,7 +288,7 @@ DRIVE = (
         around=Around(motion=in_plant.heaving),
         band_n=15,
     ),
-    Fault(
+    InjectedFault(
         "drive_runs_up",
         "device",
         "the motor winds up at 10 mm/s by itself",
@@ -293,7 +297,7 @@ DRIVE = (
         latency_ms=DRIVE_MS,
         band_n=15,
     ),
-    Fault(
+    InjectedFault(
         "drive_runs_down",
         "device",
         "the motor pays out at 10 mm/s by itself",
@@ -302,7 +306,7 @@ DRIVE = (
         latency_ms=DRIVE_MS,
         band_n=15,
     ),
-    Fault(
+    InjectedFault(
         "drive_runs_slowly",
         "device",
         "the motor pays out at 1 mm/s by itself",
@@ -312,7 +316,7 @@ DRIVE = (
         band_n=15,
         seconds=4.0,
     ),
-    Fault(
+    InjectedFault(
         "drive_runs_blind",
         "device",
         "the motor pays out at 5 mm/s, its encoder says it stands still",
@@ -323,7 +327,7 @@ DRIVE = (
         seconds=2.0,
         why="tension changes, and no stroke is seen",
     ),
-    Fault(
+    InjectedFault(
         "brake_stuck_closed",
         "device",
         "the brake has closed by itself",
@@ -333,7 +337,7 @@ DRIVE = (
         around=Around(motion=in_plant.heaving),
         band_n=15,
     ),
-    Fault(
+    InjectedFault(
         "brake_stuck_open",
         "device",
         "the brake does not hold: a motor without power gives way by 0.5 mm/s",
@@ -343,7 +347,7 @@ DRIVE = (
         seconds=3.0,
         why="with power the motor carries; without it somebody has to be told, but nothing may arm by itself",
     ),
-    Fault(
+    InjectedFault(
         "brake_weak",
         "device",
         "the closed brake gives way by 0.06 mm/s: less than any limit sees",
@@ -352,7 +356,7 @@ DRIVE = (
         around=Around(change=(("cylinder.brake_test", True),)),
         why="the brake test of the arming finds it",
     ),
-    Fault(
+    InjectedFault(
         "power_dip", "device", "all devices are without power for 100 ms", in_device.power_dip(0.1), HOLD, within_ms=20
     ),
 )

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from hil.faults import in_device, on_bus
-from hil.faults.expected import DRIVE_MS, HOLD, NO_HEARTBEAT_MS, PRESSED, RIDE, Around, Fault
+from hil.faults.expected import DRIVE_MS, HOLD, NO_HEARTBEAT_MS, PRESSED, RIDE, Around, InjectedFault
 from rigctl.config.io_section import IoSettings
-from rigctl.config.rig_file import RailEncoderSettings
+from rigctl.config.settings import RailEncoderSettings
 from rigctl.devices.objects import EmcyCode
 
 FITTED = Around(change=(("io", IoSettings(e_stop_input=0)),))
@@ -14,7 +14,7 @@ _SILENT_MS = 120.0
 
 RAIL = Around(change=(("rail_encoder", RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=500)),))
 RAIL_ENCODER = (
-    Fault(
+    InjectedFault(
         "rail_silent",
         "bus",
         "the rail encoder's angle stops coming",
@@ -24,7 +24,7 @@ RAIL_ENCODER = (
         around=RAIL,
         why="only feed-forward hangs on it, and ends with it; the operator is told",
     ),
-    Fault(
+    InjectedFault(
         "rail_no_heartbeat",
         "device",
         "the rail encoder sends no heartbeat any more, its angle goes on",
@@ -36,7 +36,7 @@ RAIL_ENCODER = (
 )
 
 IO = (
-    Fault(
+    InjectedFault(
         "io_e_stop",
         "device",
         "the emergency stop's contact opens at the I/O node alone",
@@ -46,7 +46,7 @@ IO = (
         around=FITTED,
         why="the drive sees nothing of it: it is the loop that has it stop and close its brake",
     ),
-    Fault(
+    InjectedFault(
         "io_e_stop_bounces",
         "device",
         "the same contact opens for 10 ms",
@@ -56,7 +56,7 @@ IO = (
         around=FITTED,
         why="longer than inhibit_ms, so that it is told; pressed is pressed",
     ),
-    Fault(
+    InjectedFault(
         "io_silent",
         "bus",
         "the I/O node's inputs stop coming",
@@ -65,7 +65,7 @@ IO = (
         within_ms=_SILENT_MS,
         around=FITTED,
     ),
-    Fault(
+    InjectedFault(
         "io_reboots",
         "device",
         "the I/O node starts anew",
@@ -74,7 +74,7 @@ IO = (
         within_ms=20,
         around=FITTED,
     ),
-    Fault(
+    InjectedFault(
         "io_nmt_stopped",
         "bus",
         "another master stops the I/O node",
@@ -83,7 +83,7 @@ IO = (
         within_ms=_SILENT_MS,
         around=FITTED,
     ),
-    Fault(
+    InjectedFault(
         "io_nmt_preop",
         "bus",
         "another master takes the I/O node to pre-operational",
@@ -92,7 +92,7 @@ IO = (
         within_ms=_SILENT_MS,
         around=FITTED,
     ),
-    Fault(
+    InjectedFault(
         "io_no_heartbeat",
         "device",
         "the I/O node sends no heartbeat any more, its inputs go on",
@@ -101,7 +101,7 @@ IO = (
         within_ms=NO_HEARTBEAT_MS,
         around=FITTED,
     ),
-    Fault(
+    InjectedFault(
         "io_emergency",
         "bus",
         "an emergency message of the I/O node, its inputs go on",
@@ -110,7 +110,7 @@ IO = (
         within_ms=10,
         around=FITTED,
     ),
-    Fault(
+    InjectedFault(
         "io_length_wrong",
         "bus",
         "every frame of the I/O node has a byte too few",

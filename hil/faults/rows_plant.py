@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from hil.faults import in_controller, in_plant
-from hil.faults.expected import ARMED, DRIVE_MS, DRIVE_STOPS, HOLD, LOST, PASSING, RIDE, Around, Fault, Reaction
+from hil.faults.expected import ARMED, DRIVE_MS, DRIVE_STOPS, HOLD, LOST, PASSING, RIDE, Around, InjectedFault, Reaction
 from rigctl.control.modes import Mode, Verb
 
 PLANT = (
-    Fault("backlash_doubled", "plant", "the nut has twice its play", in_plant.backlash(2.0), RIDE, band_n=3),
-    Fault(
+    InjectedFault("backlash_doubled", "plant", "the nut has twice its play", in_plant.backlash(2.0), RIDE, band_n=3),
+    InjectedFault(
         "spring_stiffens",
         "plant",
         "coils of the spring no longer work: 30 % stiffer",
         in_plant.spring_stiffens(1.3),
         RIDE,
     ),
-    Fault(
+    InjectedFault(
         "stroke_end_high",
         "plant",
         "the payload goes up further than the stroke",
@@ -27,7 +27,7 @@ PLANT = (
         around=Around((("simulation.rope.slack_mm", 67.0),), in_plant.rising(8.0, 5.0)),
         why="200 ms at the end are no sensor's fault",
     ),
-    Fault(
+    InjectedFault(
         "stroke_end_tensioning",
         "plant",
         "the rope is longer than the stroke",
@@ -38,7 +38,7 @@ PLANT = (
         latency_ms=220,
         around=Around((("simulation.rope.slack_mm", 78.0),), preload_n=200.0),
     ),
-    Fault(
+    InjectedFault(
         "stroke_end_low",
         "plant",
         "the stroke ends before the rope is slack",
@@ -49,7 +49,7 @@ PLANT = (
         latency_ms=220,
         around=Around((("cylinder.stroke_min_mm", 40.0),)),
     ),
-    Fault(
+    InjectedFault(
         "rope_breaks",
         "plant",
         "the rope breaks",
@@ -59,8 +59,10 @@ PLANT = (
         within_ms=60,
         carried=False,
     ),
-    Fault("rope_slips_a_little", "plant", "the rope slips by 1 mm in its clamp", in_plant.rope_slips(50.0, 1.0), RIDE),
-    Fault(
+    InjectedFault(
+        "rope_slips_a_little", "plant", "the rope slips by 1 mm in its clamp", in_plant.rope_slips(50.0, 1.0), RIDE
+    ),
+    InjectedFault(
         "rope_slips_away",
         "plant",
         "the rope slips through its clamp at 30 mm/s",
@@ -70,7 +72,7 @@ PLANT = (
         seconds=3.0,
         carried=False,
     ),
-    Fault(
+    InjectedFault(
         "spring_breaks",
         "plant",
         "the spring breaks, its chain hangs 20 mm longer",
@@ -80,14 +82,14 @@ PLANT = (
         within_ms=60,
         carried=False,
     ),
-    Fault(
+    InjectedFault(
         "payload_bumped",
         "plant",
         "a bump lifts the payload by 1 mm within 0.1 s",
         in_plant.payload_jolts(1.0, 0.1),
         RIDE,
     ),
-    Fault(
+    InjectedFault(
         "payload_caught",
         "plant",
         "the payload is caught and pulled down at 30 mm/s",
@@ -97,7 +99,7 @@ PLANT = (
         seconds=1.8,
         why="a ramp that starts low never gets to 400 N",
     ),
-    Fault(
+    InjectedFault(
         "payload_lifted",
         "plant",
         "something lifts the payload off the rope at 40 mm/s",
@@ -111,7 +113,7 @@ PLANT = (
 )
 
 CONTROLLER = (
-    Fault(
+    InjectedFault(
         "controller_hangs",
         "controller",
         "the loop stands still for 300 ms",
@@ -119,7 +121,7 @@ CONTROLLER = (
         DRIVE_STOPS,
         band_n=9,
     ),
-    Fault(
+    InjectedFault(
         "overrun_once",
         "controller",
         "5 ticks are missed at once",
@@ -128,7 +130,7 @@ CONTROLLER = (
         band_n=3,
         counter="skipped",
     ),
-    Fault(
+    InjectedFault(
         "overrun_bursts",
         "controller",
         "6 ticks are missed every 50 ms",
@@ -138,7 +140,7 @@ CONTROLLER = (
         why="50 missed within a second is what the rig file allows",
         counter="skipped",
     ),
-    Fault(
+    InjectedFault(
         "arm_during_run_out",
         "controller",
         "an operator disarms, and arms again 10 ms later",
@@ -147,7 +149,7 @@ CONTROLLER = (
         band_n=1,
         why="the drive has its power again after the brake has closed",
     ),
-    Fault(
+    InjectedFault(
         "reset_during_quick_stop",
         "controller",
         "an operator resets and arms 10 ms after a quick stop has begun",

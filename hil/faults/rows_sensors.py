@@ -12,7 +12,7 @@ from hil.faults.expected import (
     RIDE,
     WHEN_MOVING,
     Around,
-    Fault,
+    InjectedFault,
     Reaction,
 )
 from hil.faults.in_device import CELL, CELL_STATUS, LATERAL, LONG, both, reads, says, stuck
@@ -25,9 +25,11 @@ WAY_N = 90.0
 """15 mm of stroke: a payload of this rig moves by 10 mm, more than that is none."""
 
 SENSOR_CELL = (
-    Fault("cell_silent", "bus", "the cell's samples stop", on_bus.silent(on_bus.cell), HOLD, within_ms=20),
-    Fault("cell_stuck", "device", "the cell repeats its last sample to the last bit", stuck(CELL), HOLD, within_ms=300),
-    Fault(
+    InjectedFault("cell_silent", "bus", "the cell's samples stop", on_bus.silent(on_bus.cell), HOLD, within_ms=20),
+    InjectedFault(
+        "cell_stuck", "device", "the cell repeats its last sample to the last bit", stuck(CELL), HOLD, within_ms=300
+    ),
+    InjectedFault(
         "cell_frozen",
         "device",
         "the cell's noise goes on about one value, 1 % too low",
@@ -38,7 +40,7 @@ SENSOR_CELL = (
         seconds=3.0,
         why="the law drives the stroke, and nothing comes of it: so does a payload that moves",
     ),
-    Fault(
+    InjectedFault(
         "cell_drift_fast",
         "device",
         "the cell drifts by 20 N/s",
@@ -51,7 +53,7 @@ SENSOR_CELL = (
         band_n=WAY_N,
         why="it looks like a payload that moves, or like a ramp; what ends it is the way the cylinder may go",
     ),
-    Fault(
+    InjectedFault(
         "cell_drift_slow",
         "device",
         "the cell drifts by 0.5 N/s",
@@ -60,7 +62,7 @@ SENSOR_CELL = (
         seconds=3.0,
         why="not to be told from a payload that moves: calibration's affair",
     ),
-    Fault(
+    InjectedFault(
         "cell_jump_up",
         "device",
         "80 N more from one sample to the next",
@@ -68,7 +70,7 @@ SENSOR_CELL = (
         PASSING,
         within_ms=60,
     ),
-    Fault(
+    InjectedFault(
         "cell_jump_down",
         "device",
         "80 N less from one sample to the next",
@@ -76,15 +78,15 @@ SENSOR_CELL = (
         PASSING,
         within_ms=60,
     ),
-    Fault(
+    InjectedFault(
         "cell_spike",
         "device",
         "one sample in 200 is 80 N too high",
         reads(CELL, spikes=80.0),
         RIDE,
     ),
-    Fault("cell_noisy", "device", "three times the noise", reads(CELL, noise=0.1), RIDE),
-    Fault(
+    InjectedFault("cell_noisy", "device", "three times the noise", reads(CELL, noise=0.1), RIDE),
+    InjectedFault(
         "cell_noise_gross",
         "device",
         "noise of 20 N rms",
@@ -94,8 +96,10 @@ SENSOR_CELL = (
         within_ms=300,
         why="a stroke that is held does not mind; it trips as soon as it is to move",
     ),
-    Fault("cell_overload", "device", "the amplifier says it is overloaded", in_device.overloaded(), HOLD, within_ms=10),
-    Fault(
+    InjectedFault(
+        "cell_overload", "device", "the amplifier says it is overloaded", in_device.overloaded(), HOLD, within_ms=10
+    ),
+    InjectedFault(
         "cell_pinned_high",
         "device",
         "it reads the end of its range, 500 N, and says nothing",
@@ -103,7 +107,7 @@ SENSOR_CELL = (
         HOLD,
         within_ms=40,
     ),
-    Fault(
+    InjectedFault(
         "cell_over_range",
         "device",
         "it reads 650 N, more than it can",
@@ -111,7 +115,7 @@ SENSOR_CELL = (
         HOLD,
         within_ms=10,
     ),
-    Fault(
+    InjectedFault(
         "cell_zero",
         "device",
         "a broken wire: it reads 0 N",
@@ -119,10 +123,10 @@ SENSOR_CELL = (
         PASSING,
         within_ms=60,
     ),
-    Fault(
+    InjectedFault(
         "cell_nan", "device", "the number that stands for none", says(CELL, in_device.NOT_A_NUMBER), HOLD, within_ms=10
     ),
-    Fault(
+    InjectedFault(
         "cell_not_valid",
         "device",
         "its status says that the sample is not valid",
@@ -130,9 +134,9 @@ SENSOR_CELL = (
         HOLD,
         within_ms=10,
     ),
-    Fault("cell_sign", "device", "its sign turns round", reads(CELL, times=-1.0), HOLD, within_ms=60),
-    Fault("cell_unit", "device", "it reads kgf for N", reads(CELL, times=1 / G), PASSING, within_ms=60),
-    Fault(
+    InjectedFault("cell_sign", "device", "its sign turns round", reads(CELL, times=-1.0), HOLD, within_ms=60),
+    InjectedFault("cell_unit", "device", "it reads kgf for N", reads(CELL, times=1 / G), PASSING, within_ms=60),
+    InjectedFault(
         "cell_sign_from_start",
         "device",
         "mounted the wrong way round",
@@ -142,7 +146,7 @@ SENSOR_CELL = (
         band_n=15.0,
         from_start=True,
     ),
-    Fault(
+    InjectedFault(
         "cell_unit_from_start",
         "device",
         "reads kgf for N since power-on",
@@ -154,7 +158,7 @@ SENSOR_CELL = (
         latency_ms=170,
         why="caught while the tension is a fraction of the target",
     ),
-    Fault(
+    InjectedFault(
         "cell_emergency",
         "bus",
         "an emergency message, samples go on",
@@ -162,10 +166,10 @@ SENSOR_CELL = (
         HOLD,
         within_ms=10,
     ),
-    Fault(
+    InjectedFault(
         "cell_reboots", "device", "the amplifier starts anew", in_device.reboots(lambda s: s.cell), HOLD, within_ms=20
     ),
-    Fault(
+    InjectedFault(
         "cell_emergency_vendor",
         "bus",
         "an emergency message of its maker's own (0xFF10, register 0x81), samples go on",
@@ -173,14 +177,14 @@ SENSOR_CELL = (
         HOLD,
         within_ms=10,
     ),
-    Fault(
+    InjectedFault(
         "cell_emergency_none",
         "bus",
         "an emergency message that says no error (0x00FF, register 0)",
         on_bus.emergency(lambda s: s.cell.id, NO_ERROR_EITHER, 0),
         RIDE,
     ),
-    Fault(
+    InjectedFault(
         "cell_nmt_stopped",
         "bus",
         "another master stops the amplifier",
@@ -188,7 +192,7 @@ SENSOR_CELL = (
         HOLD,
         within_ms=20,
     ),
-    Fault(
+    InjectedFault(
         "cell_nmt_preop",
         "bus",
         "another master takes the cell to pre-operational",
@@ -196,7 +200,7 @@ SENSOR_CELL = (
         HOLD,
         within_ms=20,
     ),
-    Fault(
+    InjectedFault(
         "cell_no_heartbeat",
         "device",
         "the cell sends no heartbeat any more, its samples go on",
@@ -204,7 +208,7 @@ SENSOR_CELL = (
         HOLD,
         within_ms=NO_HEARTBEAT_MS,
     ),
-    Fault(
+    InjectedFault(
         "cell_length_wrong",
         "bus",
         "every sample has a byte too few",
@@ -216,8 +220,10 @@ SENSOR_CELL = (
 )
 
 SENSOR_SLOPE = (
-    Fault("slope_silent", "bus", "the inclinometer's samples stop", on_bus.silent(on_bus.slope), HOLD, within_ms=120),
-    Fault(
+    InjectedFault(
+        "slope_silent", "bus", "the inclinometer's samples stop", on_bus.silent(on_bus.slope), HOLD, within_ms=120
+    ),
+    InjectedFault(
         "slope_stuck",
         "device",
         "it repeats its last sample while the mechanism turns",
@@ -227,7 +233,7 @@ SENSOR_SLOPE = (
         around=Around(motion=in_plant.rotating),
         why="at rest it repeats itself anyhow; at 0.7 deg it is worth 0.0075 %",
     ),
-    Fault(
+    InjectedFault(
         "slope_drift_slow",
         "device",
         "it drifts by 1 deg/s",
@@ -236,7 +242,7 @@ SENSOR_SLOPE = (
         seconds=3.0,
         why="3 deg are worth 0.14 %",
     ),
-    Fault(
+    InjectedFault(
         "slope_drift_fast",
         "device",
         "it drifts by 10 deg/s",
@@ -245,7 +251,7 @@ SENSOR_SLOPE = (
         seconds=3.5,
         why="beyond 14 deg the set-point would be 3 % off",
     ),
-    Fault(
+    InjectedFault(
         "slope_jump",
         "device",
         "20 deg from one sample to the next",
@@ -253,8 +259,8 @@ SENSOR_SLOPE = (
         HOLD,
         within_ms=300,
     ),
-    Fault("slope_noisy", "device", "ten times the noise, 0.03 deg rms", reads(LONG, noise=0.03), RIDE),
-    Fault(
+    InjectedFault("slope_noisy", "device", "ten times the noise, 0.03 deg rms", reads(LONG, noise=0.03), RIDE),
+    InjectedFault(
         "slope_invalid",
         "device",
         "both axes say that they cannot measure",
@@ -262,7 +268,7 @@ SENSOR_SLOPE = (
         HOLD,
         within_ms=30,
     ),
-    Fault(
+    InjectedFault(
         "slope_axis_invalid",
         "device",
         "one axis says that it cannot measure",
@@ -270,7 +276,7 @@ SENSOR_SLOPE = (
         HOLD,
         within_ms=30,
     ),
-    Fault(
+    InjectedFault(
         "slope_over_range",
         "device",
         "it reads 60 deg, more than it can",
@@ -278,7 +284,7 @@ SENSOR_SLOPE = (
         HOLD,
         within_ms=30,
     ),
-    Fault(
+    InjectedFault(
         "slope_sign",
         "device",
         "its sign turns round while the mechanism turns",
@@ -288,7 +294,7 @@ SENSOR_SLOPE = (
         around=Around(motion=in_plant.rotating),
         why="the cosine does not care",
     ),
-    Fault(
+    InjectedFault(
         "slope_unit",
         "device",
         "ten times the angle while the mechanism turns",
@@ -298,7 +304,7 @@ SENSOR_SLOPE = (
         around=Around(motion=in_plant.rotating),
         why="7 deg for 0.7 deg are worth 0.74 %, and beyond the limit of 5 deg",
     ),
-    Fault(
+    InjectedFault(
         "slope_emergency",
         "bus",
         "an emergency message, samples go on",
@@ -306,7 +312,7 @@ SENSOR_SLOPE = (
         HOLD,
         within_ms=10,
     ),
-    Fault(
+    InjectedFault(
         "slope_reboots",
         "device",
         "the inclinometer starts anew",
@@ -314,7 +320,7 @@ SENSOR_SLOPE = (
         HOLD,
         within_ms=20,
     ),
-    Fault(
+    InjectedFault(
         "slope_nmt_stopped",
         "bus",
         "another master stops the inclinometer",
@@ -322,7 +328,7 @@ SENSOR_SLOPE = (
         HOLD,
         within_ms=120,
     ),
-    Fault(
+    InjectedFault(
         "slope_nmt_preop",
         "bus",
         "another master takes the inclinometer to pre-operational",
@@ -330,7 +336,7 @@ SENSOR_SLOPE = (
         HOLD,
         within_ms=120,
     ),
-    Fault(
+    InjectedFault(
         "slope_no_heartbeat",
         "device",
         "the inclinometer sends no heartbeat any more, its samples go on",

@@ -13,7 +13,7 @@ from hil.nodes.node import Node
 from hil.nodes.rail_encoder import RailEncoder
 from hil.nodes.tension_amplifier import TensionAmplifier
 from hil.plant import Plant
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.devices import objects
 

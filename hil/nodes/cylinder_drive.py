@@ -16,7 +16,7 @@ from hil.nodes.node import COMMUNICATION_ERROR, GENERIC_ERROR, Node
 from hil.nodes.pdo import ReceivePdo
 from hil.nodes.power_stage import Phase, PowerStage
 from hil.plant import Plant
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.config.simulation_section import DriveSettings, SimulationSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import Controlword, DriveState, EmcyCode, NmtState

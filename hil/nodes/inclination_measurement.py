@@ -7,7 +7,7 @@ import random
 
 from hil.nodes.low_pass import LowPass, time_constant_s
 from hil.plant import Plant
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.config.simulation_section import SimulationSettings
 
 GRAVITY_MM_S2 = 9806.65

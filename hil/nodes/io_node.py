@@ -9,7 +9,7 @@ from hil.nodes.network import RigNetwork
 from hil.nodes.node import Node
 from hil.plant import Plant
 from rigctl.config.io_section import INPUTS_PER_BLOCK
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import NmtState
 

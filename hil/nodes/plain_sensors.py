@@ -12,7 +12,7 @@ from hil.nodes.tension_measurement import TensionMeasurement
 from hil.plant import Plant
 from hil.wire import FRAME
 from rigctl.config.plain import PlainMessage
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.config.simulation_section import SimulationSettings
 
 

@@ -8,7 +8,7 @@ from hil.nodes.dictionary import number
 from hil.nodes.network import RigNetwork
 from hil.nodes.node import Node
 from hil.plant import Plant
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.devices import objects
 
 SERIAL = 406001

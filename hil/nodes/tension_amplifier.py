@@ -6,7 +6,7 @@ from hil.nodes.network import RigNetwork
 from hil.nodes.node import Node
 from hil.nodes.tension_measurement import TensionMeasurement
 from hil.plant import Plant
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.config.simulation_section import SimulationSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import AiStatus

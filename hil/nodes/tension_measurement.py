@@ -6,7 +6,7 @@ import random
 
 from hil.nodes.low_pass import LowPass, time_constant_s
 from hil.plant import Plant
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.config.simulation_section import SimulationSettings
 from rigctl.devices.objects import AiStatus
 

@@ -11,7 +11,7 @@ import numpy as np
 from hil.plant.inputs import Track
 from hil.plant.layout import FLOOR_VERTICAL, HEIGHT, MECHANISM, RUN_OUT
 from hil.plant.moves import leg, out_and_back
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 
 RAMP_S = 2.0
 """Time in which the mechanism reaches its speed, whatever the speed; the paper gives none."""

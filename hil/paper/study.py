@@ -14,7 +14,7 @@ from hil.paper.cases import NO_SPRING, cases
 from hil.paper.claims import TARGET_N
 from hil.paper.signals import Signals
 from hil.scenario.play import play
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 
 WAIVER = "the paper's study shows every stiffness with this design, also where it misses the limit"
 _MOST_WORKERS = 4

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from hil.plant.kernel import KG
 from hil.plant.layout import AXES, PARAMETERS
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.config.simulation_section import FrictionSettings, SimulationSettings
 
 N_S_M = 1.0e-3

@@ -14,7 +14,7 @@ from hil.plant.inputs import Track, pack
 from hil.plant.layout import RUN_OUT, STATE, VIEW
 from hil.plant.parameters import parameters
 from hil.truth import Truth
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 
 
 class Swing(NamedTuple):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from hil.plant.inputs import Track
 from hil.scenario import checks, disturbances, format, rig
 from hil.scenario.format import Scenario
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 
 
 @dataclass(frozen=True)

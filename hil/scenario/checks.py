@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from hil.scenario import kinds
 from hil.scenario.errors import ScenarioError
 from hil.scenario.format import ScenarioFile
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.config.wording import Path
 
 STEPS_PER_PERIOD = 10

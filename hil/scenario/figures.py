@@ -33,7 +33,8 @@ class Span:
 
     def eta_pct(self, vertical_n: Floats) -> Floats:
         """Compensating error ``|Fz - Fd| / Fd`` of every row, equation (16)."""
-        return np.abs(error_pct(vertical_n, self.target_n))
+        error: Floats = np.abs(error_pct(vertical_n, self.target_n))
+        return error
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from hil.plant import Plant
 from hil.plant.inputs import Track
 from hil.scenario.errors import ScenarioError
 from hil.truth import TRUTH_DTYPE
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.loop import LawFactory
 from rigctl.control.modes import Mode, Refusal, Verb

@@ -12,7 +12,8 @@ from hil.scenario.errors import ScenarioError
 from hil.scenario.format import ScenarioFile, read_yaml
 from rigctl.config import rig_file as config
 from rigctl.config.bounds import as_study
-from rigctl.config.rig_file import ConfigError, RigSettings
+from rigctl.config.rig_file import ConfigError
+from rigctl.config.settings import RigSettings
 from rigctl.config.strict_yaml import Document
 from rigctl.config.wording import Path, Wording
 

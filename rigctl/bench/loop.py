@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rigctl.bench import cyclictest
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode, Verb
 from rigctl.demo.live_rig import LiveRig, LiveRigError, own, start_live_rig
 from rigctl.ipc.runtime_folder import Runtime

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from rigctl.bench.loop import Rate
-    from rigctl.config.rig_file import RigSettings
+    from rigctl.config.settings import RigSettings
 
 LATENESS_RATIO = 2.0
 """The loop's lateness p99.9 over cyclictest's."""

@@ -11,9 +11,10 @@ from rigctl.config import wording as config_wording
 from rigctl.config.bounds import Stop, findings
 from rigctl.config.limits_section import SIGNALS
 from rigctl.config.quantity import count, significant
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
 from rigctl.control import limits, safety
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
 from rigctl.devices import busload
 
@@ -115,7 +116,7 @@ def _watched(settings: RigSettings) -> Table:
         beyond = significant(limit, "ms" if nanoseconds else row.unit) if limit or row.unit else "-"
         modes = "".join(mode.name[0] if mode in row.modes else "." for mode in Mode)
         action = row.action.name.lower().replace("_", " ")
-        what = row.text if row.fault is safety.Fault.LIMIT else f"{row.fault.name} {row.text}".strip()
+        what = row.text if row.fault is Fault.LIMIT else f"{row.fault.name} {row.text}".strip()
         table.add_row(what, beyond, f"{row.persistence_ns // 1_000_000}", action, modes)
     return table
 

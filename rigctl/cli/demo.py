@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import pathlib
+from collections.abc import Callable
 
 from rich.console import Console
 from rich.table import Table
 
-from rigctl.config.rig_file import DemoSettings, RigSettings
+from rigctl.config.settings import DemoSettings, RigSettings
 from rigctl.control.modes import Mode
 from rigctl.demo.live_rig import own
-from rigctl.demo.script import Moment
+from rigctl.demo.script import DemoError, Moment, PausedError
 from rigctl.demo.summary import Summary, rows
 from rigctl.ipc.runtime_folder import daemons
 from rigctl.metrics.tension_error import error_pct
@@ -47,9 +48,20 @@ def run(
         from rigctl.demo.lockstep import play_lockstep as play
     else:
         from rigctl.demo.live import play_live as play
-    summary = play(settings, demo, show)
+    try:
+        summary = play(settings, demo, show)
+    except PausedError as error:
+        console.print(f"{error}, and the rig tripped, as it should; once more", highlight=False, soft_wrap=True)
+        summary = _play_again(lambda: play(settings, demo, show))
     _print_summary(summary, demo, console)
     return summary
+
+
+def _play_again(play: Callable[[], Summary]) -> Summary:
+    try:
+        return play()
+    except PausedError as error:
+        raise DemoError(f"{error}, again: it is too busy for real time; rigctl demo --lockstep needs none") from None
 
 
 def own_settings(settings: RigSettings, recordings: pathlib.Path) -> RigSettings:

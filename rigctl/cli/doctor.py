@@ -14,7 +14,7 @@ from rigctl.cli.options import BAD, DONE, USAGE, Connect, Json, Rig, end, say, s
 
 if TYPE_CHECKING:
     from rigctl.cli.doctor_host import Finding
-    from rigctl.config.rig_file import RigSettings
+    from rigctl.config.settings import RigSettings
 
 File = Annotated[pathlib.Path | None, typer.Argument(metavar="[FILE]", help="Rig file [the running daemon's].")]
 _WIDEST = 100
@@ -115,7 +115,7 @@ def _settings_of(active: dict[str, Any] | None) -> RigSettings | None:
     """The daemon's settings; None where another version's are not understood."""
     from pydantic import ValidationError
 
-    from rigctl.config.rig_file import RigSettings
+    from rigctl.config.settings import RigSettings
 
     try:
         return RigSettings.model_validate(active["settings"]) if active is not None else None

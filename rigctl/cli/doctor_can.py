@@ -8,7 +8,7 @@ import subprocess
 from typing import Any
 
 from rigctl.cli.doctor_host import Finding, fails, good, warning
-from rigctl.config.rig_file import CanSettings
+from rigctl.config.settings import CanSettings
 
 LIMIT_S = 5.0
 QUEUE = 10

@@ -13,7 +13,7 @@ from typing import Any
 from rigctl import __version__
 from rigctl.cli.doctor_host import Finding, fails, good, warning
 from rigctl.commission import preflight
-from rigctl.config.rig_file import LoopSettings, RigSettings
+from rigctl.config.settings import LoopSettings, RigSettings
 from rigctl.control.checks import Check
 from rigctl.ipc import ledger
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from rigctl import __version__
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.ipc import runtime_folder as runtime
 
 ROOT = pathlib.Path("/")

@@ -10,7 +10,7 @@ import os
 import sys
 from dataclasses import asdict
 
-from rigctl.config.rig_file import LoopSettings
+from rigctl.config.settings import LoopSettings
 from rigctl.control import realtime
 
 

@@ -14,7 +14,7 @@ from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, say, s
 from rigctl.config.quantity import count
 
 if TYPE_CHECKING:
-    from rigctl.config.rig_file import RigSettings
+    from rigctl.config.settings import RigSettings
     from rigctl.control.tension import Gains
     from rigctl.recorder.recording import Recording
     from rigctl.replay.compare import Against, Divergence

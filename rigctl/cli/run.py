@@ -13,7 +13,7 @@ from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, say, s
 from rigctl.ipc import output_file
 
 if TYPE_CHECKING:
-    from rigctl.config.rig_file import RigSettings
+    from rigctl.config.settings import RigSettings
 
 DEMO_FILE = pathlib.Path("config/paper_rig.yaml")
 DEMO_RECORDINGS = pathlib.Path("recordings")

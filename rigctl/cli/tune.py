@@ -15,7 +15,7 @@ from rigctl.cli.options import BAD, DONE, USAGE, check_output, end, say
 from rigctl.ipc import output_file
 
 if TYPE_CHECKING:
-    from rigctl.config.rig_file import RigSettings
+    from rigctl.config.settings import RigSettings
     from rigctl.design.search import Found
     from rigctl.design.verdict import Design
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import msgspec
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.ipc.ledger import CLOCKS_DIFFER, Standing, moment
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from rigctl.commission import identification
 from rigctl.commission.identification import Drive, Estimate, IdentificationError, Signals
 from rigctl.config.quantity import count
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.trials import QUIET_S
 
 LAST_QUIET_S = 0.01  # of the rest before the first step, left out

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rigctl.config.wording import unit_of
 
 if TYPE_CHECKING:
-    from rigctl.config.rig_file import RigSettings
+    from rigctl.config.settings import RigSettings
 
 BLIND_MM = 1.0
 """Stroke at top speed before a loss is noticed, and in a ramp down to standstill."""
@@ -312,11 +312,3 @@ def _of_limits(settings: RigSettings) -> Iterator[Finding]:
             yield Finding(f"limits.{i}.high", row.high, f"at most {high:g} ({what}; beyond it the row never trips)")
         if row.low is not None and row.low < low:
             yield Finding(f"limits.{i}.low", row.low, f"at least {low:g} ({what}; beyond it the row never trips)")
-
-
-if __name__ == "__main__":
-    import sys
-
-    from rigctl.config import rig_file as config
-
-    sys.stdout.write(document(config.load(sys.argv[1])))

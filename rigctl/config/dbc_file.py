@@ -15,7 +15,7 @@ import cantools
 from rigctl.config import canopen
 from rigctl.config.one_line import on_one_line
 from rigctl.config.plain import FLOAT_CODES, PlainMessage, PlainSignal
-from rigctl.config.rig_file import DbcSettings, PlainMessages, RigSettings
+from rigctl.config.settings import DbcSettings, PlainMessages, RigSettings
 
 _TENSION = {"N": 1.0}
 _ANGLE = {"deg": math.radians(1.0), "rad": 1.0}

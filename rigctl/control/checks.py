@@ -13,7 +13,7 @@ class Check(IntFlag):
 
     words: str
 
-    def __new__(cls, bit: int, words: str) -> Check:
+    def __new__(cls, bit: int, words: str = "") -> Check:
         """A member with its words."""
         member = int.__new__(cls, bit)
         member._value_ = bit

@@ -17,7 +17,7 @@ import msgspec
 from can.typechecking import CanFilters
 from pydantic import ValidationError
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke, realtime
 from rigctl.control.checks import Check
 from rigctl.control.clock import GridClock, SimulatedClock

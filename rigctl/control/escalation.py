@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.safety import BRAKE_SLIP_MM_S, Action, Snapshot, Trip
 from rigctl.control.stroke_hold import AUTHORITY_MM_S

@@ -33,7 +33,7 @@ class Fault(IntEnum):
     remedy: str
     traits: Trait
 
-    def __new__(cls, number: int, words: str, remedy: str = "", traits: Trait = _NO_TRAIT) -> Fault:
+    def __new__(cls, number: int, words: str = "", remedy: str = "", traits: Trait = _NO_TRAIT) -> Fault:
         """A member with its words."""
         member = int.__new__(cls, number)
         member._value_ = number

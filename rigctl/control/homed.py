@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rigctl.config.rig_file import CylinderSettings
+from rigctl.config.settings import CylinderSettings
 
 TOLERANCE_MM = 0.5
 GAP_NS = 100_000_000  # after a longer one the speed says nothing of where the stroke has gone

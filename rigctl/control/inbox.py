@@ -8,7 +8,7 @@ from collections.abc import Callable
 import can
 
 from rigctl.config.plain import PlainMessage
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.readback import Readback
 from rigctl.devices import can_errors, codecs, dbc, emergency, sdo
 from rigctl.devices import objects as od

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import Array
 from rigctl.control.gate import Gate
 from rigctl.control.kalman import KalmanFilter

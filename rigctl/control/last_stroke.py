@@ -15,7 +15,7 @@ import msgspec
 
 from rigctl.config import input_file
 from rigctl.config.one_line import printable
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.homed import LastStroke
 from rigctl.ipc.ledger import sync_folder, utc
 from rigctl.ipc.record import Flag

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from operator import attrgetter
 
 from rigctl.config.limits_section import SIGNALS, LimitSettings
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
 from rigctl.control.safety import ARMED, Action, Row, Snapshot, status_stale_ns

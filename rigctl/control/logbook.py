@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.homed import Finding
 from rigctl.control.inbox import Inbox

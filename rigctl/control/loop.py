@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import can
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control import arming, limits
 from rigctl.control.checks import Check
 from rigctl.control.clock import Clock

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.arming import Standstill
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.inbox import Inbox

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control import arming, modes, safety, trials
 from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.control.events import Kind

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import can
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.devices import codecs
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import COMMAND, ProcessData, wanted

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Snapshot

@@ -13,7 +13,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rigctl.config.rig_file import LoopSettings
+from rigctl.config.settings import LoopSettings
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK, _PR_SET_PDEATHSIG = 29, 30, 1

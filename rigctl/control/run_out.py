@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 
-from rigctl.config.rig_file import RailEncoderSettings, RigSettings, RunOutSettings
+from rigctl.config.settings import RailEncoderSettings, RigSettings, RunOutSettings
 
 RATE_S = 0.005
 """Low-pass of the rail's rate. The rail goes in jerks; a count of 2^20 in a turn at 1 kHz is 6 mrad/s by itself."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 
 TRAVEL_MM = 0.1  # expected of the drive before it is judged: more than its delay hides

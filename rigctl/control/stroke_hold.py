@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.plausibility import STROKE_MEMORY_S
 from rigctl.control.safety import CONTRADICTION_MM, STROKE_ERROR_MM, Snapshot
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.ipc.record import Flag
 
 SETTLED_FRACTION = 0.005  # of the target: tensioning is over within this error

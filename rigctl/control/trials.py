@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Refusal, Verb
 from rigctl.control.safety import Snapshot

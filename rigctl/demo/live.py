@@ -20,10 +20,10 @@ import numpy.typing as npt
 
 from hil import truth as truth_log
 from rigctl.client.connection import NoDaemonError
-from rigctl.config.rig_file import DemoSettings, RigSettings
+from rigctl.config.settings import DemoSettings, RigSettings
 from rigctl.control.modes import Mode, Verb
 from rigctl.demo.live_rig import STOP_LIMIT_S, LiveRig, LiveRigError, process, start_live_rig
-from rigctl.demo.script import DemoError, Moment, Show, play
+from rigctl.demo.script import DemoError, Moment, PausedError, Show, TrippedError, play
 from rigctl.demo.summary import Summary, Telemetry, summarise
 from rigctl.devices import objects as od
 from rigctl.ipc.ring import RingReader
@@ -32,13 +32,14 @@ from rigctl.recorder import parts
 
 OPERATOR = "demo"
 STATE_LIMIT_S = 2.0
+PAUSE_TICKS = 10  # missed together: more than a computer that has time for the loop ever takes
 
 
 class LiveStage:
     """`Stage` on real processes: commands over Zenoh, the move by SDO to the simulator's own node."""
 
     def __init__(self, live_rig: LiveRig, records: RingReader, simulator: canopen.RemoteNode) -> None:
-        self._rehearsal, self._client = live_rig, live_rig.client
+        self._live_rig, self._client = live_rig, live_rig.client
         self._states = self._client.follow(self._client.keys.state)
         self._reader = records
         self._simulator = simulator
@@ -50,7 +51,7 @@ class LiveStage:
 
     def command(self, verb: Verb) -> None:
         """See `Stage`."""
-        self._heard(self._rehearsal.command(verb, OPERATOR))
+        self._heard(self._live_rig.command(verb, OPERATOR))
 
     def _heard(self, answer: dict[str, Any]) -> None:
         if not answer["accepted"]:
@@ -82,7 +83,7 @@ class LiveStage:
             raise DemoError(f"no state from the daemon for {STATE_LIMIT_S:.0f} s")
         self._fresh_ns = time.monotonic_ns()
         self._moment = Moment(
-            (int(state["t_ns"]) - self._start_ns) * 1e-9,
+            self.since_start_s(int(state["t_ns"])),
             Mode[state["mode"]],
             float(state["vertical_n"]),
             float(state["target_n"]),
@@ -91,6 +92,10 @@ class LiveStage:
             float(state["lateness_us"]["p99"]),
         )
         return self._moment
+
+    def since_start_s(self, t_ns: int) -> float:
+        """Time of the demo at an instant of CLOCK_MONOTONIC."""
+        return (t_ns - self._start_ns) * 1e-9
 
     def pass_time(self, seconds: float) -> None:
         """See `Stage`; also keeps the lease, and takes the records out of the ring before they are overwritten."""
@@ -130,6 +135,7 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
     """Play the demo in real time.
 
     Raises:
+        PausedError: it tripped because this computer stopped the loop.
         DemoError: a process did not start or answer, or the script could not be played to its end.
     """
     if settings.can.interface != "rigsim":
@@ -145,7 +151,10 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
             records = Runtime.of(settings.rig).record_reader(from_start=True)
             with _simulator(live_rig.settings) as simulator:
                 stage = LiveStage(live_rig, records, simulator)
-                play(stage, demo, show)
+                try:
+                    play(stage, demo, show)
+                except TrippedError as error:
+                    raise _by_pause(stage, settings) or error from None
                 telemetry = _count(counter)
                 stage.pass_time(0.0)
                 recording = _recording(settings)
@@ -155,6 +164,26 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
         except can.CanError as error:
             raise DemoError(f"the simulated rig has gone: {error}") from None
         return summarise(np.concatenate(stage.records), truth_log.read(truth_file), telemetry, demo, recording)
+
+
+def _by_pause(stage: LiveStage, settings: RigSettings) -> PausedError | None:
+    """What is to be said of a trip that a pause of this computer has caused; None where none has.
+
+    The loop measures it itself: it missed periods of its grid within the window of the overrun's limit.
+    """
+    stage.pass_time(0.0)
+    records = np.concatenate(stage.records)
+    tripped = np.flatnonzero(records["mode"] == Mode.FAULT)
+    if not len(tripped):
+        return None
+    end_ns = int(records["t_ns"][tripped[0]])
+    window = records[records["t_ns"] <= end_ns]
+    window = window[window["t_ns"] >= end_ns - settings.safety.overrun_window_ms * 1_000_000]
+    missed = int(window["skipped"][-1]) - int(window["skipped"][0])
+    if missed < PAUSE_TICKS:
+        return None
+    stopped_ms = missed * settings.loop.period_ns / 1e6
+    return PausedError(f"this computer stopped the loop for {stopped_ms:.0f} ms at {stage.since_start_s(end_ns):.1f} s")
 
 
 def _recording(settings: RigSettings) -> pathlib.Path | None:

@@ -22,7 +22,7 @@ import msgspec
 import yaml
 
 from rigctl.client.connection import Client, NoDaemonError
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode, Verb
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime, is_free
 

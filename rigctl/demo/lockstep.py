@@ -13,7 +13,7 @@ import numpy.typing as npt
 from hil.lockstep import START_NS, Lockstep, lockstep
 from hil.truth import TRUTH_DTYPE
 from rigctl import __version__
-from rigctl.config.rig_file import DemoSettings, RigSettings
+from rigctl.config.settings import DemoSettings, RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.demo.script import DemoError, Moment, Show, play
 from rigctl.demo.summary import Summary, summarise

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from rigctl.config.rig_file import DemoSettings
+from rigctl.config.settings import DemoSettings
 from rigctl.control.modes import Mode, Verb
 
 SETTLE_S = 5.0
@@ -15,6 +15,14 @@ REST_S = 3.0
 
 class DemoError(RuntimeError):
     """The demo could not be played to its end; ``str()`` is one line."""
+
+
+class TrippedError(DemoError):
+    """The rig tripped."""
+
+
+class PausedError(DemoError):
+    """This computer stopped the loop for longer than the rig may be left alone."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,7 @@ def play(stage: Stage, demo: DemoSettings, show: Show) -> None:
             moment = stage.moment()
             show(moment, step)
             if moment.mode is Mode.FAULT:
-                raise DemoError(f"the rig tripped while {step}")
+                raise TrippedError(f"the rig tripped while {step}")
         raise DemoError(f"{step} took longer than {limit_s:.0f} s")
 
     def wait(seconds: float, step: str) -> None:

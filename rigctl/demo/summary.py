@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.config.rig_file import DemoSettings
+from rigctl.config.settings import DemoSettings
 from rigctl.control.modes import Mode
 from rigctl.metrics import tension_error as metrics
 

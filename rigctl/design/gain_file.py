@@ -23,7 +23,7 @@ from pydantic import Field, ValidationError
 
 from rigctl import __version__
 from rigctl.config import strict_yaml
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
 from rigctl.config.wording import Wording
 from rigctl.control.tension import Gains

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import Array, FilterModel, filter_model
 from rigctl.control.tension import Gains
 

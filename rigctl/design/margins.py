@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import filter_model
 from rigctl.control.tension import Gains
 from rigctl.design import plant_family

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import Array
 from rigctl.design.closed_loop import Controller, closed_loop
 from rigctl.design.plant_family import member

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

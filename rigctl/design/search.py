@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rigctl.config.bounds import findings
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.design.margins import design_and_check
 from rigctl.design.verdict import Design
 

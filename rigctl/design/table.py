@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.design.performance import SHAKE_HZ, VERTICAL_HZ, VERTICAL_MM
 from rigctl.design.plant_family import REPORTED_N_MM
 from rigctl.design.verdict import Design, MemberMargins

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rigctl.config.plain import PlainMessage
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.devices import objects as od
 from rigctl.devices import sdo
 from rigctl.devices.process_data import COMMAND, DRIVE_SPEED, DRIVE_STATUS, ProcessData, wanted

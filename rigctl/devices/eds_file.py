@@ -8,7 +8,7 @@ import canopen
 
 from rigctl.config import input_file
 from rigctl.config.one_line import printable
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 
 LARGEST_BYTES = 4 << 20
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.devices import objects as od
 from rigctl.devices.objects import PdoLayout
 

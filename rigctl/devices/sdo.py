@@ -6,7 +6,7 @@ import math
 import struct
 from dataclasses import dataclass
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 
 SIZE = 8
 READS_HZ, FEWEST_TICKS = 100, 4  # the loop asks so often at most, and not before so many ticks have passed

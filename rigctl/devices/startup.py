@@ -16,7 +16,7 @@ import can
 import canopen
 
 from rigctl.config.io_section import INPUTS_PER_BLOCK, IoSettings
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.devices import busload
 from rigctl.devices import objects as od
 from rigctl.devices.objects import DEVICE_HEARTBEAT_MS

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from rigctl.commission import proposal
 from rigctl.commission.identification import IdentificationError
-from rigctl.config.rig_file import CalibrationSettings, RigSettings
+from rigctl.config.settings import CalibrationSettings, RigSettings
 from rigctl.control.modes import Setting, Verb
 from rigctl.control.tension import Gains
 from rigctl.ipc.correction import SCALE_BOUND, Correction

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Setting, Verb
 from rigctl.design.admission import NotAdmittedError, admit
 from rigctl.gateway import calibration_findings as findings

@@ -18,7 +18,7 @@ import zenoh
 from pydantic import ValidationError
 
 from rigctl.commission.preflight import Preflight, Verdict
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control import limits, safety
 from rigctl.control.checks import HOST_CHECKS
 from rigctl.control.faults import Fault

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 
 SCALE_BOUND = 0.02  # a cell further out than this wants repair, not a factor
 

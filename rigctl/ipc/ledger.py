@@ -20,7 +20,7 @@ import msgspec
 from rigctl import __version__
 from rigctl.config import input_file
 from rigctl.config.one_line import printable
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.ipc.correction import SCALE_BOUND, Correction, tare_limit_n
 from rigctl.ipc.runtime_folder import Runtime
 

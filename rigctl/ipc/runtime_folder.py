@@ -28,7 +28,7 @@ from typing import Annotated, Any
 import msgspec
 
 from rigctl.config import input_file
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.ipc import record
 from rigctl.ipc.ring import RingReader, RingWriter, create, identity
 

@@ -13,7 +13,7 @@ import msgspec
 from pydantic import ValidationError
 
 from rigctl.config.page_address import Address, CannotListenError
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.realtime import die_with_parent
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.page.guard import Guard

@@ -20,7 +20,7 @@ import msgspec
 
 from rigctl import __version__
 from rigctl.config import input_file
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder import parts

@@ -20,7 +20,7 @@ from typing import Any
 import msgspec
 from pydantic import ValidationError
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke
 from rigctl.control.modes import Mode
 from rigctl.control.realtime import die_with_parent

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl import __version__
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from pydantic import ValidationError
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.config.strict_yaml import Document
 from rigctl.config.wording import Wording
 from rigctl.control.checks import Check

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.devices import busload
 from rigctl.metrics import tension_error as metrics
 from rigctl.metrics.timing import grown

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pydantic import ValidationError
 
 from rigctl.config.quantity import count
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.tension import Gains
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import IN_FORCE, Standing

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 
 BIAS_OF_RANGE_PCT = 0.03  # zero error between two tares, of a cell of class C3 in a hall
 GAIN_PCT = 0.02  # OIML R 60 class C3: linearity and hysteresis of a cell that was calibrated

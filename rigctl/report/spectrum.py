@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import signal
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import filter_model
 from rigctl.control.tension import Gains
 from rigctl.design.closed_loop import closed_loop, controller

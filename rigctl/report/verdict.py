@@ -8,7 +8,7 @@ from typing import Any
 import numpy.typing as npt
 
 from rigctl.config.limits_section import LimitSettings
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.metrics.error_statistics import ErrorStatistics, error_n, longest_beyond_s
 from rigctl.metrics.phases import Phase
 

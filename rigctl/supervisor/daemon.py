@@ -24,7 +24,7 @@ import numpy as np
 
 from rigctl import __version__
 from rigctl.config.bounds import findings
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke
 from rigctl.control.events import worded
 from rigctl.control.homed import LastStroke

@@ -25,7 +25,7 @@ import zenoh
 from rigctl.control.realtime import die_with_parent
 from rigctl.wire.keys import Keys
 from rigctl.wire.session import SessionError, close, open_client
-from tests.builders import daemons
+from tests.builders.paths import ROOT
 
 SECONDS_MAX = 120.0
 HALF_OPEN, SESSIONS, STALLED = 400, 999, 8
@@ -190,7 +190,7 @@ def payloads(flood: Flood) -> None:
 def stalled(flood: Flood) -> None:
     """Subscribers of everything that stop reading."""
     command = [sys.executable, "-m", "tests.bench.flood", "subscriber", flood.endpoint, flood.keys.rig, "120"]
-    children = [subprocess.Popen(command, cwd=daemons.ROOT, stdout=subprocess.PIPE, text=True) for _ in range(STALLED)]
+    children = [subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) for _ in range(STALLED)]
     try:
         for child in children:
             assert child.stdout is not None
@@ -240,7 +240,7 @@ def main(words: list[str]) -> int:
 def flooding(kind: str, endpoint: str, rig: str, seconds: float) -> Iterator[subprocess.Popen[str]]:
     """A flood in a process of its own, under way when the block begins, ended with it."""
     command = [sys.executable, "-m", "tests.bench.flood", kind, endpoint, rig, str(seconds)]
-    with subprocess.Popen(command, cwd=daemons.ROOT, stdout=subprocess.PIPE, text=True) as child:
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as child:
         try:
             assert child.stdout is not None
             if not child.stdout.readline():

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder import parts, recording
 from tests.builders import daemons

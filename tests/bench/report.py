@@ -15,7 +15,7 @@ import numpy as np
 
 from rigctl.control.modes import Mode
 from tests.builders import synthetic
-from tests.builders.daemons import ROOT
+from tests.builders.paths import ROOT
 
 
 def main(arguments: list[str]) -> int:

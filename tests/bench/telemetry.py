@@ -29,6 +29,7 @@ from rigctl.metrics import tension_error as metrics
 from tests.bench.loop import BenchRig
 from tests.bench.subscriber import BIN_US, BINS
 from tests.builders import daemons
+from tests.builders.paths import ROOT
 
 RATE_HZ = 1000
 SETTLE_S = 3.0  # interpreters starting are no part of any figure
@@ -54,7 +55,7 @@ class Subscribers:
 
     def _start(self, endpoint: str, plain: bool, stack: contextlib.ExitStack) -> subprocess.Popen[str]:
         command = [sys.executable, "-m", "tests.bench.subscriber", endpoint, *(["--plain"] if plain else [])]
-        process = subprocess.Popen(command, cwd=daemons.ROOT, stdout=subprocess.PIPE, text=True)
+        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         os.sched_setaffinity(process.pid, self._cpus)
         stack.callback(process.wait)
         stack.callback(process.kill)

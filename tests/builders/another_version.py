@@ -32,7 +32,7 @@ def main() -> None:
     fields[at:at] = [Field("gusts_mm_s", "d", "mm/s", "new in that version"), Field("tag", "8s", "", "new too")]
     record.RECORD = Newer("record", tuple(fields))
 
-    from rigctl.config.rig_file import RigSettings
+    from rigctl.config.settings import RigSettings
     from rigctl.gateway import gateway_process as gateway
     from rigctl.ipc.runtime_folder import Runtime
     from rigctl.wire import schema

@@ -20,7 +20,7 @@ import numpy as np
 from hil.lockstep import lockstep
 from rigctl.commission import proposal
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check

@@ -11,7 +11,7 @@ from hil.hub import Hub
 from hil.rig import SimulatedRig
 from hil.wire import FRAME
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import Controlword, DriveState, drive_state
 from tests.builders.paths import ROOT

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.ipc.record import COMMAND, FRAME, RECORD
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder.continuous import BATCH_NS, Continuous

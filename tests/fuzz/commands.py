@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Verb
 from rigctl.control.tension import Gains

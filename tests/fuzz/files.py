@@ -26,7 +26,8 @@ from hil.scenario import case
 from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file as config
 from rigctl.config import strict_yaml
-from rigctl.config.rig_file import ConfigError, RigSettings
+from rigctl.config.rig_file import ConfigError
+from rigctl.config.settings import RigSettings
 from rigctl.control.tension import Gains
 from rigctl.design import gain_file
 from rigctl.design.gains import DesignError

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import can
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.clock import SimulatedClock
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop

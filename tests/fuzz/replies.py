@@ -11,7 +11,7 @@ from hil.bus import InProcessBus
 from hil.hub import Hub, Port
 from hil.rig import SimulatedRig
 from hil.wire import FRAME
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.devices import objects as od
 from rigctl.devices import startup
 from rigctl.devices.remote_node import StartupError

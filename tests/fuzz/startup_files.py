@@ -24,7 +24,8 @@ import msgspec
 from rigctl.cli.lease_file import LeaseFile
 from rigctl.commission import preflight
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import ConfigError, RigSettings
+from rigctl.config.rig_file import ConfigError
+from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke
 from rigctl.control.homed import LastStroke
 from rigctl.design import gain_file
@@ -46,6 +47,7 @@ from rigctl.recorder.part_reader import RecordingError, progress_of
 from rigctl.recorder.recorder_process import Recorder
 from rigctl.supervisor.daemon import Supervisor
 from rigctl.wire.state_message import design_of, kept_of, warnings_of
+from tests.builders.paths import ROOT
 from tests.fuzz import files, mutate
 from tests.fuzz.judge import Tally
 
@@ -135,7 +137,7 @@ def play(count: int, seed: int) -> Tally:
 def table(base: pathlib.Path) -> list[File]:
     """All of them, whole, in ``base``."""
     folder = base / "config"
-    shutil.copytree(files.ROOT / "config", folder, ignore=shutil.ignore_patterns("calibration", "audit"))
+    shutil.copytree(ROOT / "config", folder, ignore=shutil.ignore_patterns("calibration", "audit"))
     rig = config.load(folder / "paper_rig.yaml")
     runtime = _runtime(base / "rigctl-paper_rig", rig)
     return [*_of_the_operator(folder, rig), *_of_the_daemon(runtime, rig), *_kept(folder, runtime, rig)]

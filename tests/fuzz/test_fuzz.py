@@ -14,7 +14,8 @@ from hil.rig import SimulatedRig
 from hil.wire import FRAME
 from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
-from rigctl.config.rig_file import ConfigError, RigSettings
+from rigctl.config.rig_file import ConfigError
+from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode, Verb
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check

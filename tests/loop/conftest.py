@@ -8,7 +8,7 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check

@@ -8,7 +8,7 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import Phase
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control import arming
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded

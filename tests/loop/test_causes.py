@@ -22,7 +22,7 @@ from rigctl.gateway.published_position import Cursor
 from rigctl.ipc.ledger import Standing
 from rigctl.page.panel import state_message
 from rigctl.wire import state_words as figures
-from rigctl.wire.command_request import Request, Snapshot, answer
+from rigctl.wire.command_request import NewestRecord, Request, answer
 from rigctl.wire.state_message import Causes
 
 CELL = 0x182
@@ -87,7 +87,7 @@ def test_a_reset_is_refused_with_everything_that_blocks_it(rig: Lockstep, shown:
     shown.state()
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
     assert int(rig.reply["checks"]) == 1 << Fault.CELL_STALE | 1 << Fault.E_STOP
-    snapshot = Snapshot(Fault.CELL_STALE, standing=shown.view.standing)
+    snapshot = NewestRecord(Fault.CELL_STALE, standing=shown.view.standing)
     text = answer(Request(Verb.RESET, "kim"), rig.reply, snapshot, (0.0, 1.0))["text"]
     assert text.startswith(
         "RESET refused: cause still present: E_STOP (emergency stop pressed (drive's input)), "

@@ -10,7 +10,7 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import Phase
 from rigctl.config.limits_section import OF_STATUS
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Setting, Verb

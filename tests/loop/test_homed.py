@@ -8,7 +8,7 @@ import pytest
 
 from hil.faults.in_device import STROKE
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault

@@ -14,7 +14,7 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.commission import proposal
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains

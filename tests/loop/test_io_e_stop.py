@@ -13,7 +13,7 @@ from hil.nodes.power_stage import Phase
 from hil.wire import FRAME
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import OF_STATUS
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind, worded
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.tension import Gains

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.tension import Gains
@@ -42,20 +42,20 @@ def recorded(
         rig.runtime.write_json(ACTIVE, {"settings": settings.model_dump(mode="json"), "design": design})
         rig.runtime.write_json("control.json", rig.report.as_json())
         rig.runtime.write_json(IN_FORCE, Standing(zero_n=0.25, scale=1.001))
-        recording = Continuous(rig.runtime, settings, 7, time.time_ns())
+        writer = Continuous(rig.runtime, settings, 7, time.time_ns())
         ticked = rig.loop.tick
 
         def tick() -> None:
             ticked()
             if rig.loop._logbook.tick % 500 == 0:
-                recording.poll(rig.clock.now(), time.time_ns(), final=True)
+                writer.poll(rig.clock.now(), time.time_ns(), final=True)
 
         rig.loop.tick = tick  # type: ignore[method-assign]
         script(rig)
         rig.loop.stop_requested = True
         rig.run(STOP_S)
         assert rig.loop.finished
-        recording.close(rig.clock.now(), time.time_ns())
+        writer.close(rig.clock.now(), time.time_ns())
     (first,) = (folder / "kept").glob("*.mcap")
     return read(*parts_of(first))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hil.lockstep import lockstep
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.ipc.runtime_folder import ACTIVE

@@ -12,7 +12,7 @@ from hil.faults import in_device, stand
 from hil.faults.in_device import SPEED, STROKE, both, creeps, reads
 from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb

@@ -9,7 +9,7 @@ import pytest
 
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
 from rigctl.control.events import worded
 from rigctl.control.faults import Fault

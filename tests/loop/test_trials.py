@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault

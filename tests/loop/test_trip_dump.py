@@ -18,7 +18,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from hil.lockstep import Lockstep, lockstep
 from hil.wire import FRAME
 from rigctl.config.recording_section import RecordingSettings
-from rigctl.config.rig_file import AuditSettings, RigSettings
+from rigctl.config.settings import AuditSettings, RigSettings
 from rigctl.control.checks import Check
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.tension import Gains

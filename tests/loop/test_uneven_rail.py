@@ -12,7 +12,7 @@ from hil.plant.layout import MECHANISM, RUN_OUT
 from hil.scenario import disturbances, kinds
 from hil.scenario.play import play
 from hil.wire import FRAME
-from rigctl.config.rig_file import RailEncoderSettings, RigSettings, RunOutSettings
+from rigctl.config.settings import RailEncoderSettings, RigSettings, RunOutSettings
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains

@@ -12,7 +12,7 @@ from hil.plant.inputs import Track
 from hil.truth import Truth
 from rigctl.config import rig_file as config
 from rigctl.config.bounds import as_study
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from tests.builders.paths import ROOT
 
 REPOSITORY = ROOT

@@ -12,14 +12,15 @@ from hil.faults import lockstep_rows as study
 from hil.faults import printing as output
 from hil.faults import processes
 from hil.faults.catalogue import BY_ID, CATALOGUE
-from hil.faults.expected import ARMED, Fault, Reaction
+from hil.faults.expected import ARMED, InjectedFault, Reaction
 from hil.faults.judge import Row
 from hil.faults.lockstep_run import Bench
 from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control import modes, safety
 from rigctl.control.escalation import Escalator
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
 from rigctl.design.margins import design_and_check
 from tests.builders.paths import ROOT
@@ -27,7 +28,7 @@ from tests.builders.paths import ROOT
 RIG = ROOT / "config/paper_rig.yaml"
 PAGE = (ROOT / "docs/faults.md").read_text()
 
-WHOLE: list[Fault | processes.ProcessFault] = [*CATALOGUE, *processes.CATALOGUE]
+WHOLE: list[InjectedFault | processes.ProcessFault] = [*CATALOGUE, *processes.CATALOGUE]
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +51,7 @@ def test_there_are_enough_faults_and_no_two_have_one_name() -> None:
 
 
 @pytest.mark.parametrize("fault", CATALOGUE, ids=lambda fault: fault.id)
-def test_what_is_expected_is_possible_in_that_mode(fault: Fault) -> None:
+def test_what_is_expected_is_possible_in_that_mode(fault: InjectedFault) -> None:
     assert fault.modes
     for mode in fault.modes:
         possible = {
@@ -131,19 +132,19 @@ def test_a_rigs_row_says_what_was_so(bench: Bench, settings: RigSettings) -> Non
 @pytest.mark.parametrize(
     ("fault", "name", "mode"),
     [
-        (safety.Fault.CELL_STALE, "cell_silent", Mode.HOLD),
-        (safety.Fault.CELL_INVALID, "cell_overload", Mode.COMPENSATING),
-        (safety.Fault.INCLINATION_STALE, "slope_silent", Mode.TENSIONING),
-        (safety.Fault.E_STOP_UNSEEN, "io_silent", Mode.COMPENSATING),
-        (safety.Fault.E_STOP_UNSEEN, "io_silent", Mode.DISARMED),
-        (safety.Fault.E_STOP, "io_e_stop", Mode.HOLD),
+        (Fault.CELL_STALE, "cell_silent", Mode.HOLD),
+        (Fault.CELL_INVALID, "cell_overload", Mode.COMPENSATING),
+        (Fault.INCLINATION_STALE, "slope_silent", Mode.TENSIONING),
+        (Fault.E_STOP_UNSEEN, "io_silent", Mode.COMPENSATING),
+        (Fault.E_STOP_UNSEEN, "io_silent", Mode.DISARMED),
+        (Fault.E_STOP, "io_e_stop", Mode.HOLD),
     ],
 )
 def test_a_safety_table_without_a_row_makes_rows_fail(
     bench: Bench,
     settings: RigSettings,
     monkeypatch: pytest.MonkeyPatch,
-    fault: safety.Fault,
+    fault: InjectedFault,
     name: str,
     mode: Mode,
 ) -> None:
@@ -186,9 +187,7 @@ def test_what_is_not_as_expected_comes_first_and_ends_with_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     whole = safety.table
-    monkeypatch.setattr(
-        safety, "table", lambda s: tuple(r for r in whole(s) if r.fault is not safety.Fault.CELL_INVALID)
-    )
+    monkeypatch.setattr(safety, "table", lambda s: tuple(r for r in whole(s) if r.fault is not Fault.CELL_INVALID))
     assert command.run(RIG, ["cell_silent", "cell_overload"], ["HOLD"], None) == 1
     said = capsys.readouterr().out.splitlines()
     assert said[1].startswith("cell_overload")

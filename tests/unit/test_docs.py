@@ -26,7 +26,7 @@ import yaml
 from hil.__main__ import app as hil_app
 from rigctl.cli.app import app as rigctl_app
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders.paths import ROOT

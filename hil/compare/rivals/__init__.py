@@ -11,7 +11,7 @@ from hil.compare.rivals.lqi import Lqi
 from hil.compare.rivals.observer import DisturbanceObserver
 from hil.compare.rivals.pid import PidFeedForward
 from hil.compare.rivals.proportional import Proportional, ProportionalIntegral
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.inbox import Inbox
 from rigctl.control.tension import Gains, TensionLaw
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.compare.rivals.feedback import Feedback, Sample
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import Array, filter_model
 from rigctl.control.tension import Gains
 from rigctl.design.gains import design

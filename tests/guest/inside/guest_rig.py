@@ -18,6 +18,7 @@ import yaml
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.devices import objects as od
 from tests.builders import daemons
+from tests.builders.paths import ROOT
 
 BUS = "vcan0"
 RATE_HZ = 100
@@ -131,7 +132,7 @@ class Truth:
         answers = [{"can_id": 0x580 + node, "can_mask": 0x7FF, "extended": False} for node, _ in _RUNNING]
         self._network.connect(interface="socketcan", channel=BUS, can_filters=answers)
         for node, eds in _RUNNING:
-            added = self._network.add_node(canopen.RemoteNode(node, str(daemons.ROOT / f"config/eds/{eds}.eds")))
+            added = self._network.add_node(canopen.RemoteNode(node, str(ROOT / f"config/eds/{eds}.eds")))
             added.sdo.RESPONSE_TIMEOUT = 2.0
 
     @property

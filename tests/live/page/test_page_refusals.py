@@ -20,6 +20,7 @@ from rigctl.page.guard import HEADERS, Guard
 from tests.builders import daemons
 from tests.builders.miniature import Daemon, free_port
 from tests.builders.pages import Server, serving
+from tests.builders.paths import ROOT
 
 COMMANDS = [
     ("rights", {}),
@@ -133,7 +134,7 @@ def test_what_is_no_command_is_refused_in_words(commanding: Server, what: str, b
 def page(*options: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "rigctl", "page", *options],
-        capture_output=True, text=True, timeout=60, check=False, cwd=daemons.ROOT, env={**os.environ},
+        capture_output=True, text=True, timeout=60, check=False, cwd=ROOT, env={**os.environ},
     )  # fmt: skip
 
 

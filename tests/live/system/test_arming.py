@@ -13,6 +13,7 @@ import pytest
 
 from rigctl.devices import objects as od
 from tests.builders import daemons
+from tests.builders.paths import ROOT
 from tests.live.system.test_daemon import PATIENT, Running
 
 
@@ -30,7 +31,7 @@ def press_e_stop(rig: Running, pressed: int) -> None:
     network.NOTIFIER_CYCLE = 0.02
     network.connect(interface="rigsim", channel=str(rig.file.with_name("bus.sock")))
     try:
-        node = network.add_node(canopen.RemoteNode(od.SIMULATOR_NODE, str(daemons.ROOT / "config/eds/simulator.eds")))
+        node = network.add_node(canopen.RemoteNode(od.SIMULATOR_NODE, str(ROOT / "config/eds/simulator.eds")))
         node.sdo[od.SIM_E_STOP].raw = pressed
     finally:
         network.disconnect()

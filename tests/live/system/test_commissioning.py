@@ -21,6 +21,7 @@ from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Entry
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders import daemons
+from tests.builders.paths import ROOT
 from tests.live.system.test_daemon import PATIENT, Running
 
 IDENTIFICATIONS = 5
@@ -124,7 +125,7 @@ def test_hold_cuts_an_identification_short(running: Running) -> None:
     where = ("--connect", daemons.endpoint(running.file))
     command = [sys.executable, "-m", "rigctl", "identify", *where]
     child = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=daemons.ROOT,
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
         env=daemons.environment(running.file),
     )  # fmt: skip
     with moving(running.file) as client:
@@ -141,7 +142,7 @@ def test_the_operator_who_interrupts_an_identification_ends_it(running: Running)
     where = ("--connect", daemons.endpoint(running.file))
     command = [sys.executable, "-m", "rigctl", "identify", *where]
     child = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=daemons.ROOT,
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
         env=daemons.environment(running.file),
     )  # fmt: skip
     with moving(running.file):

@@ -23,6 +23,7 @@ import pytest
 from rigctl.devices import objects as od
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders import daemons
+from tests.builders.paths import ROOT
 
 # The rig PC is shared with other tests here: patience in time, not in function.
 PATIENT: dict[str, dict[str, Any]] = {
@@ -77,7 +78,7 @@ class Running:
         network.NOTIFIER_CYCLE = 0.02
         network.connect(interface="rigsim", channel=str(self.file.with_name("bus.sock")))
         try:
-            eds = daemons.ROOT / "config/eds/simulator.eds"
+            eds = ROOT / "config/eds/simulator.eds"
             node = network.add_node(canopen.RemoteNode(od.SIMULATOR_NODE, str(eds)))
             return node.sdo[od.SIM_TRUE_VERTICAL_MN].raw * 1e-3, node.sdo[od.SIM_TRUE_STROKE_UM].raw * 1e-3
         finally:
@@ -114,7 +115,7 @@ def test_an_operators_session(running: Running) -> None:
     assert "120" in shown
     watching = subprocess.Popen(
         [sys.executable, "-m", "rigctl", "watch", "--connect", daemons.endpoint(running.file)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=daemons.ROOT,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
     )  # fmt: skip
     assert watching.stdout is not None
     assert "COMPENSATING" in watching.stdout.readline()
@@ -304,7 +305,7 @@ def test_without_privileges_it_runs_and_says_what_is_missing(tmp_path: pathlib.P
     with daemons.simulated_rig(file, tmp_path / "rig.log"):
         limits = f"ulimit -l 64; ulimit -r 0; exec {' '.join(plain)} {sys.executable} -m rigctl run {file}"
         with log.open("wb") as out:
-            child = subprocess.Popen(["bash", "-c", limits], stdout=out, stderr=subprocess.STDOUT, cwd=daemons.ROOT)
+            child = subprocess.Popen(["bash", "-c", limits], stdout=out, stderr=subprocess.STDOUT, cwd=ROOT)
         try:
             daemons.wait_for(lambda: child.poll() is not None or b": DISARMED," in log.read_bytes(), log=log)
             daemons.wait_for(lambda: daemons.mode(file) == "DISARMED", log=log)
@@ -375,7 +376,7 @@ def test_a_second_daemon_under_another_name_is_refused_by_the_bus(shared: Runnin
 def test_a_second_simulated_rig_on_the_same_socket_is_refused(shared: Running) -> None:
     answer = subprocess.run(
         [sys.executable, "-m", "hil", "serve", str(shared.file)],
-        capture_output=True, text=True, timeout=60, check=False, cwd=daemons.ROOT,
+        capture_output=True, text=True, timeout=60, check=False, cwd=ROOT,
     )  # fmt: skip
     assert answer.returncode == 1
     assert answer.stderr.count("\n") == 1

@@ -15,6 +15,7 @@ import pytest
 
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders import daemons
+from tests.builders.paths import ROOT
 from tests.live.system.test_daemon import PATIENT, Running
 
 
@@ -124,9 +125,7 @@ def test_the_loop_is_the_last_that_the_kernel_ends_for_want_of_memory(running: R
 )
 def test_a_low_limit_of_open_files_is_one_line(words: tuple[str, ...], limit: int) -> None:
     command = f"ulimit -n {limit}; exec {sys.executable} -m {' '.join(words)}"
-    answer = subprocess.run(
-        ["bash", "-c", command], capture_output=True, text=True, cwd=daemons.ROOT, timeout=60, check=False
-    )
+    answer = subprocess.run(["bash", "-c", command], capture_output=True, text=True, cwd=ROOT, timeout=60, check=False)
     assert answer.returncode == 1
     assert f"found a limit of {limit} open files, expected 64 or more" in answer.stderr
     assert answer.stderr.count("\n") == 1
@@ -149,7 +148,7 @@ def test_a_runtime_folder_that_cannot_be_had_is_one_line(tmp_path: pathlib.Path,
     prepare = prepare.replace("NAME", daemons.name_of(file))
     command = f"mount -t tmpfs tmpfs /dev/shm; {prepare}; exec {sys.executable} -m rigctl run {file}"
     command_line = ["unshare", "-m", "bash", "-c", command]
-    answer = subprocess.run(command_line, capture_output=True, text=True, cwd=daemons.ROOT, timeout=120, check=False)
+    answer = subprocess.run(command_line, capture_output=True, text=True, cwd=ROOT, timeout=120, check=False)
     assert answer.returncode == 1, answer.stderr
     assert said in answer.stderr
     assert answer.stderr.count("\n") == 1
@@ -158,6 +157,6 @@ def test_a_runtime_folder_that_cannot_be_had_is_one_line(tmp_path: pathlib.Path,
 def test_without_a_home_or_a_runtime_folder_of_the_user_commands_are_as_ever() -> None:
     for words, code in ((("check", str(daemons.PAPER)), 0), (("status", "--connect", "tcp/127.0.0.1:1"), 1)):
         command = ["env", "-i", sys.executable, "-m", "rigctl", *words]
-        answer = subprocess.run(command, capture_output=True, text=True, cwd=daemons.ROOT, timeout=60, check=False)
+        answer = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=60, check=False)
         assert answer.returncode == code, answer.stderr
         assert answer.stderr.count("\n") == code

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import pathlib
+import re
 import signal
 import subprocess
 import sys
@@ -16,6 +18,7 @@ from rigctl.control.modes import Mode, Verb
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.recorder import recording
 from tests.builders import daemons
+from tests.builders.paths import ROOT
 from tests.live.system.test_daemon import PATIENT
 
 KEYS = {
@@ -105,7 +108,7 @@ def test_beside_a_daemon_of_the_same_rig_the_demo_commands_its_own(tmp_path: pat
         records, commands = runtime.record_reader(from_start=True), runtime.command_reader(from_start=True)
         command = [sys.executable, "-m", "rigctl", "demo", str(file), "--recordings", str(tmp_path / "recordings")]
         with log.with_name("demo.log").open("wb") as out:
-            demo = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, cwd=daemons.ROOT)
+            demo = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, cwd=ROOT)
         said, modes, target = log.with_name("demo.log"), set[int](), runtime.read_json("active.json")["run_id"]
         until = time.monotonic() + daemons.START_LIMIT_S
         while "COMPENSATING" not in said.read_text() and demo.poll() is None and time.monotonic() < until:
@@ -125,3 +128,25 @@ def test_beside_a_daemon_of_the_same_rig_the_demo_commands_its_own(tmp_path: pat
     assert before == []
     assert {path.stem for path in tmp_path.glob("audit/*.jsonl")} == {daemons.name_of(file)}
     assert all(path.name.startswith("demo_") for path in (tmp_path / "recordings").glob("demo*"))
+
+
+def test_a_computer_that_stops_the_loop_is_named_and_the_demo_plays_once_more(tmp_path: pathlib.Path) -> None:
+    """Stopped for longer than the overrun's limit, twice: exit 1 with the reason and the way without real time."""
+    file = daemons.rig_file(tmp_path, {"demo": SHORT})
+    command = [sys.executable, "-m", "rigctl", "demo", str(file), "--recordings", str(tmp_path / "recordings")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as demo:
+        assert demo.stdout is not None
+        said, stops = "", 0
+        for line in demo.stdout:
+            said += line
+            if "COMPENSATING" in line and "settling" in line and said.count("once more") == stops:
+                loop = daemons.process_with("rigctl.control", f"demo_{daemons.name_of(file)}")
+                os.kill(loop, signal.SIGSTOP)
+                time.sleep(0.2)
+                os.kill(loop, signal.SIGCONT)
+                stops += 1
+        complaint = demo.stderr.read() if demo.stderr is not None else ""
+    assert demo.returncode == 1, said
+    assert re.search(r"this computer stopped the loop for \d+ ms at \d+\.\d s, and the rig tripped", said), said
+    assert complaint.startswith("rigctl: demo: this computer stopped the loop for "), complaint
+    assert "again: it is too busy for real time; rigctl demo --lockstep needs none" in complaint

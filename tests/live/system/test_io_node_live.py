@@ -11,6 +11,7 @@ import pytest
 
 from rigctl.devices import objects as od
 from tests.builders import daemons
+from tests.builders.paths import ROOT
 from tests.live.system.test_arming import doctor, running
 from tests.live.system.test_daemon import Running
 
@@ -32,7 +33,7 @@ def bus(rig: Running) -> Iterator[canopen.Network]:
 
 def open_contact(rig: Running, opened: int) -> None:
     with bus(rig) as network:
-        node = network.add_node(canopen.RemoteNode(od.SIMULATOR_NODE, str(daemons.ROOT / "config/eds/simulator.eds")))
+        node = network.add_node(canopen.RemoteNode(od.SIMULATOR_NODE, str(ROOT / "config/eds/simulator.eds")))
         node.sdo[od.SIM_IO_E_STOP].raw = opened
 
 

@@ -13,7 +13,8 @@ import pytest
 import rigctl.client
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.record import RECORD
-from tests.builders.miniature import PATIENCE_S, ROOT, Daemon, free_port, until
+from tests.builders.miniature import PATIENCE_S, Daemon, free_port, until
+from tests.builders.paths import ROOT
 
 
 def test_samples_come_complete_as_arrays_with_units(shared: Daemon) -> None:

@@ -17,7 +17,8 @@ import zenoh
 from rigctl.client.fast import FastReader
 from rigctl.ipc.record import RECORD
 from rigctl.wire.session import close, open_client
-from tests.builders.miniature import DESIGN, ROOT, Daemon, free_port, until
+from tests.builders.miniature import DESIGN, Daemon, free_port, until
+from tests.builders.paths import ROOT
 
 
 def test_fast_stream_is_complete(shared: Daemon) -> None:

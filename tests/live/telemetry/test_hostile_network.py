@@ -15,7 +15,8 @@ import msgspec
 import pytest
 
 from tests.builders.hostile import NOT_JSON, Hostile, blocks, hostile, schemas, wronged
-from tests.builders.miniature import PATIENCE_S, ROOT, Daemon, running, until
+from tests.builders.miniature import PATIENCE_S, Daemon, running, until
+from tests.builders.paths import ROOT
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,8 @@ from rigctl.client.connection import Client, NoDaemonError
 from rigctl.client.messages import Feed
 from rigctl.control.modes import Verb
 from rigctl.gateway.lease_service import IN_FORCE
-from tests.builders.miniature import ROOT, Daemon, until
+from tests.builders.miniature import Daemon, until
+from tests.builders.paths import ROOT
 
 HOW = "to take it over: rigctl lease take --reason TEXT"
 

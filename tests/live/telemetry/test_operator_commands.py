@@ -14,7 +14,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.builders.miniature import PATIENCE_S, ROOT, Daemon, free_port, running
+from tests.builders.miniature import PATIENCE_S, Daemon, free_port, running
+from tests.builders.paths import ROOT
 
 WAIVED = "waived: calibration, tare (simulated cell: there is no weight to hang on it)"
 

@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 from rigctl.wire.schema import schema
-from tests.builders.miniature import PATIENCE_S, ROOT, Daemon
+from tests.builders.miniature import PATIENCE_S, Daemon
+from tests.builders.paths import ROOT
 
 
 def blocks(file: str, language: str) -> list[str]:

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import pytest
 
 from rigctl.config.recording_section import RecordingSettings
-from rigctl.config.rig_file import AuditSettings
+from rigctl.config.settings import AuditSettings
 from rigctl.control.events import Kind
 from rigctl.ipc.runtime_folder import ACTIVE, RECORDED
 from rigctl.ipc.supervision import Doing, Supervision

@@ -16,7 +16,8 @@ import pytest
 
 import rigctl.client
 from rigctl.client import Rig, Samples, connect
-from tests.builders.miniature import PATIENCE_S, ROOT, Daemon, free_port, until
+from tests.builders.miniature import PATIENCE_S, Daemon, free_port, until
+from tests.builders.paths import ROOT
 
 
 @pytest.fixture

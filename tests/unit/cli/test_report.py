@@ -13,7 +13,7 @@ import pytest
 
 from rigctl.control.modes import Mode
 from rigctl.recorder.audit_log import Item
-from tests.builders.daemons import ROOT
+from tests.builders.paths import ROOT
 from tests.builders.synthetic import OFFSET_NS, Floats, active, compensating, mode_events, run, stay, write
 from tests.conftest import Command
 

@@ -14,7 +14,7 @@ from tests.builders.paths import ROOT
 
 GOES_ON = """
 import sys
-from rigctl import standard_output
+from rigctl.cli import standard_output
 standard_output.guard()
 for number in range(20_000):  # more than any pipe or buffer holds
     print(number)

@@ -10,10 +10,11 @@ from collections.abc import Callable
 
 import pytest
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.design import picture, table
 from rigctl.design.margins import design_and_check
 from tests.builders import daemons
+from tests.builders.paths import ROOT
 
 Rig = Callable[..., RigSettings]
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -87,13 +88,13 @@ def test_a_refused_design_is_exit_code_1_and_said_in_words(tmp_path: pathlib.Pat
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(words: tuple[str, ...], said: str, in_process: Command) -> None:
-    before = (daemons.ROOT / "config/rig.yaml").read_bytes(), (daemons.ROOT / PAPER).read_bytes()
+    before = (ROOT / "config/rig.yaml").read_bytes(), (ROOT / PAPER).read_bytes()
     answer = in_process("rigctl", "tune", *words)
     assert answer.returncode == 2
     assert answer.stderr.count("\n") == 1
     assert said in answer.stderr
     assert "Traceback" not in answer.stderr
-    assert before == ((daemons.ROOT / "config/rig.yaml").read_bytes(), (daemons.ROOT / PAPER).read_bytes())
+    assert before == ((ROOT / "config/rig.yaml").read_bytes(), (ROOT / PAPER).read_bytes())
 
 
 def test_numbers_no_plant_has_are_one_line(tmp_path: pathlib.Path, in_process: Command) -> None:
@@ -106,7 +107,7 @@ def test_numbers_no_plant_has_are_one_line(tmp_path: pathlib.Path, in_process: C
 def test_a_closed_pipe_is_no_error() -> None:
     answer = subprocess.run(
         ["bash", "-c", f"{sys.executable} -m rigctl tune {PAPER} | head -1"],
-        capture_output=True, text=True, check=True, cwd=daemons.ROOT,
+        capture_output=True, text=True, check=True, cwd=ROOT,
     )  # fmt: skip
     assert answer.stdout == "paper_rig: gains\n"
     assert answer.stderr == ""

@@ -16,7 +16,7 @@ import pytest
 from rigctl.commission import preflight
 from rigctl.commission.preflight import Folder, Preflight, Verdict, judge
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Standing

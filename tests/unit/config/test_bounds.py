@@ -15,7 +15,7 @@ from rigctl.config import rig_file as config
 from rigctl.config.bounds import BOUNDS, Bound, Stop, findings
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from tests.builders.paths import ROOT
 
 PAPER = ROOT / "config/paper_rig.yaml"
@@ -176,7 +176,7 @@ def test_figures_taken_from_the_loop_are_the_loops() -> None:
 def test_the_page_is_what_the_table_gives() -> None:
     page = (ROOT / "docs/bounds.md").read_text()
     assert page == config_bounds.document(config.load(PAPER)), (
-        "run `python -m rigctl.config.bounds config/paper_rig.yaml > docs/bounds.md`"
+        "run `python -m rigctl.config.bounds_page config/paper_rig.yaml > docs/bounds.md`"
     )
 
 

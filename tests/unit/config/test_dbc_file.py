@@ -14,7 +14,7 @@ from hypothesis import settings as run_with
 from hypothesis import strategies as st
 
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.devices import busload
 from tests.builders.paths import ROOT
 
@@ -89,14 +89,15 @@ def test_a_null_section_is_canopen(write: Write) -> None:
 
 
 def test_a_rig_without_dbc_sections_does_not_import_cantools() -> None:
-    code = "import sys; from rigctl import config; config.load(sys.argv[1]); sys.exit('cantools' in sys.modules)"
+    load = "from rigctl.config import rig_file; rig_file.load(sys.argv[1])"
+    code = f"import sys; {load}; sys.exit('cantools' in sys.modules)"
     for name, imported in (("paper_rig.yaml", 0), ("plain_rig.yaml", 1)):
         assert subprocess.run([sys.executable, "-c", code, str(CONFIG / name)], check=False).returncode == imported
 
 
 def test_the_control_process_never_imports_cantools() -> None:
     code = (
-        "import sys; from rigctl.control import process; from rigctl.config.rig_file import RigSettings; import json\n"
+        "import json, sys; from rigctl.control import control_process; from rigctl.config.settings import RigSettings\n"
         "from rigctl.control.inbox import Inbox\n"
         "Inbox(None, RigSettings.model_validate(json.loads(sys.stdin.read())))\n"
         "sys.exit('cantools' in sys.modules)"

@@ -7,6 +7,7 @@ import pathlib
 import pytest
 
 from rigctl.config import rig_file as config
+from rigctl.config.settings import RigSettings
 from rigctl.demo.live_rig import rig_file
 from rigctl.devices import busload
 from tests.builders.paths import ROOT
@@ -16,7 +17,7 @@ REAL = (ROOT / "config/rig.yaml").read_text()
 STOCK = '  velocity_object: "0x606C"\n  velocity_pdo: 3\n'
 
 
-def load(folder: pathlib.Path, cylinder: str, text: str = REAL) -> config.RigSettings:
+def load(folder: pathlib.Path, cylinder: str, text: str = REAL) -> RigSettings:
     (folder / "eds").symlink_to(ROOT / "config/eds")
     file = folder / "rig.yaml"
     file.write_text(text.replace("cylinder: ", f"cylinder:\n{cylinder}  # ", 1))

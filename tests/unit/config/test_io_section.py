@@ -11,7 +11,7 @@ from rich.console import Console
 from rigctl.cli import check
 from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
-from rigctl.config.rig_file import RailEncoderSettings
+from rigctl.config.settings import RailEncoderSettings, RigSettings
 from rigctl.demo.live_rig import rig_file
 from rigctl.devices import busload
 from tests.builders.paths import ROOT
@@ -20,7 +20,7 @@ REAL = (ROOT / "config/rig.yaml").read_text()
 SECTION = "io: {e_stop_input: 0}\n"
 
 
-def load(folder: pathlib.Path, section: str, text: str = REAL) -> config.RigSettings:
+def load(folder: pathlib.Path, section: str, text: str = REAL) -> RigSettings:
     (folder / "eds").symlink_to(ROOT / "config/eds")
     file = folder / "rig.yaml"
     file.write_text(text + section)
@@ -74,7 +74,7 @@ def test_an_input_may_not_be_stale_within_two_periods_of_a_slow_loop(tmp_path: p
     slow["safety"] = {**settings["safety"], "stale_ms": 40, "bus_silent_ms": 40}
     slow["cylinder"] = {**settings["cylinder"], "status_rate_hz": 20}
     with pytest.raises(ValueError, match=r"event_ms and two loop periods \(25\) or more"):
-        config.RigSettings.model_validate(slow)
+        RigSettings.model_validate(slow)
 
 
 def test_the_bus_load_counts_the_node_at_its_inhibit_time_with_its_heartbeat(tmp_path: pathlib.Path) -> None:

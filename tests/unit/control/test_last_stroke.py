@@ -8,7 +8,7 @@ import random
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke
 from rigctl.control.homed import LastStroke
 from tests.builders.paths import ROOT

@@ -12,7 +12,7 @@ import pytest
 
 pytestmark = pytest.mark.real_time
 REPORT = (
-    "from rigctl.config.rig_file import LoopSettings; from rigctl.control import realtime;"
+    "from rigctl.config.settings import LoopSettings; from rigctl.control import realtime;"
     "loop = LoopSettings(rate_hz=1000, priority={priority}, cpu={cpu}, lock_memory=True);"
     "rows = [*realtime.apply(loop), realtime.freeze_garbage_collector()];"
     'import os; policies = ["policies", True, os.sched_getscheduler(0)];'

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from rigctl.config.rig_file import RailEncoderSettings, RunOutSettings
+from rigctl.config.settings import RailEncoderSettings, RunOutSettings
 from rigctl.control.run_out import STOPPED_S, RunOutTable, stale_ns
 from tests.builders.rig_bench import SETTINGS
 

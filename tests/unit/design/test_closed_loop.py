@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control import estimator
 from rigctl.control.estimator import Array, TensionFilter, filter_model
 from rigctl.control.tension import Estimate, TensionLaw

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from rigctl.config import strict_yaml
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
 from rigctl.design import gain_file
 from rigctl.design.gain_file import GainFileError, design_in_use, inputs, provenance, read, read_for, sha256, write

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.design.gains import DesignError, design, filter_gain
 from rigctl.design.margins import design_and_check

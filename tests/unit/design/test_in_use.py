@@ -15,6 +15,7 @@ from hil.scenario.play import design
 from rigctl.client.connection import Client
 from rigctl.config.rig_file import load
 from tests.builders import daemons
+from tests.builders.paths import ROOT
 
 pytestmark = pytest.mark.real_time
 WAIVER = "demanding limit, for a test"
@@ -115,5 +116,5 @@ def test_edited_gains_that_are_not_robust_do_not_run(tmp_path: pathlib.Path) -> 
 def test_the_control_process_imports_neither_design_nor_drawing() -> None:
     unwanted = "{'control', 'matplotlib', 'rigctl.design'}"
     look = f"import sys, rigctl.control.control_process; print(sorted({unwanted} & {{*sys.modules}}))"
-    answer = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, cwd=daemons.ROOT)
+    answer = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, cwd=ROOT)
     assert answer.stdout == "[]\n"

@@ -12,7 +12,8 @@ import control
 import numpy as np
 import pytest
 
-from rigctl.config.rig_file import RigSettings, load
+from rigctl.config.rig_file import load
+from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import filter_model
 from rigctl.control.tension import Gains
 from rigctl.design import plant_family

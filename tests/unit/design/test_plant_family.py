@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import filter_model
 from rigctl.design.plant_family import MECHANISM_DAMPING, family, member
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.design import search
 from rigctl.design.margins import design_and_check
 from tests.builders import daemons

@@ -15,7 +15,7 @@ from hil.bus import InProcessBus
 from hil.hub import Hub
 from hil.rig import SimulatedRig
 from hil.wire import FRAME
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.devices import busload, startup
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import COMMAND, DRIVE_SPEED, DRIVE_STATUS, DriveUnits, ProcessData, wanted

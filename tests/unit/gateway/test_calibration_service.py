@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.modes import Setting, Verb
 from rigctl.gateway import calibration_findings as findings

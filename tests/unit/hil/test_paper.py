@@ -16,7 +16,7 @@ from hil.paper.tables import remark
 from hil.plant.inputs import pack
 from hil.plant.kernel import profile
 from hil.plant.layout import HEIGHT, MECHANISM, RUN_OUT
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from tests.builders.rig_bench import SETTINGS
 
 T_S = np.arange(0.0, 30.0, 0.001)

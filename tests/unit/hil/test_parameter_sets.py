@@ -13,7 +13,7 @@ from hil.plant.layout import MECHANISM
 from hil.plant.moves import out_and_back
 from rigctl.config import rig_file as config
 from rigctl.config import strict_yaml
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.devices import objects
 from tests.builders.rig_bench import MS, REPOSITORY, RigBench
 

@@ -10,7 +10,7 @@ import cantools
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.devices import objects
 from tests.builders.rig_bench import REPOSITORY, SAME_CLOCKS, RigBench, changed
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.config.rig_file import RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Setting, Verb
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.calibration_findings import FindingError, Measured

@@ -117,7 +117,7 @@ def test_a_slow_reader_counts_what_it_lost(
 
 _WRITER = """
 import pathlib, struct, sys, time
-from rigctl.telemetry.ring import RingWriter
+from rigctl.ipc.ring import RingWriter
 writer = RingWriter(pathlib.Path(sys.argv[1]), struct.Struct("<QQ"))
 for _ in range(int(sys.argv[2])):
     n = writer.head + 1

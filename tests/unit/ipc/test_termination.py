@@ -13,7 +13,7 @@ import rigctl
 
 STORM = """
 import signal, time
-from rigctl.termination import Termination
+from rigctl.ipc.termination import Termination
 stop = Termination(signal.SIGTERM)
 print("ready", flush=True)
 while not stop.requested:

@@ -21,7 +21,8 @@ from rigctl.recorder import export
 from rigctl.recorder.columns import Column, tables
 from rigctl.recorder.enums import enum_of
 from rigctl.recorder.recording import Recording, read
-from tests.builders.tape import OFFSET_NS, ROOT, Tape
+from tests.builders.paths import ROOT
+from tests.builders.tape import OFFSET_NS, Tape
 from tests.conftest import Command
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from rigctl.config import rig_file as config
 from rigctl.config.recording_section import RecordingSettings
-from rigctl.config.rig_file import AuditSettings, RigSettings
+from rigctl.config.settings import AuditSettings, RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Mode
@@ -255,7 +255,7 @@ def test_the_recorder_needs_no_network_and_the_loop_no_recorder() -> None:
         "rigctl.control.control_process": ("rigctl.recorder", "mcap"),
     }
     for module, others in unwanted.items():
-        name = f"{module}.process" if module == "rigctl.recorder" else module
+        name = f"{module}.recorder_process" if module == "rigctl.recorder" else module
         code = f"import sys, {name}; print([m for m in {others!r} if m in sys.modules])"
         answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
         assert answer.stdout.strip() == "[]", name

@@ -27,8 +27,9 @@ from rigctl.ipc.ledger import Standing
 from rigctl.ipc.record import EVENT, RECORD, Flag, Quality
 from rigctl.ipc.ring import RingReader, create
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.metrics.tension_error import percentiles_us
 from rigctl.wire.event_message import event_message
-from rigctl.wire.state_message import ALIVE_NS, Recent, Trip, percentiles_us, quality_words, state_of, warnings_of
+from rigctl.wire.state_message import ALIVE_NS, Recent, Trip, quality_words, state_of, warnings_of
 from tests.builders.paths import ROOT
 
 NOW, WALL = 10_000_000_000, 1_700_000_000_000_000_000
@@ -140,7 +141,6 @@ def test_quality_in_words() -> None:
 @given(st.lists(st.integers(0, 10**9), min_size=1, max_size=3000))
 def test_percentiles_are_samples_in_order(values: list[int]) -> None:
     found = percentiles_us(np.array(values))
-    assert found is not None
     ranked = [found[name] for name in ("p50", "p99", "p999", "max")]
     assert ranked == sorted(ranked)
     assert found["max"] == round(max(values) / 1000, 1)

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from rigctl.config.rig_file import RigSettings, load
+from rigctl.config.rig_file import load
+from rigctl.config.settings import RigSettings
 from tests.builders.paths import ROOT
 
 CONFIG = ROOT / "config"
