@@ -16,7 +16,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 
 import msgspec
@@ -30,6 +30,8 @@ from rigctl.design import gain_file
 from rigctl.design.gain_file import GainFileError
 from rigctl.design.margins import design_and_check
 from rigctl.devices import eds_file
+from rigctl.devices.process_data import wanted
+from rigctl.devices.sdo import Watched
 from rigctl.operator.lease_file import LeaseFile
 from rigctl.recorder import audit_log
 from rigctl.recorder.part_reader import RecordingError, progress_of
@@ -161,9 +163,16 @@ def _runtime(folder: pathlib.Path, rig: RigSettings) -> Runtime:
     runtime.write_json(ACTIVE, {**active, "design": design})
     applied = {"name": "scheduler", "asked": "x", "in_force": "SCHED_FIFO 80", "ok": True, "warning": ""}
     stop = {"object": "0x6007", "name": "abort", "wanted": 2, "found": 2, "ok": True, "why": ""}
-    runtime.write_json(
-        "control.json", {"pid": 1, "host_checks": 0, "realtime": [applied], "warnings": [], "supervision": [stop]}
-    )
+    item = Watched(4, 0x6007, 0, 2, 2, "abort connection option", 300)
+    report = {"devices": [], "supervision": [stop], "process_data": wanted(rig).as_json(), "watched": [asdict(item)]}
+    control = {
+        "pid": 1,
+        "host_checks": 0,
+        "realtime": [applied],
+        "warnings": [],
+        "last_stroke": asdict(LastStroke(5.0)),
+    }
+    runtime.write_json("control.json", control | report)
     recording = {"folder": "/tmp", "file": "x.mcap", "bytes": 1}
     told = {"run": _NOW_NS, "pid": os.getpid(), "audit_log": "a", "entries": 0, "head": "", "trip_dump": None}
     runtime.write_json(

@@ -30,16 +30,18 @@ def entries(file: pathlib.Path) -> list[chain.Entry]:
     return [chain.read_line(line)[0] for line in lines]
 
 
-def missing(found: list[chain.Entry], runtime: Runtime) -> dict[str, list[int]]:
-    """Numbers of each ring that are not in the log exactly once."""
+def missing(found: list[chain.Entry], runtime: Runtime) -> dict[str, int]:
+    """How many slots of each ring are neither in the log, once, nor counted there as a repeat."""
     rings = {
         "events": runtime.event_reader(), "notes": runtime.note_reader(), "replies": runtime.reply_reader(),
         "commands": runtime.command_reader(), "desk": runtime.desk_reader(),
         "supervision": runtime.supervision_reader(),
     }  # fmt: skip
-    seen = {name: [entry.seq for entry in found if entry.source == name] for name in rings}
+    repeats = [entry.details for entry in found if entry.what == "repeated"]
     return {
-        name: [number for number in range(1, ring.head + 1) if seen[name].count(number) != 1]
+        name: ring.head
+        - len({entry.seq for entry in found if entry.source == name})
+        - sum(same["count"] for same in repeats if same["source"] == name)
         for name, ring in rings.items()
     }
 
