@@ -236,6 +236,10 @@ class GuestRig:
         """The host has stopped the whole guest for a while, since character ``after`` of the log."""
         return any(int(ticks) >= STOPPED_TICKS for ticks in re.findall(r"(\d+) ticks skipped", self.said[after:]))
 
+    def starved_by_host(self, after: int) -> bool:
+        """The same, or the rig's processes alone: they took no frame for as long as the adapter's queue holds."""
+        return self.stopped_by_host(after) or "No buffer space available" in self.said[after:]
+
     def _reach(self) -> Client:
         return Client(daemons.endpoint(self.file), daemons.name_of(self.file))
 

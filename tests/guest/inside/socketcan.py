@@ -9,6 +9,7 @@ import pytest
 from rigctl import config
 from rigctl.control.process import open_bus
 from rigctl.devices.startup import StartupError, refuse_rival
+from tests import daemons
 from tests.guest.inside.guest_rig import TARGET_N, GuestRig, link, rig_file
 
 
@@ -28,11 +29,21 @@ def test_an_interface_that_is_down_is_one_clear_line(tmp_path: pathlib.Path) -> 
 
 def test_arm_tension_hold_release(rig: GuestRig) -> None:
     rig.carried_out("target", TARGET_N)
+    held, after = hold_and_release(rig)
+    if rig.starved_by_host(after):  # the rig's processes had no processor, and the loop held: once more
+        held, after = hold_and_release(rig)
+    assert "RELEASING -> HOLD: rope slack" in rig.said[after:]
+    assert rig.truth.vertical_n == 0.0
+    assert rig.truth.stroke_mm < held - 10.0
+
+
+def hold_and_release(rig: GuestRig) -> tuple[float, int]:
+    """Tension, hold, and release until the rope is slack or the rig has tripped; held stroke, place in the log."""
     rig.compensate()
     assert rig.truth.vertical_n == pytest.approx(TARGET_N, abs=2.0)
+    after = len(rig.said)
     rig.carried_out("hold")
     held = rig.truth.stroke_mm
     rig.carried_out("release")
-    rig.until_said("RELEASING -> HOLD: rope slack")
-    assert rig.truth.vertical_n == 0.0
-    assert rig.truth.stroke_mm < held - 10.0
+    daemons.wait_for(lambda: any(end in rig.said[after:] for end in ("rope slack", "-> FAULT")), log=rig.log)
+    return held, after
