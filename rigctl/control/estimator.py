@@ -19,14 +19,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from filterpy.kalman import KalmanFilter
 
 from rigctl.config import RigSettings
 from rigctl.control.gate import Gate
+from rigctl.control.kalman import KalmanFilter
 
 Array = npt.NDArray[np.float64]
 
 SETTLED_GAIN = 1e-11  # change of the gain in one tick below which it counts as settled
+_TENSION, _SPEED = slice(0, 1), slice(1, 2)  # of a measurement
 MAX_CATCH_UP = 100  # periods predicted after an overrun; longer gaps end in a fault anyway
 
 
@@ -93,18 +94,16 @@ def _inverse(s: Array) -> Array:
 class TensionFilter:
     """The filter, with absent samples skipped and non-finite ones refused.
 
-    filterpy carries state and covariance until the gain has settled (a tenth of a second). From then on, while both
-    samples come, the covariance stands still, and the state is carried by the settled gain in plain floats: the same
-    numbers for a tenth of the time. An absent sample or an overrun goes back to filterpy.
+    `KalmanFilter` carries state and covariance until the gain has settled (a tenth of a second). From then on, while
+    both samples come, the covariance stands still, and the state is carried by the settled gain in plain floats: the
+    same numbers for a tenth of the time. An absent sample or an overrun goes back to it.
     """
 
     def __init__(self, model: FilterModel) -> None:
         self.model = model
-        self._kf = kf = KalmanFilter(dim_x=3, dim_z=2, dim_u=1)
-        kf.F, kf.B, kf.Q = model.f, model.b, model.q
-        kf.H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-        kf.R = np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
-        kf.inv = _inverse
+        noise = np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
+        self._kf = kf = KalmanFilter(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), noise, _inverse)
+        kf.f, kf.b, kf.q = model.f, model.b, model.q
         self._transition = [(*row, b) for row, b in zip(model.f.tolist(), model.b[:, 0].tolist(), strict=True)]
         self._settled: _Settled | None = None
         self._x = (0.0, 0.0, 0.0)  # the state, once settled
@@ -133,8 +132,8 @@ class TensionFilter:
         """Start again from a measurement, with the disturbance at zero (a slack rope tells nothing of it)."""
         kf = self._kf
         kf.x = np.array([[tension_n], [speed_mm_s], [0.0]])
-        kf.P = np.diag([self.model.cell_variance_n2, self.model.speed_variance_mm2_s2, 1.0])
-        kf.K = np.zeros((3, 1))  # so that the first gain after this is never taken for a settled one
+        kf.p = np.diag([self.model.cell_variance_n2, self.model.speed_variance_mm2_s2, 1.0])
+        kf.k = np.zeros((3, 1))  # so that the first gain after this is never taken for a settled one
         self._settled = None
         self.cell.idle()
         self.drive.idle()
@@ -173,7 +172,7 @@ class TensionFilter:
         """Of the innovations of tension and speed."""
         if self._settled is not None:
             return self._settled.variances
-        p, r = self._kf.P, self._kf.R
+        p, r = self._kf.p, self._kf.r
         return p.item(0, 0) + r.item(0, 0), p.item(1, 1) + r.item(1, 1)
 
     @staticmethod
@@ -188,34 +187,34 @@ class TensionFilter:
         kf, model = self._kf, self.model
         if self._settled is not None:
             self._unsettle()
-            kf.P = self._prior
+            kf.p = self._prior
         speed = model.burst_mm_s
         burst = np.array([[model.f[0, 2] * speed * ticks], [0.0], [speed]])
-        kf.P = kf.P + burst @ burst.T
+        kf.p = kf.p + burst @ burst.T
 
     def _update_both(self, tension_n: float, speed_mm_s: float) -> None:
         kf = self._kf
-        before = kf.K
+        before = kf.k
         kf.update(np.array([[tension_n], [speed_mm_s]]))
-        if before.shape == kf.K.shape and np.abs(kf.K - before).max() < SETTLED_GAIN:
+        if before.shape == kf.k.shape and np.abs(kf.k - before).max() < SETTLED_GAIN:
             self._x = self.state
-            self._settled = _Settled(kf.K.tolist(), kf.P_prior, (kf.S.item(0, 0), kf.S.item(1, 1)))
+            self._settled = _Settled(kf.k.tolist(), kf.p_prior, (kf.s.item(0, 0), kf.s.item(1, 1)))
         else:
-            kf.P = 0.5 * (kf.P + kf.P.T)
+            kf.p = 0.5 * (kf.p + kf.p.T)
 
     def _update_one(self, tension_n: float | None, speed_mm_s: float | None) -> None:
         kf = self._kf
         if self._settled is not None:
             self._unsettle()
-            kf.P = self._prior
+            kf.p = self._prior
         if tension_n is not None:
-            kf.update(np.array([[tension_n]]), kf.R[:1, :1], kf.H[:1])
+            kf.update(np.array([[tension_n]]), _TENSION)
         elif speed_mm_s is not None:
-            kf.update(np.array([[speed_mm_s]]), kf.R[1:, 1:], kf.H[1:])
-        kf.P = 0.5 * (kf.P + kf.P.T)
+            kf.update(np.array([[speed_mm_s]]), _SPEED)
+        kf.p = 0.5 * (kf.p + kf.p.T)
 
     def _unsettle(self) -> None:
-        """Hand the state back to filterpy, whose covariance is that after an update."""
+        """Hand the state back to `KalmanFilter`, whose covariance is that after an update."""
         if self._settled is not None:
             self._prior, self._settled = self._settled.prior, None
             self._kf.x = np.array(self._x).reshape(3, 1)
@@ -275,4 +274,4 @@ class TensionFilter:
     @property
     def covariance(self) -> Array:
         """Covariance of the state, (3, 3)."""
-        return np.array(self._kf.P)
+        return np.array(self._kf.p)

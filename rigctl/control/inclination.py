@@ -10,11 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 
 from rigctl.config import RigSettings
 from rigctl.control.estimator import Array
 from rigctl.control.gate import Gate
+from rigctl.control.kalman import KalmanFilter
 
 BURST_RAD_S = math.radians(5.0)
 """Change of rate within a sample interval that the gate allows for, one sigma: a rope that is struck."""
@@ -36,16 +36,16 @@ class _Settled(NamedTuple):
 class InclinationFilter:
     """Tangential and normal angle with their rates; both axes share one gain, samples are judged together.
 
-    filterpy carries state and covariance until the gain has settled at the interval the samples have; from then on the
-    same numbers come from that gain in plain floats, in a fiftieth of the time. Another interval goes back to filterpy.
+    `KalmanFilter` carries state and covariance until the gain has settled at the interval the samples have; from then
+    on the same numbers come from that gain in plain floats, in a fiftieth of the time. Another interval goes back to
+    it.
     """
 
     def __init__(self, settings: RigSettings) -> None:
         noise, self._dt = settings.estimator, 1.0 / settings.loop.rate_hz
         self._walk2 = math.radians(noise.inclination_walk_deg_s) ** 2
-        self._kf = kf = KalmanFilter(dim_x=4, dim_z=2)
-        kf.H = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
-        kf.R = np.eye(2) * math.radians(noise.inclination_noise_deg) ** 2
+        variance = np.eye(2) * math.radians(noise.inclination_noise_deg) ** 2
+        self._kf = KalmanFilter(np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]), variance)
         burst = BURST_RAD_S * self._dt
         self.tangential, self.normal = Gate(noise.gate_sigma, burst), Gate(noise.gate_sigma, burst)
         self._ticks = 0  # since the state's time
@@ -71,7 +71,7 @@ class InclinationFilter:
             t, n = t + tr * dt, n + nr * dt
         else:
             self._carry()
-            (t, tr, n, nr), variance = kf.x[:, 0].tolist(), kf.P.item(0, 0) + kf.R.item(0, 0)
+            (t, tr, n, nr), variance = kf.x[:, 0].tolist(), kf.p.item(0, 0) + kf.r.item(0, 0)
         y0, y1 = tangential_rad - t, normal_rad - n
         believed = self.tangential.believes(y0, variance)
         believed &= self.normal.believes(y1, variance)
@@ -83,8 +83,8 @@ class InclinationFilter:
                     t + settled.angle * y0, tr + settled.rate * y0, n + settled.angle * y1, nr + settled.rate * y1,
                 )  # fmt: skip
             self._x, self._ticks = (t, tr, n, nr), 0
-            if not believed:  # the covariance has not been brought down: filterpy goes on from before the sample
-                kf.x, kf.P = np.array([[t], [tr], [n], [nr]]), settled.prior
+            if not believed:  # the covariance has not been brought down: the filter goes on from before the sample
+                kf.x, kf.p = np.array([[t], [tr], [n], [nr]]), settled.prior
                 self._settled = None
         else:
             if believed:
@@ -96,26 +96,26 @@ class InclinationFilter:
         """Take a sample in; notice when the gain no longer changes."""
         kf = self._kf
         kf.update(np.array([[tangential_rad], [normal_rad]]))
-        kf.P = 0.5 * (kf.P + kf.P.T)
-        before, self._gain = self._gain, kf.K.item(0, 0)
+        kf.p = 0.5 * (kf.p + kf.p.T)
+        before, self._gain = self._gain, kf.k.item(0, 0)
         if abs(self._gain - before) < SETTLED_GAIN and self._interval == self._last_interval:
             self._settled = _Settled(
-                self._interval, kf.K.item(0, 0), kf.K.item(1, 0), kf.S.item(0, 0), np.array(kf.P_prior)
+                self._interval, kf.k.item(0, 0), kf.k.item(1, 0), kf.s.item(0, 0), np.array(kf.p_prior)
             )
 
     def _unsettle(self, settled: _Settled) -> None:
-        """Hand state and covariance back to filterpy: those after the last update."""
+        """Hand state and covariance back to `KalmanFilter`: those after the last update."""
         kf = self._kf
         kf.x = np.array(self._x).reshape(4, 1)
         gain = np.array([[settled.angle, 0.0], [settled.rate, 0.0], [0.0, settled.angle], [0.0, settled.rate]])
-        kf.P = (np.eye(4) - gain @ kf.H) @ settled.prior
+        kf.p = (np.eye(4) - gain @ kf.h) @ settled.prior
         self._settled = None
 
     def _start(self, tangential_rad: float, normal_rad: float) -> None:
         """Begin at a sample, the rates unknown."""
         kf = self._kf
         kf.x = np.array([[tangential_rad], [0.0], [normal_rad], [0.0]])
-        kf.P = np.diag([kf.R[0, 0], BURST_RAD_S**2, kf.R[1, 1], BURST_RAD_S**2])
+        kf.p = np.diag([kf.r[0, 0], BURST_RAD_S**2, kf.r[1, 1], BURST_RAD_S**2])
         self._known, self._ticks, self._settled, self._gain = True, 0, None, 0.0
         self._x = (tangential_rad, 0.0, normal_rad, 0.0)
 
@@ -144,7 +144,8 @@ class InclinationFilter:
         one = np.array([[1.0, dt], [0.0, 1.0]])
         noise = self._walk2 * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
         none = np.zeros((2, 2))
-        kf.predict(F=np.block([[one, none], [none, one]]), Q=np.block([[noise, none], [none, noise]]))
+        kf.f, kf.q = np.block([[one, none], [none, one]]), np.block([[noise, none], [none, noise]])
+        kf.predict()
         self._ticks = 0
 
 

@@ -27,7 +27,7 @@ SLOTS = {
 }
 AUDIT_SCHEMA = {"title": "rigctl.AuditEntry", "type": "object", "description": "a line of the audit log, see its chain"}
 _LIBRARIES = (
-    "numpy", "python-can", "canopen", "cantools", "filterpy", "control", "scipy", "eclipse-zenoh", "msgspec",
+    "numpy", "python-can", "canopen", "cantools", "control", "scipy", "eclipse-zenoh", "msgspec",
     "pydantic", "mcap", "protobuf", "zstandard",
 )  # fmt: skip
 

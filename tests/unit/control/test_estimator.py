@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pathlib
+from typing import Any
 
 import numpy as np
 import pytest
@@ -84,12 +85,12 @@ def test_the_settled_form_gives_what_the_full_recursion_gives(monkeypatch: pytes
         kalman.reset(300.0, 0.5)
         plain = kalman._kf.update
 
-        def counted(*args: object) -> None:
+        def counted(*args: Any) -> None:
             nonlocal calls
             calls += 1
             plain(*args)
 
-        kalman._kf.update = counted
+        kalman._kf.update = counted  # type: ignore[method-assign, assignment]
         states: list[float] = []
         for n, (tension, speed) in enumerate(samples):
             kalman.update(None if n % 1500 == 1400 else tension, None if n % 1900 == 1800 else speed)
