@@ -83,7 +83,8 @@ def judge(fault: Fault, mode: Mode, run: Run, undisturbed: Run, settings: RigSet
     detection_ms, latency_ms = _times(run, expected, at, settings)
     error_n = _error_n(run, undisturbed, at)
     stroke_mm = _moved_mm(run, undisturbed, at)
-    carried = bool(run.tension_n[-1] > CARRIED * _until(run, undisturbed, undisturbed.tension_n, at)[-1])
+    without_n = _until(run, undisturbed, undisturbed.tension_n, at)[-1]
+    carried = bool(run.tension_n[-1] > CARRIED * without_n) or without_n < settings.tension.slack_n  # released by then
     findings = []
     if reaction not in _WHAT_WILL_DO.get(expected, {expected}):
         findings.append(f"{reaction}")

@@ -329,5 +329,6 @@ def _from_controller(stand: Stand, frame: bytes) -> bool:
         objects.NMT_COB,
         objects.DRIVE_RPDO.cob_base + stand.settings.cylinder.node,
         objects.HEARTBEAT_BASE + stand.settings.can.controller_node,
+        *(objects.SDO_RX_BASE + node for node in stand.settings.canopen_nodes.values()),
     )
     return identifier in ours

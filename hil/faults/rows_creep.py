@@ -62,7 +62,8 @@ CREEP: tuple[Fault, ...] = (
         {**_DRIFTS, Mode.DISARMED: Reaction.LATCHED},
         seconds=5.0,
         held_mm=HELD_MM,
-        why="the same, shown by the tension alone",
+        latency_ms=220,
+        why="the same, shown by the tension alone; DISARMED, it looks like a slipping brake, which 200 ms tell",
     ),
     Fault(
         "brake_slips_slowly",
