@@ -55,7 +55,7 @@ def refused(rig: GuestRig, cause: str, after: int) -> str:
 
 
 def ridden_through(rig: GuestRig, play: Callable[[], None]) -> None:
-    """Play a fault while COMPENSATING: nothing trips. Where the host stopped the whole guest meanwhile, once more."""
+    """Play a fault while COMPENSATING: nothing trips. Where the host starved the guest meanwhile, once more."""
     for _ in range(TRIES):
         stroke_mm, after = rig.compensate(), len(rig.said)
         play()
@@ -63,8 +63,8 @@ def ridden_through(rig: GuestRig, play: Callable[[], None]) -> None:
         if rig.mode == "COMPENSATING":
             carried(rig, stroke_mm)
             return
-        assert rig.stopped_by_host(after), rig.said
-    raise AssertionError(f"the host stopped the guest {TRIES} times\n{rig.said}")
+        assert rig.starved_by_host(after), rig.said
+    raise AssertionError(f"the host starved the guest {TRIES} times\n{rig.said}")
 
 
 def test_an_error_passive_controller_is_told_in_words_and_ridden_through(rig: GuestRig) -> None:
