@@ -1,11 +1,12 @@
 # make demo   the daemon's main job on the simulated rig, judged       make lint   ruff and mypy strict
-# make test   every test, guest kernel included                        make bench  timing against cyclictest
+# make test   what a change is judged by, in minutes                   make bench  timing against cyclictest
+# make test-live   all real processes in real time, studies, guest kernel's bus faults
 # make coverage   branches of modes and safety table    make mutation   mutants of modes, safety, law    make fuzz
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint bench coverage mutation fuzz setup system
+.PHONY: demo test test-live lint bench coverage mutation fuzz setup system
 .DELETE_ON_ERROR:
 
 demo: $(STAMP)
@@ -13,8 +14,12 @@ demo: $(STAMP)
 	$(VENV)/bin/rigctl demo config/paper_rig.yaml --json results/demo.json
 
 test: $(STAMP) system
-	$(PYTHON) -m pytest -m "not real_time" --numprocesses auto --dist loadfile
-	$(PYTHON) -m pytest -m real_time
+	$(PYTHON) -m pytest -m "not real_time and not study" --numprocesses auto --dist loadfile
+	$(PYTHON) -m pytest -m "real_time and brief"
+
+test-live: $(STAMP) system
+	$(PYTHON) -m pytest -m "study and not real_time" --numprocesses auto --dist loadfile
+	$(PYTHON) -m pytest -m "real_time and not brief"
 
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .

@@ -18,6 +18,9 @@ HERE = pathlib.Path(__file__).parent
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 REAL_TIME = ("guest", "live/system", "live/telemetry")
 """Folders whose tests are, but those marked ``simulated_time``; elsewhere a file says so itself."""
+STUDIES = ("studies", "loop/test_identify.py", "loop/test_uneven_rail.py", "loop/test_devices_as_sold.py", "live/hil",
+           "live/system")  # fmt: skip
+"""Where tests take minutes of simulated time, or start processes for it."""
 
 # What a change is judged by is the same every time; `make fuzz` looks for more.
 settings.register_profile("rigctl", deadline=None, derandomize=True)
@@ -37,6 +40,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         where = item.path.relative_to(HERE).as_posix()
         if where.startswith(REAL_TIME) and not item.get_closest_marker("simulated_time"):
             item.add_marker(pytest.mark.real_time)
+        elif where.startswith(STUDIES):
+            item.add_marker(pytest.mark.study)
 
 
 @pytest.fixture

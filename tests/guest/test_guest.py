@@ -16,9 +16,10 @@ HOME = pathlib.Path(os.environ.get("GUEST_HOME", CACHE / "rigctl/guest"))
 
 @pytest.mark.guest
 @pytest.mark.timeout(600)
-def test_the_daemon_and_the_simulated_rig_on_a_real_kernels_socketcan() -> None:
-    files = [str(HERE / f"inside/{name}.py") for name in ("socketcan", "bus_faults")]
-    inside = [sys.executable, "-m", "pytest", "-v", "--durations=0", "--timeout=250", *files]
+@pytest.mark.parametrize("tests", [pytest.param("socketcan", marks=pytest.mark.brief), "bus_faults"])
+def test_the_daemon_and_the_simulated_rig_on_a_real_kernels_socketcan(tests: str) -> None:
+    file = str(HERE / f"inside/{tests}.py")
+    inside = [sys.executable, "-m", "pytest", "-v", "--durations=0", "--timeout=250", file]
     result = subprocess.run(
         [str(HERE / "guest-run"), "-t", "580", *inside],
         env={**os.environ, "GUEST_HOME": str(HOME), "OPENBLAS_NUM_THREADS": "1"},

@@ -76,6 +76,7 @@ def mode(seen: PageView, wanted: str) -> None:
     seen.until(f"rigctl.state.mode === {wanted!r}")
 
 
+@pytest.mark.brief
 def test_commands_go_through_lease_and_confirmation(seen: PageView, running: Running) -> None:
     assert seen.run("[...document.querySelectorAll('[data-verb]')].every((button) => button.disabled)")
     assert not seen.run("document.querySelector('#hold').disabled")

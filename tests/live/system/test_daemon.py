@@ -104,6 +104,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     yield from _start(tmp_path_factory.mktemp("shared"))
 
 
+@pytest.mark.brief
 def test_an_operators_session(running: Running) -> None:
     assert "HOLD" in running.do("arm")
     running.do("target", "120")

@@ -58,6 +58,7 @@ def running(tmp_path: pathlib.Path) -> Iterator[Running]:
         yield Running(file, daemon, rig, log)
 
 
+@pytest.mark.brief
 def test_a_session_with_a_trip_is_on_record_and_the_recorders_death_changes_nothing(running: Running) -> None:
     file, runtime = running.file, Runtime.of(daemons.name_of(running.file))
     running.do("arm", "--operator", "anna")

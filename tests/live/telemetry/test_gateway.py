@@ -21,6 +21,7 @@ from tests.builders.miniature import DESIGN, Daemon, free_port, until
 from tests.builders.paths import ROOT
 
 
+@pytest.mark.brief
 def test_fast_stream_is_complete(shared: Daemon) -> None:
     with shared.client() as client:
         reader = FastReader(client, recover=False)  # what the publications alone bring

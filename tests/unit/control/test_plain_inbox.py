@@ -11,7 +11,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.plain import PlainSignal
-from rigctl.config.settings import RigSettings
+from rigctl.config.settings import PlainMessages, RigSettings
 from rigctl.control.control_process import receive_filters
 from rigctl.control.inbox import Inbox
 from rigctl.devices import objects as od
@@ -125,4 +125,4 @@ def test_the_filters_let_through_what_is_decoded_and_nothing_else() -> None:
 
 def test_settings_whose_dbc_files_were_not_read_are_refused() -> None:
     with pytest.raises(ValueError, match="tension_cell: its DBC file has not been read"):
-        Bench(PLAIN.model_copy(update={"plain": config.PlainMessages()}))
+        Bench(PLAIN.model_copy(update={"plain": PlainMessages()}))
