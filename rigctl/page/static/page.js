@@ -1,5 +1,5 @@
 // The live page: one websocket in, charts and words out. `window.rigctl` is for whoever looks into it.
-import { Desk } from "./desk.js";
+import { Commands } from "./commands.js";
 import { Histogram } from "./histogram.js";
 import { Link } from "./link.js";
 import { Theme } from "./look.js";
@@ -14,7 +14,7 @@ const SHORTEST_MS = 22, LONGEST_MS = 500; // ... within these bounds
 const POLAR_MS = 100;
 const byId = (id) => document.getElementById(id);
 
-const store = new Store(), panel = new Panel(), desk = new Desk();
+const store = new Store(), panel = new Panel(), commands = new Commands();
 const strips = new Strips(byId("strips"), store);
 const polar = new Polar(document.querySelector("#polar canvas"), byId("polar-range"), store);
 const histogram = new Histogram(document.querySelector("#lateness canvas"), byId("lateness-figures"));
@@ -42,7 +42,7 @@ function take(data) {
 
 function greet(message) {
   if (hello && hello.assets !== message.assets) return location.reload();
-  if (!hello || hello.server !== message.server) desk.rights();
+  if (!hello || hello.server !== message.server) commands.rights();
   hello = message;
   names = message.signals;
   windowsS = message.windows_s;
@@ -68,7 +68,7 @@ function show(message) {
   state = message;
   heard = performance.now();
   panel.show(state);
-  desk.show(state);
+  commands.show(state);
   if (state.values) strips.title(state.values, typeof state.values.error_n === "number");
   look();
 }

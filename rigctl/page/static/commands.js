@@ -14,7 +14,7 @@ function takeToken() {
   }
 }
 
-export class Desk {
+export class Commands {
   constructor() {
     this.token = takeToken();
     this.waiting = null;
@@ -33,7 +33,7 @@ export class Desk {
   async rights() {
     if (!this.token) return;
     const { ok, answer } = await this.post("rights", {});
-    byId("desk").hidden = !ok;
+    byId("commands").hidden = !ok;
     byId("rights").textContent = ok ? `commands as ${answer.operator}` : "read-only";
     byId("rights").title = ok ? "" : answer.text;
     byId("rights").classList.toggle("rights", ok);
