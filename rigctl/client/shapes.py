@@ -190,6 +190,7 @@ class _Event(msgspec.Struct):
     b: Count = 0
     value: Real | None = None
     limit: Real | None = None
+    about: Line = ""
     operator: Line = ""
     other: Line = ""
     reason: Line = ""

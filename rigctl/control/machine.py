@@ -110,32 +110,32 @@ class Machine:
         self.end_trial(Refusal.ABORTED)
         return True
 
-    def command(self, id_: int, verb: Verb, situation: Situation, t_ns: int) -> None:
-        """An operator's command; its answer may come later (arm waits for the drive)."""
+    def command(self, id_: int, verb: Verb, situation: Situation, t_ns: int) -> Refusal | None:
+        """An operator's command; what it is answered at once, None where that comes later (arm waits for the drive)."""
         self.end_trial(Refusal.ABORTED)
         if self.stopping:
-            self.answers.append(Answer(id_, verb, Refusal.STOPPING))
-            return
+            return self._answer(id_, verb, Refusal.STOPPING)
         if verb in modes.TRIED_IN and self.arming:
-            self.answers.append(Answer(id_, verb, Refusal.WRONG_MODE))
-            return
+            return self._answer(id_, verb, Refusal.WRONG_MODE)
         if verb in (Verb.DISARM, Verb.HOLD) and self.arming:  # the load stays where it hangs: on the brake
             self._finish_arming(Refusal.ABORTED)
-            self.answers.append(Answer(id_, verb, Refusal.NONE))
-            return
+            return self._answer(id_, verb, Refusal.NONE)
         if verb is Verb.ARM and self.arming:
-            self.answers.append(Answer(id_, verb, Refusal.ALREADY))
-            return
+            return self._answer(id_, verb, Refusal.ALREADY)
         decision = modes.decide(self.mode, verb, situation)
         if decision.refusal is Refusal.NONE and verb is Verb.ARM:
             self._arm_id, self._arm_until = id_, t_ns + ARM_LIMIT_NS
-            return
+            return None
         if decision.refusal is Refusal.NONE and verb in modes.TRIED_IN:
             self._trial = (id_, verb)
-            return
+            return None
         if decision.refusal is Refusal.NONE:
             self._accept(verb, decision.event, t_ns)
-        self.answers.append(Answer(id_, verb, decision.refusal))
+        return self._answer(id_, verb, decision.refusal)
+
+    def _answer(self, id_: int, verb: Verb, refusal: Refusal) -> Refusal:
+        self.answers.append(Answer(id_, verb, refusal))
+        return refusal
 
     def follow_drive(self, drive_enabled: bool, t_ns: int) -> None:
         """Finish arming once the drive is enabled, or give up."""

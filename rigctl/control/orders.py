@@ -232,7 +232,7 @@ class Orders:
             target_max_n=settings.tension.target_max_n,
         )
         fault, was_arming = machine.fault, machine.arming
-        machine.command(id_, verb, situation, t_ns)
+        done = machine.command(id_, verb, situation, t_ns) is Refusal.NONE
         if machine.arming and not was_arming:  # what is shown while armed is what was found then
             observer.snapshot.failed_checks = situation.failed_checks
             machine.awaiting = True
@@ -243,7 +243,6 @@ class Orders:
             slides = snapshot.off_ns >= arming.REACTION_NS and snapshot.still_ns < arming.STILL_NS  # on a closed brake
             snapshot.brake_slip_known |= slides or fault in (Fault.STROKE_MOVES, Fault.BRAKE_SLIPS)
             self._logbook.event(t_ns, Kind.RESET, fault)
-        done = bool(machine.answers) and machine.answers[-1].refusal is Refusal.NONE
         if verb is Verb.TARGET and done:
             self._law.target_n = value
         elif verb is Verb.CONFIRM_STROKE and done:

@@ -24,4 +24,5 @@ def event_message(event: np.void, wall_offset_ns: int) -> tuple[str, dict[str, A
     return words.severity, {
         "seq": int(event["seq"]), "t_ns": t_ns, "wall_ns": t_ns + wall_offset_ns, "severity": words.severity,
         "source": "loop", "kind": name, "text": words.text, "a": a, "b": b, "value": value, "limit": limit,
+        "about": text,
     }  # fmt: skip

@@ -28,6 +28,7 @@ LOOP_EVENT: Rows = (
     ("b", "integer", "", "see the kind"),
     ("value", "number?", "", "what was found, in the unit its kind or fault has"),
     ("limit", "number?", "", "what is allowed, in the same unit"),
+    ("about", "string", "", "the loop's own words, see the kind: of a limit, the row of the rig file"),
 )
 GATEWAY_EVENT: Rows = (
     *_EVENT_COMMON,

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-_BEGINS, _ENDS = "limit: ", "limit: no longer "
+_HEADING = "limit: "  # of an event's text; what shows the limits has a heading of its own
 
 
 class PassedLimits:
     """A limit is passed from its event on, until the one that says it is kept again or a new loop starts."""
 
     def __init__(self) -> None:
-        self._passed: dict[str, str] = {}  # limit in words -> with the value that passed it
+        self._passed: dict[tuple[Any, ...], str] = {}  # fault, row and limit -> in words, with the value
 
     @property
     def now(self) -> list[str]:
@@ -24,11 +24,10 @@ class PassedLimits:
 
     def note(self, event: dict[str, Any]) -> None:
         """One event, in order."""
-        kind, text = event.get("kind"), str(event.get("text", ""))
+        kind, row = event.get("kind"), (event.get("a"), event.get("about"), event.get("limit"))
         if kind == "LIMIT":
-            words = text.removeprefix(_BEGINS)
-            self._passed[words.rpartition(" (")[0]] = words
+            self._passed[row] = str(event.get("text", "")).removeprefix(_HEADING)
         elif kind == "LIMIT_OVER":
-            self._passed.pop(text.removeprefix(_ENDS), None)
+            self._passed.pop(row, None)
         elif kind == "STARTED":
             self._passed.clear()

@@ -18,7 +18,8 @@ from tests.builders.miniature import Daemon
 def limit(kind: Kind, text: str, value: float, bound: float, seq: int) -> dict[str, Any]:
     """An event as the gateway words it."""
     said = worded(kind, Fault.LIMIT, Action.LOG, value, bound, text)
-    return {"seq": seq, "t_ns": seq, "wall_ns": 0, "kind": kind.name, "text": said.text, "severity": said.severity}
+    words = {"kind": kind.name, "text": said.text, "severity": said.severity}
+    return {"seq": seq, "t_ns": seq, "wall_ns": 0, "a": int(Fault.LIMIT), "about": text, "limit": bound, **words}
 
 
 EVENTS = [
