@@ -2,6 +2,7 @@
 # make test   what a change is judged by, in minutes                   make bench  timing against cyclictest
 # make test-live   all real processes in real time, studies, guest kernel's bus faults
 # make coverage   branches of modes and safety table    make mutation   mutants of modes, safety, law    make fuzz
+SHELL := /bin/bash
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
@@ -52,6 +53,8 @@ system:
 
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(PYTHON) || python3 -m venv $(VENV) || { tests/guest/apt python3-venv && python3 -m venv $(VENV); }
-	$(PYTHON) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@echo "setting up $(VENV), which takes a minute or two:"
+	set -o pipefail; $(PYTHON) -m pip install --progress-bar off --disable-pip-version-check -c constraints.txt \
+	    -e '.[dev]' | sed -u -n -e 's/^Collecting \([^ ]*\).*/  package \1/p' -e 's/^Installing collected.*/  installing/p'
 	$(PYTHON) -m hil.plant
 	touch $@
