@@ -38,7 +38,7 @@ _PROTOCOL = {
 
 
 def details(data: bytes | bytearray) -> int:
-    """What an error frame's data say beside its class: controller byte, protocol byte above it."""
+    """Details in an error frame's data: controller byte, with the protocol byte above it."""
     padded = data.ljust(3, b"\0")
     return padded[1] | padded[2] << 8
 
