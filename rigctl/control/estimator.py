@@ -5,7 +5,8 @@ made by the cylinder: lag of the upper point, level of the rail, motion of the p
 
     dT/dt = k (v + w + f),   dv/dt = (u(t - Td) - v) / tau,   dw/dt = white noise
 
-with f the part of the disturbance known from the inclination (`rigctl.control.inclination.Stretch`); the law takes w + f.
+with f the part of the disturbance known from inclination (`rigctl.control.inclination.Stretch`) and run-out table; the
+law takes w + f.
 
 A sample latched by the SYNC of tick n - 1 is read in tick n, and the command sent in tick n reaches the cylinder
 ``delay_ticks`` after the SYNC of tick n. ``update`` therefore corrects the state of tick n - 1, ``predict`` carries
@@ -183,7 +184,7 @@ class TensionFilter:
         return gate.believes(innovation, variance)
 
     def _follow(self, ticks: int) -> None:
-        """Widen the disturbance's covariance by a burst, so that the filter follows a surprising tension."""
+        """Widen the covariance by a burst of disturbance, so that the filter follows a surprising tension."""
         kf, model = self._kf, self.model
         if self._settled is not None:
             self._unsettle()
