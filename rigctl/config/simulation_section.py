@@ -38,7 +38,7 @@ class RailSettings(FrictionSettings):
 
 
 class PulleySettings(FrictionSettings):
-    """The pulley on the rail, with what hangs from it above the spring."""
+    """The pulley on the rail, with the parts that hang from it above the spring."""
 
     mass_kg: float = Field(ge=0.05, le=100, description="pulley, cylinder and sensors")
     rest_share: float = Field(

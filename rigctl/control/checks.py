@@ -113,7 +113,7 @@ class Check(IntFlag):
         1 << 18,
         "real-time settings are not in force: rigctl doctor (or loop.realtime_waiver)",
     )
-    # The disk for log, ledger and recordings is nearly full
+    # A disk that the rig writes to has too little room or is not writable
     DISK = (
         1 << 19,
         "disk nearly full: make room for ledger, audit log and trip dumps",

@@ -58,7 +58,7 @@ class GridClock:
 
 
 class SimulatedClock:
-    """Time that passes only when the loop asks for it: ``advance(t_ns)`` runs the world up to each point."""
+    """Time that passes only in ``next_tick``: ``advance(t_ns)`` runs the simulated world up to each grid point."""
 
     def __init__(self, period_ns: int, advance: Callable[[int], None], start_ns: int = 1_000_000_000) -> None:
         self._period = period_ns

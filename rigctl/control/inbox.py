@@ -315,7 +315,7 @@ class Inbox:
         decode = codecs.encoder_decoder(layout, settings.rail_encoder.counts_per_turn)
 
         def on_rail(data: bytes | bytearray, now_ns: int) -> None:
-            """Take an angle; it is invalid while the encoder reports an error, and unverified after a restart."""
+            """Take an angle; it is invalid while the encoder reports an error, and after an unverified restart."""
             angle_rad = decode(data)
             good = not (self._rail_in_error or self._rail_restarted)
             if good:

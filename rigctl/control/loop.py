@@ -126,7 +126,7 @@ class Loop:
             self._stop_safely(t_ns, error)
         try:
             self._record(t_ns, woke_ns)
-        except Exception as error:  # noqa: BLE001 - the same edge, for what is written down
+        except Exception as error:  # noqa: BLE001 - the same edge, for the record
             self._stop_safely(t_ns, error)
         self._work_ns = self._clock.now() - woke_ns
 

@@ -72,7 +72,7 @@ class Refusal(IntEnum):
 
     NONE = 0
     WRONG_MODE = 1
-    PREFLIGHT = 2  # the reply's ``checks`` say which
+    PREFLIGHT = 2  # the reply's ``checks`` name the failures
     OUT_OF_RANGE = 3
     CAUSE_PRESENT = 4  # the fault's cause is still present
     ALREADY = 5

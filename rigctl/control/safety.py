@@ -179,7 +179,7 @@ NEGATIVE_NS = 10 * _MS
 # 0.1 mm until the drive has stopped and the brake has closed. Faster creep trips DRIVE_NOT_FOLLOWING at 0.5 mm.
 NOT_HELD_MM, NOT_HELD_NS = 0.9, 2 * _MS
 DOUBT_MM = 0.5
-BRAKE_SLIP_MM_S, BRAKE_SLIP_NS = 0.2, 200 * _MS  # a stop under way takes less
+BRAKE_SLIP_MM_S, BRAKE_SLIP_NS = 0.2, 200 * _MS  # a stop under way is shorter
 STATUS_PERIODS = 5  # status frames lost in a row: at 10 % loss once in 10^5 frames, or 1.4 h at 20 Hz
 
 

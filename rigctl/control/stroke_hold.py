@@ -24,7 +24,7 @@ LAGS_PER_GAIN = 8.0  # 1/K_p in lags of the drive: a phase margin of 70 deg, or 
 INTEGRAL_SHARE = 0.2  # K_i / K_p^2: real poles at 0.28 and 0.72 K_p, no overshoot
 STOP_LAGS, SETTLE_LAGS = 3.0, 6.0  # distance of a stop in lags times its first speed; time to its end in lags
 REST_MM_S, SPARE_MM = 0.05, 0.05
-WINDOW_MM, WINDOWS = 0.3, 2  # load and speed are judged per window of correction; so many in a row are no chance
+WINDOW_MM, WINDOWS = 0.3, 2  # load and speed are judged per window of correction; two in a row are no coincidence
 AGREES, AGREES_TOO_WELL = 0.4, 1.6  # share of the correction; a mechanism as soft as the spring leaves half
 TENSION_S = 0.1  # low-pass of the tension
 

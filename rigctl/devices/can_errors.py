@@ -49,7 +49,7 @@ def is_grave(classes: int) -> bool:
 
 
 def in_words(classes: int, found: int) -> str:
-    """An error frame's class bits and `details`, the gravest first; bits without a word as numbers."""
+    """An error frame's class bits and `details`, the gravest first; bits without a name as numbers."""
     words = _words(_CLASSES, classes & BUS_OFF)
     if classes & CONTROLLER:
         words += _words(_CONTROLLER, found & 0xFF)

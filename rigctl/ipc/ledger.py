@@ -1,7 +1,8 @@
 """The ledger: every tare, calibration check and identification of one rig, in a JSON file that only grows.
 
-Only the gateway writes it, whole or not at all (new file, fsync, rename); every process reads it at its start. The last
-entry with zero and scale gives these; the last calibration check gives the date until which the cell is believed.
+Only the gateway writes it, whole or not at all (new file, fsync, rename); supervisor and gateway read it at their
+start. The last entry with zero and scale gives these; the last calibration check gives the date until which the cell
+is believed.
 """
 
 from __future__ import annotations
