@@ -1,1 +1,1 @@
-"""The rig file: its sections, strict YAML, DBC files, and the wording of what is refused."""
+"""The rig file: its sections, strict YAML, DBC files, and the wording of errors."""

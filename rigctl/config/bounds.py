@@ -1,9 +1,9 @@
-"""Bounds of the settings that a protection hangs on, each with what physics or a standard has to say about it.
+"""Bounds of the settings that a protection needs, each with its reason from physics or a standard.
 
-A value may be fine by its type and still disarm a protection: a stop that takes 60 mm, a limit no signal can reach, a
-sensor that may be lost for a second. What is allowed follows from how far the stroke goes meanwhile at
-``tension.speed_max_mm_s``, and from what the spring makes of that in newtons. ``safety.waiver`` says in words why a rig
-is outside of them all the same: a study without a spring, a simulated rig on a machine that pauses.
+A value may have the right type and still disable a protection: a stop that takes 60 mm, a limit no signal can reach, a
+sensor that may be lost for a second. The bounds follow from the distance of the stroke meanwhile at
+``tension.speed_max_mm_s``, and from the spring's change of tension over it. ``safety.waiver`` gives the reason why a
+rig may be outside of them: a study without a spring, a simulated rig on a machine that pauses.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from rigctl.config.settings import RigSettings
 
 BLIND_MM = 1.0
-"""Stroke at top speed before a loss is noticed, and in a ramp down to standstill."""
+"""Largest stroke at top speed before a loss is detected, and in a ramp to standstill."""
 STUDY = "a study: no load hangs on it"
 PAYLOAD_MM_S = 80.0  # faster than any payload, see rigctl.control.safety
-NOISY = 30.0  # times the cell's noise is CELL_NOISY, see rigctl.control.safety
-OVERRANGE = 1.2  # a cell reads so far, see rigctl.control.inbox
-SAMPLES = 20  # of a slow loop, for limits that count samples: fewer would trip on chance
+NOISY = 30.0  # times the cell's noise, the limit of CELL_NOISY, see rigctl.control.safety
+OVERRANGE = 1.2  # of the cell's range, see rigctl.control.inbox
+SAMPLES = 20  # for limits that count samples in a slow loop: fewer would trip by chance
 GRAVITY_MM_S2 = 9806.65
 SWING_SHARE = 0.1
 SLOPE_DEG = 5.0  # 0.4 % of the vertical
@@ -37,9 +37,9 @@ FAST_MS, SLOW_MS = 1000, 60_000
 
 @dataclass(frozen=True)
 class Stop:
-    """How far the stroke goes at top speed once nobody commands the drive, and what that makes in newtons."""
+    """Distance of the stroke from top speed after the commands stop, and its change of tension."""
 
-    unseen_mm: float  # in the longer of heartbeat time-out and command deadline: either must do without the other
+    unseen_mm: float  # in the longer of heartbeat time-out and command deadline, as either must suffice alone
     lag_mm: float  # in the drive's delay and lag
     ramp_mm: float  # on the drive's own ramp
     stiffness_n_mm: float
@@ -55,7 +55,7 @@ class Stop:
 
     @property
     def distance_mm(self) -> float:
-        """All of it."""
+        """Whole distance."""
         return self.unseen_mm + self.lag_mm + self.ramp_mm
 
     @property
@@ -64,7 +64,7 @@ class Stop:
         return self.stiffness_n_mm * self.distance_mm
 
     def in_words(self, settings: RigSettings) -> str:
-        """For people: distance, newtons, and what they are held against."""
+        """Distance, change of tension and limits, in words."""
         tension, high = settings.tension, settings.safety.tension_high_n
         up, down = tension.target_max_n + self.newtons, max(0.0, tension.target_min_n - self.newtons)
         return (
@@ -76,7 +76,7 @@ class Stop:
 
 
 class _Figures:
-    """What the bounds follow from."""
+    """Figures from which the bounds follow."""
 
     def __init__(self, s: RigSettings) -> None:
         self.s = s
@@ -92,7 +92,7 @@ class _Figures:
         self.stop = Stop.of(s)
 
     def loss_ms(self) -> float:
-        """Longest silence of the loop: 1 mm, and with lag and delay still within the room."""
+        """Longest silence of the loop: 1 mm at top speed, and with lag and delay within the room for the tension."""
         return min(self.blind_ms, 1e3 * (self.room_mm / self.v - self.lag_s))
 
     def ramp(self, before_mm: float) -> float:
@@ -101,25 +101,25 @@ class _Figures:
         return self.v**2 / (2.0 * left_mm) if left_mm > 0.0 else math.inf
 
     def stop_deceleration(self) -> float:
-        """... and that has a drive which runs away cut, after v/a and two lags, within the room."""
+        """Longest persistence: 1 mm at top speed; the tension stays in the cell's range until the stroke stands."""
         left_s = self.room_mm / self.v - 2.0 * self.s.plant.cylinder_lag_s
         cut = self.v / left_s if left_s > 0.0 else math.inf
         return max(self.ramp(self.stop.unseen_mm + self.stop.lag_mm), cut)
 
     def persistence_ms(self) -> float:
-        """1 mm, and the tension that trips stays within what the cell reads until the stroke stands."""
+        """Longest persistence: 1 mm at top speed, and the tension stays in the cell's range until the stroke stands."""
         above_mm = (OVERRANGE * self.s.tension_cell.range_n - self.s.safety.tension_high_n) / self.k
         ramp_mm = self.v**2 / (2.0 * self.s.tension.acceleration_max_mm_s2)
         return min(self.blind_ms, 1e3 * ((above_mm - ramp_mm) / self.v - self.lag_s))
 
     def swing_ms(self) -> float:
-        """A share of the rope's swing, or three samples of a slow sensor."""
+        """A share of the rope's period of swing, or three samples of a slow sensor."""
         swing_s = 2.0 * math.pi * math.sqrt(self.s.plant.rope_length_mm / GRAVITY_MM_S2)
         return 1e3 * max(SWING_SHARE * swing_s, 3.0 / self.s.inclinometer.rate_hz)
 
 
 class Bound(NamedTuple):
-    """One row: a key, the least or the most it may be, and why."""
+    """One row: a key, its least or largest value, and why."""
 
     key: str
     limit: Callable[[_Figures], float]
@@ -127,18 +127,18 @@ class Bound(NamedTuple):
     least: bool = False
 
     def allows(self, found: float, limit: float) -> bool:
-        """Rounding of the arithmetic aside."""
+        """Whether ``found`` is within ``limit``, except for rounding."""
         spare = 1e-9 * abs(limit) if math.isfinite(limit) else 0.0
         return found >= limit - spare if self.least else found <= limit + spare
 
     def shown(self, limit: float) -> float:
-        """With three digits, rounded to the side that is allowed."""
+        """The limit with three digits, rounded to the allowed side."""
         unit = 10.0 ** (math.floor(math.log10(limit)) - 2)
         whole = limit / unit
         return (math.ceil(whole - 1e-6) if self.least else math.floor(whole + 1e-6)) * unit
 
     def allowed(self, limit: float) -> str:
-        """For the finding."""
+        """Allowed range, in words for a finding."""
         words = "at least" if self.least else "at most"
         number = f"{words} {self.shown(limit):g}" if 0.0 < limit < math.inf else "none with these other settings"
         return f"{number} ({self.why}; or safety.waiver: why not, in words)"
@@ -217,7 +217,7 @@ BOUNDS: tuple[Bound, ...] = (
 
 
 def document(settings: RigSettings) -> str:
-    """The page docs/bounds.md: every bound, what it comes to on ``settings``, and why."""
+    """The page docs/bounds.md: every bound, its value for ``settings``, and why."""
     figures = _Figures(settings)
     rows = [
         f"| `{bound.key}` | {'at least' if bound.least else 'at most'} {bound.shown(bound.limit(figures)):g} "
@@ -263,7 +263,7 @@ own; its end stops are further out), `preflight.stroke_margin_mm` (the law itsel
 
 
 def as_study(data: dict[str, Any]) -> dict[str, Any]:
-    """The data of a rig file with the bounds waived, unless it says so itself."""
+    """The data of a rig file with the bounds waived, if they are not waived already."""
     safety = data.get("safety")
     return {**data, "safety": {**safety, "waiver": safety.get("waiver") or STUDY}} if isinstance(safety, dict) else data
 
@@ -292,7 +292,7 @@ def findings(settings: RigSettings) -> Iterator[Finding]:
 
 
 def _of_limits(settings: RigSettings) -> Iterator[Finding]:
-    """Rows of `limits` that act but cannot trip, or only long after what they are for."""
+    """Rows of `limits` with an action that can never trip, or only far too late."""
     slope, cell_n = settings.inclinometer.range_deg, OVERRANGE * settings.tension_cell.range_n
     reach = {
         "tension_n": (-cell_n, cell_n, "what the cell reads"),

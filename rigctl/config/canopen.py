@@ -1,6 +1,6 @@
 """CAN identifiers of CiA 301's pre-defined connection set, and the objects a rig file's settings name.
 
-All other objects are in `rigctl.devices.objects`, which has these too.
+`rigctl.devices.objects` has these and all other objects.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ TPDO1_BASE = 0x180
 TPDO2_BASE = 0x280
 RPDO1_BASE = 0x200
 PDO_SPACING = 0x100  # COB-ID of the next PDO of the same kind
-PDOS = 4  # of each kind have a COB-ID of their own
+PDOS = 4  # PDOs of each kind with a predefined COB-ID
 PDO_NOT_VALID = 1 << 31  # of a COB-ID: the PDO is switched off
-PDO_NO_RTR = 1 << 30  # of a COB-ID: no remote frame asks for it; some devices have it so for good
+PDO_NO_RTR = 1 << 30  # of a COB-ID: remote frames not allowed; fixed on some devices
 SDO_TX_BASE = 0x580
 SDO_RX_BASE = 0x600
 HEARTBEAT_BASE = 0x700

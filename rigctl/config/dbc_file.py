@@ -1,6 +1,6 @@
-"""The messages a rig file takes from DBC files, read with cantools when the file is loaded, or refused.
+"""The messages a rig file takes from DBC files, read and checked with cantools when the rig file is loaded.
 
-Imported only where a rig file has a ``dbc`` section: other rigs do not pay for cantools.
+Imported only for a rig file with a ``dbc`` section, because cantools is slow to import.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rigctl.config.settings import DbcSettings, PlainMessages, RigSettings
 _TENSION = {"N": 1.0}
 _ANGLE = {"deg": math.radians(1.0), "rad": 1.0}
 UNITS = {"tension_cell": {"tension": _TENSION}, "inclinometer": {"tangential": _ANGLE, "normal": _ANGLE}}
-"""Signals each device must have: by unit in the DBC, what one of it is in N or rad."""
+"""Signals each device must have, with the factor to N or rad by the unit in the DBC file."""
 
 _LARGEST_FRAME = 8
 _NAMES_SHOWN = 8
@@ -63,7 +63,7 @@ def messages(settings: RigSettings) -> PlainMessages:
 
 
 def _canopen_ids(settings: RigSettings) -> dict[int, str]:
-    """Identifiers CANopen has in use on this rig, and what for (CiA 301, pre-defined connection set)."""
+    """Identifiers that CANopen uses on this rig, with their use (CiA 301, pre-defined connection set)."""
     ids = {
         canopen.NMT_COB: "NMT",
         canopen.SYNC_COB: "SYNC",
@@ -108,7 +108,7 @@ def _message(device: str, dbc: DbcSettings, file: pathlib.Path) -> PlainMessage:
 
 
 def _cycle_ms(key: tuple[str, ...], message: Any) -> int | None:
-    """GenMsgCycleTime in whole ms; None where the DBC gives none, or 0."""
+    """GenMsgCycleTime in whole ms; None where it is missing or 0."""
     try:
         cycle_ms = int(message.cycle_time or 0)
     except (ValueError, OverflowError):  # the file may declare the attribute as text, or as a float
@@ -158,7 +158,7 @@ def signal_layout(key: tuple[str, ...], message: Any, name: str, units: dict[str
 
 
 def _finite(key: tuple[str, ...], what: str, number: float, factor: float, *, zero: bool) -> float:
-    """Scale or offset as it will be used."""
+    """Scale or offset times ``factor``, which must be finite."""
     try:
         scaled = float(number) * factor
     except OverflowError:  # an integer of hundreds of digits

@@ -1,7 +1,7 @@
-"""Files a process reads at start and did not just write itself: in their place may stand anything.
+"""Reads files that another process may have replaced by anything.
 
-A pipe that nobody writes to, a folder, a link to somewhere else, gigabytes: each is an error of reading, none is waited
-for, followed or loaded.
+A pipe without a writer, a folder, a link, or gigabytes of data is an error of reading; nothing of it is waited for,
+followed or loaded.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def read(path: pathlib.Path, *, largest: int = LARGEST_BYTES, links: bool = Fals
     """Content of a regular file of at most ``largest`` bytes. ``links``: a link in its place is followed.
 
     Raises:
-        OSError: it is not there, cannot be read, is no regular file or is larger.
+        OSError: the file is missing, unreadable, larger, or no regular file.
     """
     flags = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | (0 if links else os.O_NOFOLLOW)
     fd = os.open(path, flags)
@@ -44,7 +44,7 @@ def decoded(data: bytes, kind: Any = Any) -> Any:
     """JSON as a value of ``kind``.
 
     Raises:
-        msgspec.MsgspecError: it is none, whatever is wrong with it.
+        msgspec.MsgspecError: for any error in it.
     """
     try:
         return msgspec.json.decode(data, type=kind)

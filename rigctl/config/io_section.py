@@ -13,7 +13,7 @@ LOST_SAMPLES = 3
 class IoSettings(CanopenDevice):
     """Generic I/O node, CiA 401, that mirrors the emergency stop's contact. The rig runs without one.
 
-    It sends by itself: when an input changes, and otherwise by its event timer, so that its silence is noticed.
+    The node sends on a change of an input and by its event timer, so that its silence is detected.
     """
 
     node: int = Field(default=6, ge=1, le=127, description="CANopen node id")
@@ -41,5 +41,5 @@ class IoSettings(CanopenDevice):
 
     @property
     def mask(self) -> int:
-        """The input's bit in it."""
+        """Bit of the input in that block."""
         return 1 << self.e_stop_input % INPUTS_PER_BLOCK

@@ -1,4 +1,4 @@
-"""The ``limits`` section of a rig file: what else is watched, and what is done about it."""
+"""The ``limits`` section of a rig file: further rows of the safety table."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rigctl.config.settings_base import Settings, require
 
 
 class Signal(NamedTuple):
-    """Unit and meaning of what a limit may watch."""
+    """Unit and meaning of a signal that a limit may watch."""
 
     unit: str
     meaning: str
@@ -41,7 +41,7 @@ SIGNALS: dict[str, Signal] = {
 }
 
 OF_STATUS = frozenset({"drive_temperature_c", "drive_current_a"})
-"""Signals that come only where the drive is asked for its status (``cylinder.status_rate_hz``)."""
+"""Signals that come only with the drive's status (``cylinder.status_rate_hz``)."""
 
 ModeName = Literal["DISARMED", "HOLD", "TENSIONING", "COMPENSATING", "RELEASING", "FAULT"]
 SignalName = Literal[
@@ -53,7 +53,7 @@ SignalName = Literal[
 
 
 class LimitSettings(Settings):
-    """One limit. All but ``log`` latch a fault; ``power_off`` stops first, as far as the drive obeys."""
+    """One limit. All but ``log`` latch a fault; ``power_off`` stops first, if the drive obeys."""
 
     signal: SignalName
     low: float | None = Field(default=None, description="lowest value allowed")

@@ -1,4 +1,4 @@
-"""Words from outside, as an error on one line can quote them."""
+"""Text from outside, made fit to be quoted in an error of one line."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ LONGEST_SHOWN = 300
 
 
 def printable(text: str) -> str:
-    """What a terminal would not show, or take for a line's end, in its escaped form; the rest as it is."""
+    """The text with unprintable characters and line ends escaped."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 def on_one_line(text: str) -> str:
-    """Printable, and cut where it goes on and on."""
+    """The text, printable and cut to a bounded length."""
     shown = text if text.isprintable() else ascii(text)[1:-1]
     return shown if len(shown) <= LONGEST_SHOWN else f"{shown[:LONGEST_SHOWN]}..."

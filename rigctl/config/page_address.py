@@ -1,4 +1,4 @@
-"""Where the page listens: ``HOST:PORT``, and the socket there."""
+"""Address on which the page listens, ``HOST:PORT``, and its socket."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ class AddressError(ValueError):
 
 
 class CannotListenError(RuntimeError):
-    """Nobody can listen there; ``str()`` is one line."""
+    """The socket cannot be opened; ``str()`` is one line."""
 
 
 @dataclass(frozen=True)
 class Address:
-    """A host (name or IP address, IPv6 without brackets) and a TCP port; port 0 takes one that is free."""
+    """A host (name or IP address, IPv6 without brackets) and a TCP port; port 0 means any free port."""
 
     host: str
     port: int
 
     @classmethod
     def parse(cls, text: str) -> Address:
-        """``HOST:PORT``.
+        """An address from ``HOST:PORT``.
 
         Raises:
-            AddressError: it is not one.
+            AddressError: the text is no address.
         """
         host, colon, port = text.rpartition(":")
         bracketed = host.startswith("[") and host.endswith("]")

@@ -1,4 +1,4 @@
-"""The ``page`` section of a rig file: the live page that `rigctl run` keeps alive beside the daemon."""
+"""The ``page`` section of a rig file: the live page that `rigctl run` keeps running beside the daemon."""
 
 from __future__ import annotations
 
@@ -20,5 +20,5 @@ class PageSettings(Settings):
 
     @property
     def address(self) -> Address:
-        """``listen``, read."""
+        """``listen`` as an address."""
         return Address.parse(self.listen)

@@ -1,8 +1,8 @@
-"""What a plain frame looks like: a message of a DBC file reduced to what the rig needs of it.
+"""Layout of a plain frame: a message of a DBC file, reduced to the signals that the rig needs.
 
-Both ends read this table: the control process compiles its decoders from it (`rigctl.devices.dbc`), the simulated
-sensors write their frames by it. It is made once, when the rig file is loaded (`rigctl.config.dbc_file`), and crosses
-to the other processes with the settings; bit numbers are those of the DBC format.
+Both ends use this table: the control process compiles its decoders from it (`rigctl.devices.dbc`), the simulated
+sensors encode their frames with it. It is made once, when the rig file is loaded (`rigctl.config.dbc_file`), and
+crosses to the other processes with the settings; bit numbers are those of the DBC format.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class PlainSignal(_Layout):
 
 
 class PlainMessage(_Layout):
-    """A standard frame sent by its device on its own: ``signals`` by what they mean to the rig."""
+    """A standard frame that its device sends without a request; ``signals`` by their meaning to the rig."""
 
     name: str
     can_id: Annotated[int, Field(ge=0, le=0x7FF)]
@@ -77,11 +77,11 @@ class PlainMessage(_Layout):
     signals: dict[str, PlainSignal]
 
     def rate_hz(self, loop_rate_hz: int) -> float:
-        """Frames per second by the DBC's cycle time, or the loop's rate where it gives none."""
+        """Frames per second by the DBC file's cycle time, or the loop's rate where it has none."""
         return 1000.0 / self.cycle_ms if self.cycle_ms else float(loop_rate_hz)
 
     def payload(self, values: Mapping[str, float]) -> bytes:
-        """The frame's data with ``values`` (N, rad) by meaning; what is not given, and every other bit, is 0."""
+        """The frame's data with ``values`` (N, rad) by meaning; every other bit is 0."""
         little = big = 0
         for meaning, signal in self.signals.items():
             bits = (signal.raw_bits(values[meaning]) if meaning in values else 0) << signal.shift(self.size)

@@ -1,4 +1,4 @@
-"""Figures as an operator reads them: never an exponent, never a negative zero, the unit behind them. The one place."""
+"""Figures for operators, formatted here only: no exponent, no negative zero, the unit behind them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from decimal import Decimal
 
 
 class Number(float):
-    """A float whose every format is for people: ``f"{Number(x):.1f}"``, ``f"{Number(x):.4g}"``."""
+    """A float without exponent and negative zero in any format: ``f"{Number(x):.1f}"``, ``f"{Number(x):.4g}"``."""
 
     def __format__(self, spec: str) -> str:
         """``g`` gives as many significant digits in positional notation; a zero has no minus."""
@@ -21,12 +21,12 @@ class Number(float):
 
 
 def number(value: float, digits: int, unit: str = "", *, sign: bool = False) -> str:
-    """A value with so many decimals, and its unit."""
+    """A value with ``digits`` decimals, and its unit."""
     return f"{Number(value):{'+' if sign else ''}.{digits}f} {unit}".rstrip()
 
 
 def significant(value: float, unit: str = "", digits: int = 10) -> str:
-    """A value with up to so many significant digits, and its unit: what somebody has set, as he wrote it."""
+    """A value with up to ``digits`` significant digits, and its unit: shows a setting as it was written."""
     return f"{Number(value):.{digits}g} {unit}".rstrip()
 
 

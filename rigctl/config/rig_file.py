@@ -26,7 +26,7 @@ def load(path: str | pathlib.Path, *, study: bool = False) -> RigSettings:
 
     Args:
         path: the rig file.
-        study: nothing is moved by what is made of it, so that the bounds of `rigctl.config.bounds` are waived.
+        study: the settings move nothing real, so the bounds of `rigctl.config.bounds` are waived.
 
     Raises:
         ConfigError: one line per finding, ``FILE:LINE: key: found X, expected Y``.

@@ -21,16 +21,16 @@ from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.settings_base import CanopenDevice, Hexadecimal, Settings, require
 from rigctl.config.simulation_section import SimulationSettings
 
-ADDED = frozenset({"directory", "plain"})  # settings that ``load`` adds to what is in the file
+ADDED = frozenset({"directory", "plain"})  # settings that ``load`` adds to those of the file
 _ENDPOINT = r"^(tcp|unixsock-stream)/\S+$"
 _LARGEST_RAW = 2**31 - 1  # 0x6064, 0x60FF are INTEGER32
-_SDO_TRANSFERS = 100  # most a device is asked for at start-up, with room
+_SDO_TRANSFERS = 100  # most transfers of a device at start-up, with room
 PdoNumber = Annotated[int, Field(ge=1, le=4, description="number of the PDO")]
 NodeId = Annotated[int, Field(ge=1, le=127, description="CANopen node id")]
 
 
 class LoopSettings(Settings):
-    """The fixed-rate loop and what it asks of the operating system (each of these optional: 0, null or false)."""
+    """The fixed-rate loop and its real-time settings, each of which is optional (0, null or false)."""
 
     rate_hz: int = Field(ge=50, le=4000, description="loop rate")
     spin_us: int = Field(default=0, ge=0, le=200, description="busy-wait before each grid point")
@@ -94,7 +94,7 @@ class InclinationDbcSettings(DbcSettings):
 
 
 class TensionCellSettings(CanopenDevice):
-    """Tension amplifier, CiA 404, or any with plain frames."""
+    """Tension amplifier, CiA 404 or any with plain frames."""
 
     node: NodeId = 2
     eds: str = Field(default="eds/tension_amplifier.eds", description="EDS file, relative to the rig file")
@@ -230,7 +230,7 @@ class CylinderSettings(CanopenDevice):
 
 
 class PlantSettings(Settings):
-    """The plant the estimator and the design believe in."""
+    """The plant as assumed by estimator and design."""
 
     spring_n_mm: float | None = Field(gt=0, le=10_000, description="series spring, null = none")
     rope_n_mm: float = Field(gt=0, le=100_000, description="rope, axial")
@@ -250,7 +250,7 @@ class PlantSettings(Settings):
 
 
 class TensionSettings(Settings):
-    """What is held, and the bounds within which the law may move the stroke."""
+    """Target and ramps of the tension, and the bounds of the stroke's motion."""
 
     target_n: float = Field(ge=1, le=10_000, description="vertical tension to hold")
     target_min_n: float = Field(ge=1, le=10_000, description="lowest target an operator may set")
@@ -322,7 +322,7 @@ class SafetySettings(Settings):
 
 
 class CalibrationSettings(Settings):
-    """Tare and calibration of the tension cell; what is found is kept in a ledger beside the rig file.
+    """Tare and calibration of the tension cell; results are kept in a ledger beside the rig file.
 
     With this section the rig arms only while a calibration check has passed and is not overdue, or a waiver says why.
     """
@@ -340,7 +340,7 @@ class CalibrationSettings(Settings):
 
 
 class PreflightSettings(Settings):
-    """What arming asks for beside signals and devices that are in order."""
+    """Conditions of arming beside good signals and devices."""
 
     stroke_margin_mm: float = Field(default=2.0, ge=0, le=500, description="stroke at least this far from its ends")
     disk_free_mib: int = Field(default=512, ge=1, le=2**30, description="free where the rig writes things down")
@@ -359,7 +359,7 @@ class TelemetrySettings(Settings):
 
 
 class AuditSettings(Settings):
-    """What the recorder keeps: the audit log, and a file about each trip. Relative to the rig file."""
+    """Files of the recorder: the audit log, and a dump of each trip. Relative to the rig file."""
 
     file: str | None = Field(default=None, min_length=1, description="audit log; null = audit/RIG.jsonl")
     trips: str = Field(default="trips", min_length=1, description="folder of the trip dumps")
@@ -367,7 +367,7 @@ class AuditSettings(Settings):
 
 
 class DemoSettings(Settings):
-    """The paper's move, and the limits the demo judges itself by."""
+    """The paper's move, and the limits of the demo's verdict."""
 
     angle_deg: float = Field(gt=0, le=180, description="out and back")
     speed_deg_s: float = Field(gt=0, le=10, description="mechanism speed")
@@ -380,14 +380,14 @@ class DemoSettings(Settings):
 
 
 class PlainMessages(Settings):
-    """What the DBC files say, as read when the rig file was loaded."""
+    """Messages of the DBC files, as read when the rig file was loaded."""
 
     tension_cell: PlainMessage | None = None
     inclinometer: PlainMessage | None = None
 
 
 class RigSettings(Settings):
-    """A whole rig file; ``directory`` and ``plain`` are not in it but added by ``load``."""
+    """A whole rig file; ``load`` adds ``directory`` and ``plain``."""
 
     rig: str = Field(pattern=r"^[a-z][a-z0-9_]{0,31}$", description="name in every key and lock")
     loop: LoopSettings
@@ -476,13 +476,13 @@ class RigSettings(Settings):
 
     @property
     def status_divisor(self) -> int:
-        """The drive's second TPDO comes with every this many SYNCs; 0 = never."""
+        """The drive's second TPDO comes every this many SYNCs; 0 = never."""
         rate = self.cylinder.status_rate_hz
         return self.loop.rate_hz // rate if rate is not None else 0
 
     @property
     def start_up_limit_s(self) -> float:
-        """Longest that start-up may take over devices that boot, or answer as late as they may."""
+        """Longest start-up with devices that still boot and answer at their time-out."""
         devices: list[CanopenDevice] = [getattr(self, name) for name in self.canopen_nodes]
         return self.can.boot_wait_s + _SDO_TRANSFERS * sum(device.sdo_timeout_ms for device in devices) * 1e-3
 
@@ -513,21 +513,21 @@ class RigSettings(Settings):
 
     @property
     def ledger(self) -> pathlib.Path | None:
-        """Where calibrations are written down; None without a calibration section."""
+        """File of the ledger; None without a calibration section."""
         if self.calibration is None:
             return None
         return self.file(self.calibration.file or f"calibration/{self.rig}.json")
 
     @property
     def last_stroke(self) -> pathlib.Path:
-        """Where the recorder keeps the stroke that was last known: beside the ledger."""
+        """File in which the recorder keeps the last known stroke, beside the ledger."""
         return (self.ledger or self.file(f"calibration/{self.rig}.json")).with_suffix(".stroke.json")
 
     @property
     def audit_log(self) -> pathlib.Path:
-        """Where the recorder keeps the audit log."""
+        """File in which the recorder keeps the audit log."""
         return self.file(self.audit.file or f"audit/{self.rig}.jsonl")
 
     def file(self, name: str) -> pathlib.Path:
-        """A file the rig file names, relative to where the rig file stands."""
+        """A file named in the rig file, relative to the rig file's folder."""
         return pathlib.Path(self.directory) / name

@@ -16,7 +16,7 @@ def _from_hexadecimal(value: object) -> object:
 
 
 Hexadecimal = Annotated[int, BeforeValidator(_from_hexadecimal)]
-"""A number that data sheets give in hexadecimal: in quotes, as strict YAML has no such numbers, or as an integer."""
+"""A number given in hexadecimal by data sheets: quoted, as strict YAML has no such numbers, or an integer."""
 
 
 class Settings(BaseModel):
@@ -26,7 +26,7 @@ class Settings(BaseModel):
 
 
 class CanopenDevice(Settings):
-    """What every CANopen device may be told about itself."""
+    """Settings of every CANopen device."""
 
     sdo_timeout_ms: int = Field(default=300, ge=20, le=10_000, description="longest time to an SDO answer")
     vendor: Hexadecimal | None = Field(default=None, ge=0, lt=2**32, description="0x1018:01, null = any")
@@ -34,6 +34,6 @@ class CanopenDevice(Settings):
 
 
 def require(agree: bool, key: str, found: object, allowed: str) -> None:
-    """Refuse values that are fine alone but not together; ``key`` is dotted, relative to the section."""
+    """Refuse values that are valid alone but not together; ``key`` is dotted, relative to the section."""
     if not agree:
         raise PydanticCustomError("disagree", "{allowed}", {"key": key, "found": found, "allowed": allowed})

@@ -1,4 +1,4 @@
-"""The `simulation` section of a rig file: the rig as built, imperfections included. Read by `python -m hil` only."""
+"""The `simulation` section of a rig file: the rig as built, with its imperfections. Only `python -m hil` reads it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class RailSettings(FrictionSettings):
 
 
 class PulleySettings(FrictionSettings):
-    """The pulley on the rail, with what hangs from it above the spring."""
+    """The pulley on the rail, with the parts that hang from it above the spring."""
 
     mass_kg: float = Field(ge=0.05, le=100, description="pulley, cylinder and sensors")
     rest_share: float = Field(
@@ -47,7 +47,7 @@ class PulleySettings(FrictionSettings):
 
 
 class RopeSettings(Settings):
-    """Rope and spring where `plant` does not say."""
+    """Rope and spring beyond the settings of `plant`."""
 
     damping_n_s_mm: float = Field(ge=0, le=100, description="spring and rope, axial")
     slack_mm: float = Field(ge=0, le=500, description="rope left slack at stroke 0")
@@ -103,7 +103,7 @@ class DriveSettings(Settings):
 
 
 class CellSettings(Settings):
-    """Tension cell and amplifier where `tension_cell` does not say."""
+    """Tension cell and amplifier beyond the settings of `tension_cell`."""
 
     quantum_n: float = Field(gt=0, le=10, description="resolution")
     filter_hz: float | None = Field(default=None, gt=0, le=10_000, description="low-pass, first order, null = none")
@@ -116,7 +116,7 @@ class CellSettings(Settings):
 
 
 class SlopeSettings(Settings):
-    """Inclinometer where `inclinometer` does not say."""
+    """Inclinometer beyond the settings of `inclinometer`."""
 
     kind: Literal["accelerometer", "gyro"] = Field(
         default="gyro", description="accelerometer: reads the swing's acceleration too; gyro: compensated"
@@ -130,7 +130,7 @@ class SlopeSettings(Settings):
 
 
 class DevicesSettings(Settings):
-    """What CANopen devices as they are sold do; each value that is not the default is a variant of the devices."""
+    """Behaviour of CANopen devices on the market; each value other than the default is a variant of a device."""
 
     rtr: bool = Field(default=True, description="false = bit 30 of a TPDO's COB-ID stays set, else abort 0609 0030")
     fixed_mapping: bool = Field(default=False, description="PDO mappings are read only, else abort 0601 0002")
@@ -139,12 +139,12 @@ class DevicesSettings(Settings):
 
     @property
     def slow(self) -> bool:
-        """Their answers take time."""
+        """Whether their answers take time."""
         return self.sdo_ms > 0 or self.boot_s > 0
 
 
 class SimulationSettings(Settings):
-    """The simulated rig where it is not what `plant` says."""
+    """The simulated rig where it differs from `plant`."""
 
     seed: int = Field(ge=0, le=2**31, description="of every noise source")
     step_us: int = Field(default=100, ge=10, le=1000, description="integration step")

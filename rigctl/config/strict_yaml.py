@@ -1,4 +1,4 @@
-"""YAML read without YAML 1.1's surprises: every value knows its line, nothing is guessed.
+"""YAML read without YAML 1.1's surprises: every value keeps its line, and no type is guessed.
 
 PyYAML reads ``1e-3`` as a string, ``010`` as 8, ``12:30`` as 750, ``on`` as true and takes a duplicate key
 silently. Here each of these is refused with the line it stands on, so that a rig file means what it says.
@@ -23,7 +23,7 @@ _NUMBER_LIKE = re.compile(r"[-+]?(\.?[0-9]|\.(inf|nan)\b)|(nan|inf)\Z", re.IGNOR
 _BARE_NUMBER = re.compile(r"[-+.0-9eExXoObB_:a-fA-F]*\Z")
 LONGEST_NUMBER = 40
 LARGEST_BYTES = 200_000
-"""Of a file: twenty times the longest we ship. What is larger is no settings file, and takes seconds to read."""
+"""Of a file: twenty times the longest we ship. A larger file is no settings file and takes seconds to read."""
 MOST_VALUES = 20_000
 """Of a document, every alias written out: a few lines of aliases can stand for millions of values."""
 _COLLECTIONS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
@@ -45,7 +45,7 @@ class FileError(ValueError):
 
 @dataclass(frozen=True)
 class Unreadable:
-    """Stands in the data for a value that is refused, so that validation finds it beside what else is wrong."""
+    """Placeholder in the data for a refused value, so that validation reports it together with other errors."""
 
     text: str
     allowed: str
@@ -53,7 +53,7 @@ class Unreadable:
 
 @dataclass(frozen=True)
 class Document:
-    """A loaded document: plain data, and the 1-based line on which each path stands.
+    """A loaded document: plain data, and the 1-based line of each path.
 
     A value that may be read in two ways is an `Unreadable`, which no setting accepts.
     """
@@ -72,7 +72,7 @@ def read(file: pathlib.Path) -> Document:
     """Read a file that holds one document, see `load`.
 
     Raises:
-        FileError: as `text_of`, or it holds no such document.
+        FileError: as in `text_of`, or the file holds no such document.
     """
     try:
         return load(text_of(file))
@@ -84,10 +84,10 @@ def text_of(file: pathlib.Path) -> str:
     """The text of a settings file.
 
     Raises:
-        FileError: it cannot be read or is too large, or is no UTF-8 text.
+        FileError: the file is unreadable, too large, or no UTF-8 text.
     """
     try:
-        if file.exists() and not file.is_file() and not file.is_dir():  # a pipe may never end, nor even begin
+        if file.exists() and not file.is_file() and not file.is_dir():  # reading a pipe may never end
             raise FileError(f"{file}: cannot be read: not a file")
         with file.open("rb") as opened:
             data = opened.read(LARGEST_BYTES + 1)
@@ -104,7 +104,7 @@ def load(text: str) -> Document:
     """Read one YAML document made of mappings, lists and plain scalars.
 
     Raises:
-        StrictYamlError: with the line and what is expected instead.
+        StrictYamlError: it has the line and the expected form.
     """
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)

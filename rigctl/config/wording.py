@@ -1,4 +1,4 @@
-"""What is wrong with a file of settings, in words: ``FILE:LINE: key: found X, expected Y``, from pydantic's errors."""
+"""Errors of a settings file in words, ``FILE:LINE: key: found X, expected Y``, from pydantic's errors."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ def unit_of(name: str) -> str:
 
 
 class Slot(NamedTuple):
-    """What may stand at one place of a file: a type, and the constraints on it."""
+    """Schema of one place in a file: a type and its constraints."""
 
     annotation: Any
     constraints: tuple[Any, ...] = ()
 
     @classmethod
     def of(cls, info: FieldInfo) -> Slot:
-        """What a field holds."""
+        """The slot of a field."""
         return cls(info.annotation, tuple(info.metadata))._bare()
 
     @property
     def choices(self) -> tuple[Any, ...]:
-        """The types it may be, without null."""
+        """The allowed types, without null."""
         union = get_origin(self.annotation) in (Union, types.UnionType)
         return tuple(a for a in get_args(self.annotation) if a is not type(None)) if union else (self.annotation,)
 
@@ -55,7 +55,7 @@ class Slot(NamedTuple):
 
     @property
     def model(self) -> type[BaseModel] | None:
-        """The section it is, None for a value, a list or a choice of sections."""
+        """The section's model; None for a value, a list or a choice of sections."""
         only = self.choices[0] if len(self.choices) == 1 else None
         return only if isinstance(only, type) and issubclass(only, BaseModel) else None
 
@@ -72,7 +72,7 @@ class Slot(NamedTuple):
         return found
 
     def child(self, part: str | int) -> Slot | None:
-        """What may stand at ``part`` within it; None where nothing may."""
+        """The slot at ``part`` within this one; None where none is allowed."""
         if self.model is not None:
             info = self.model.model_fields.get(str(part))
             return Slot.of(info) if info else None
@@ -85,12 +85,12 @@ class Slot(NamedTuple):
         return None
 
     def key(self) -> Slot | None:
-        """What its keys may be, where they are the user's to choose."""
+        """The slot of its keys, where the user chooses them."""
         names = [get_args(choice)[0] for choice in self.choices if get_origin(choice) is dict]
         return Slot(names[0])._bare() if names else None
 
     def allowed(self, name: str = "") -> str:
-        """What it accepts, in words; ``name`` tells the unit."""
+        """Accepted values in words; ``name`` gives the unit."""
         text = self._what(unit_of(name)) + self._bounds()
         return text + (", or null" if self.optional else "")
 
@@ -133,7 +133,7 @@ class Slot(NamedTuple):
         return text
 
     def _bare(self) -> Slot:
-        """Without ``Annotated``, whose arguments are constraints too."""
+        """The slot without ``Annotated``, whose arguments become constraints."""
         if get_origin(self.annotation) is not Annotated:
             return self
         inner, *more = get_args(self.annotation)
@@ -144,12 +144,12 @@ class Slot(NamedTuple):
 
 
 def key_of(path: Path) -> str:
-    """A path as a finding names it: ``loop.rate_hz``; on one line whatever the file calls its keys."""
+    """A path for a finding, as ``loop.rate_hz``; always on one line."""
     return on_one_line(strict_yaml.dotted(path) or "file")
 
 
 class Wording:
-    """Words the errors of one document against the model it should have been."""
+    """Words the errors of one document against its model."""
 
     def __init__(
         self, root: type[BaseModel], hidden: frozenset[str], document: strict_yaml.Document, file: pathlib.Path
@@ -168,15 +168,15 @@ class Wording:
         return [self._line(e) for e in errors if e["type"] != "missing" or tuple(e["loc"]) not in misspelt]
 
     def place(self, path: Path) -> str:
-        """Where ``path`` is written, and its key: ``FILE:LINE: key``."""
+        """File, line and key of ``path``: ``FILE:LINE: key``."""
         return f"{self._file}:{self._document.line_of(path)}: {key_of(path)}"
 
     def say(self, path: Path, found: object, words: str) -> str:
-        """One finding: at ``path`` there is ``found``, but allowed is what ``words`` say."""
+        """One finding: ``path`` holds ``found``; ``words`` give the allowed values."""
         return f"{self.place(path)}: found {on_one_line(str(found))}, expected {words}"
 
     def _resolve(self, loc: Path) -> tuple[Path, Slot | None]:
-        """Pydantic's place in the model as a path in the file, and what may stand there.
+        """Pydantic's place in the model as a path in the file, with its slot.
 
         They differ where a section is one of several kinds: pydantic names the kind on the way.
         """
@@ -227,7 +227,7 @@ class Wording:
 
 
 def _once(error: ValidationError) -> list[Mapping[str, Any]]:
-    """The errors; a value that cannot be read is one, however many types it might have had."""
+    """The errors, with a single one for an unreadable value of several allowed types."""
     found: list[Mapping[str, Any]] = []
     unreadable: set[int] = set()
     for item in error.errors():
@@ -241,7 +241,7 @@ def _once(error: ValidationError) -> list[Mapping[str, Any]]:
 
 
 def _shown(value: object) -> str:
-    """A value as an error shows it: in full if short."""
+    """A value for an error: in full if short."""
     return "a section" if isinstance(value, dict) else "a list" if isinstance(value, list) else repr(value)
 
 

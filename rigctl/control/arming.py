@@ -1,9 +1,8 @@
-"""What is awaited between an accepted ARM and the drive's power, and the brake test.
+"""The sequence from an accepted ARM to the drive's power, with the brake test.
 
-The sequence of a stop ends in this order: the motor has stopped, the drive reports a state without power, the brake
-has had its time to close, the stroke stands still. The drive is not switched on before all of it is over: CiA 402 lets
-a controller take a drive from QUICK STOP ACTIVE or from a closing brake back to OPERATION ENABLED, and the load would
-hang on neither motor nor brake meanwhile.
+A stop ends in this order: the motor stops, the drive reports a state without power, the brake closes, the stroke
+stands still. The drive is not switched on before: CiA 402 lets a controller take a drive from QUICK STOP ACTIVE or
+from a closing brake back to OPERATION ENABLED, and then neither motor nor brake would carry the load for a while.
 """
 
 from __future__ import annotations
@@ -19,23 +18,23 @@ from rigctl.control.safety import Snapshot
 
 STILL_NS = 200_000_000
 STILL_MM = 0.02
-"""20 units of 0x6064 (um), and four counts of an encoder of 5 um: more than quantisation and a toggling count make.
-Over ``STILL_NS`` it is 0.1 mm/s, half of what `rigctl.control.safety` calls a brake that slips."""
+"""20 units of 0x6064 (um), or four counts of an encoder of 5 um: more than quantisation and a toggling count make.
+Over ``STILL_NS`` it is 0.1 mm/s, half the limit of a slipping brake in `rigctl.control.safety`."""
 STILL_MM_S = 0.05
-"""5 units of 0x2044; below it the brake may close. Judged low-passed, because one count of the encoder in one
-millisecond is 1 to 5 mm/s by itself."""
+"""5 units of 0x2044; below it the brake may close. The speed is low-passed first, because one count of the encoder in
+one millisecond is 1 to 5 mm/s by itself."""
 SPEED_S = 0.02
 AWAIT_NS = 2_000_000_000
-"""An accepted ARM waits so long; the longest stop a rig file may ask for is shorter."""
+"""Longest wait of an accepted ARM; the longest stop a rig file may have is shorter."""
 BRAKE_TEST_NS = 2_000_000_000
 BRAKE_TEST_MM = 0.05
-"""A brake holds without creep: play and wind-up of the brake are taken up while it closes, before the test begins."""
+"""A brake holds without creep: its play and wind-up are taken up while it closes, before the test begins."""
 REACTION_NS = 2_000_000_000
-"""A stroke that still moves so long after the drive has gone off hangs on a brake that slips: no stop will end that."""
+"""A stroke that still moves this long after the drive went off shows a slipping brake, and no stop under way."""
 
 
 class Standstill:
-    """For how long the stroke has stood still, from position and reported speed."""
+    """Time the stroke has stood still, from position and reported speed."""
 
     def __init__(self, settings: RigSettings) -> None:
         self._stale_ns = settings.safety.stale_ms * 1_000_000
@@ -55,7 +54,7 @@ class Standstill:
 
 
 class Awaited(NamedTuple):
-    """One row: the check that names it, and whether it is met."""
+    """One row: a check and its condition."""
 
     check: Check
     met: Callable[[Snapshot, RigSettings], bool]
@@ -65,12 +64,12 @@ AWAITED = (
     Awaited(Check.SEQUENCE_RUNNING, lambda x, s: x.off_ns >= s.cylinder.brake_delay_ms * 1_000_000),
     Awaited(Check.NOT_AT_STANDSTILL, lambda x, _: x.still_ns >= STILL_NS or x.brake_slip_known),
 )
-"""In order. They pass by themselves: ARM waits for them, and names them only if they do not."""
+"""In order. They pass by themselves, so ARM waits for them and names them only if they do not pass in time."""
 AWAITED_CHECKS = Check.SEQUENCE_RUNNING | Check.NOT_AT_STANDSTILL
 
 
 def awaited(snapshot: Snapshot, settings: RigSettings) -> Check:
-    """Rows that are not met now."""
+    """Checks of the rows that are not met now."""
     found = Check(0)
     for row in AWAITED:
         if not row.met(snapshot, settings):
@@ -79,26 +78,26 @@ def awaited(snapshot: Snapshot, settings: RigSettings) -> Check:
 
 
 def stop_running(snapshot: Snapshot, settings: RigSettings) -> bool:
-    """A stop has begun and not ended: the drive has power, its brake closes, or the stroke has yet to come to rest."""
+    """A stop is under way: the drive has power, its brake is closing, or the stroke is not at rest yet."""
     if snapshot.off_ns >= max(REACTION_NS, settings.cylinder.brake_delay_ms * 1_000_000):
         return False
     return bool(awaited(snapshot, settings))
 
 
 class Step(Enum):
-    """Where the sequence before the drive's power stands."""
+    """State of the sequence before the drive's power."""
 
     WAIT = auto()
     READY = auto()
-    LATE = auto()  # what is awaited did not come
+    LATE = auto()  # a row was not met in time
     SLIPPED = auto()  # the brake test has failed
 
 
 class Sequence:
     """From an accepted ARM to the drive's power: the rows of `AWAITED`, then the brake test.
 
-    ``moved_mm`` and ``tension_n``: stroke moved, and the tension on the brake, of the last test. ``tested``: True the
-    brake has held, False there was no tension to test it with, None no test.
+    ``moved_mm`` and ``tension_n``: motion of the stroke and tension on the brake in the last test. ``tested``: True the
+    brake has held, False the rope was too slack to test it, None no test.
     """
 
     def __init__(self, settings: RigSettings) -> None:
@@ -116,7 +115,7 @@ class Sequence:
         self._over = not self._settings.cylinder.brake_test
 
     def step(self, t_ns: int, snapshot: Snapshot, *, slack: bool) -> Step:
-        """One tick; the drive may be switched on when it says READY."""
+        """One tick; READY lets the drive be switched on."""
         if self._anchor_mm is not None and not self._over:
             return self._test(t_ns, snapshot)
         if awaited(snapshot, self._settings):
@@ -131,7 +130,7 @@ class Sequence:
         return Step.WAIT
 
     def _test(self, t_ns: int, snapshot: Snapshot) -> Step:
-        """The load hangs on the closed brake, the motor has no power: the stroke must not move."""
+        """The closed brake carries the load and the motor has no power, so the stroke must not move."""
         assert self._anchor_mm is not None
         self.moved_mm = snapshot.stroke_mm - self._anchor_mm
         if not abs(self.moved_mm) <= BRAKE_TEST_MM:

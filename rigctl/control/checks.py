@@ -1,6 +1,6 @@
-"""The checks an arm command must pass: bit, name, and what is wrong and what to do, in words.
+"""The checks an arm command must pass: bit, name, and the failure with its remedy in words.
 
-When each fails is `rigctl.control.safety.preflight`'s to say.
+The conditions are in `rigctl.control.safety.preflight`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from enum import IntFlag
 
 
 class Check(IntFlag):
-    """Preflight checks an arm command must pass. ``words``: what the operator reads where one fails."""
+    """Preflight checks an arm command must pass. ``words``: the operator reads them where a check fails."""
 
     words: str
 
@@ -70,27 +70,27 @@ class Check(IntFlag):
         1 << 10,
         "emergency stop is pressed (drive's input): release it, then rigctl reset",
     )
-    # Stuck, noisy or negative
+    # The cell's reading is stuck, noisy or negative
     CELL_IMPLAUSIBLE = (
         1 << 11,
         "tension cell is stuck, noisy or reads a push: check cable and amplifier",
     )
-    # A device's emergency message stands
+    # A device has sent an emergency message and not withdrawn it
     EMERGENCY = (
         1 << 12,
         "a device's emergency message stands (see the events)",
     )
-    # A limit of the rig file, with an action, is passed now
+    # A limit of the rig file with an action is exceeded now
     LIMIT = (
         1 << 13,
         "a limit of the rig file is passed, or its signal does not come (rigctl watch shows the signals)",
     )
-    # An emergency stop is fitted, and the drive's input is not seen
+    # An emergency stop is fitted, but the state of the drive's input is unknown
     E_STOP_UNSEEN = (
         1 << 14,
         "emergency stop's input is not seen: check the drive's second TPDO (cylinder.e_stop_input)",
     )
-    # Within the margin of an end; ``arm --near-end`` is for that
+    # The stroke is within the margin of an end; ``arm --near-end`` allows that
     STROKE_NEAR_END = (
         1 << 15,
         (
@@ -98,22 +98,22 @@ class Check(IntFlag):
             "whichever leads away from it"
         ),
     )
-    # No tare on record that still holds, and not waived
+    # No valid tare is on record, and this is not waived
     TARE = (
         1 << 16,
         "no tare on record that still holds: rigctl tare (or calibration.waiver)",
     )
-    # Of the law in use there are none, or they are refused
+    # The margins of the law in use are missing or refused
     MARGINS = (
         1 << 17,
         "no accepted margins of the law in use: rigctl tune",
     )
-    # The system refused what was asked of it, and not waived
+    # The system refused a real-time setting, and this is not waived
     REALTIME = (
         1 << 18,
         "real-time settings are not in force: rigctl doctor (or loop.realtime_waiver)",
     )
-    # Hardly any room where the rig writes things down
+    # A disk that the rig writes to has too little room or is not writable
     DISK = (
         1 << 19,
         "disk nearly full: make room for ledger, audit log and trip dumps",
@@ -128,17 +128,17 @@ class Check(IntFlag):
         1 << 22,
         "emergency stop is pressed (I/O node's input): release it, then rigctl reset",
     )
-    # An I/O node is fitted, and its input is not seen
+    # An I/O node is fitted, but the state of its input is unknown
     E_STOP_IO_UNSEEN = (
         1 << 23,
         "emergency stop's input on the I/O node is not seen: check the node's power and cable",
     )
-    # The drive's current, temperature and inputs do not come
+    # The drive does not send current, temperature and inputs
     STATUS_STALE = (
         1 << 24,
         "no current, temperature and inputs of the drive: check its second TPDO (cylinder.status_rate_hz)",
     )
-    # The drive is somebody else's to command, or limits what it is told
+    # Another master commands the drive, or the drive limits our commands
     DRIVE_REFUSES = (
         1 << 25,
         (
@@ -146,7 +146,7 @@ class Check(IntFlag):
             "is active (statusword bits 9, 11): withdraw its panel or service tool, look at its display"
         ),
     )
-    # No heartbeat of a device, or one of another state
+    # A device sends no heartbeat, or one with another state than OPERATIONAL
     NODE_NOT_OPERATIONAL = (
         1 << 26,
         "a device sends no heartbeat or is not operational: check its power and cable",
@@ -167,7 +167,7 @@ class Check(IntFlag):
             "switch the drive's power off and on"
         ),
     )
-    # These four are not known: the gateway has not judged them within the last seconds
+    # The host checks above are unknown: the gateway has not evaluated them within the last seconds
     HOST = (
         1 << 20,
         "tare, margins, real time and disk have not been looked at: try again in a second",
@@ -183,4 +183,4 @@ class Check(IntFlag):
 
 
 HOST_CHECKS = Check.TARE | Check.MARGINS | Check.REALTIME | Check.DISK | Check.HOST
-"""What the loop cannot see for itself, see `rigctl.commission.preflight`."""
+"""Checks the loop cannot make itself, see `rigctl.commission.preflight`."""

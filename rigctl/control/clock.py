@@ -1,6 +1,6 @@
 """Time for the loop: an absolute grid on CLOCK_MONOTONIC, and its simulated twin.
 
-The only functions that read a clock. An overrun skips whole periods on the same grid; missed ticks are counted,
+Only these functions read a clock. An overrun skips whole periods on the same grid; missed ticks are counted,
 never run in a burst.
 """
 
@@ -14,7 +14,7 @@ WARM_UP_NS = 5_000_000
 
 
 class Clock(Protocol):
-    """What the loop needs of time; integers of nanoseconds."""
+    """The loop's interface to time, in integers of nanoseconds."""
 
     def now(self) -> int:
         """The time now."""
@@ -58,7 +58,7 @@ class GridClock:
 
 
 class SimulatedClock:
-    """Time that passes only when the loop asks for it: ``advance(t_ns)`` runs the world up to each point."""
+    """Time that passes only in ``next_tick``: ``advance(t_ns)`` runs the simulated world up to each grid point."""
 
     def __init__(self, period_ns: int, advance: Callable[[int], None], start_ns: int = 1_000_000_000) -> None:
         self._period = period_ns

@@ -1,4 +1,4 @@
-"""The control process: bring the devices up, take the gains, ask for real time, run the loop.
+"""The control process: bring the devices up, take the gains, request real time, run the loop.
 
 Only numbers cross to it: settings from the runtime folder, gains as one line on standard input, rings for the rest.
 """
@@ -33,13 +33,13 @@ from rigctl.ipc.runtime_folder import Runtime
 from rigctl.ipc.termination import on_signals
 
 WARM_UP_TICKS = 50
-# Elsewhere python-can filters by itself, and a refused frame ends a drain: old samples would pile up behind it.
+# Other interfaces filter in python-can, where a refused frame ends a drain and old samples would pile up behind it.
 FILTERS_IN_FULL = ("socketcan", "rigsim")
 EXIT_CANNOT_START = 1
 
 
 def receive_filters(settings: RigSettings, process_data: ProcessData) -> CanFilters:
-    """Ids the loop reads; on interfaces that filter in the kernel nothing else wakes or fills the socket."""
+    """Ids the loop reads, so that in-kernel filters keep all other frames from the socket."""
     bases = (od.EMCY_BASE, od.HEARTBEAT_BASE, od.SDO_TX_BASE, od.SDO_RX_BASE)
     ids = [base + node for base in bases for node in settings.canopen_nodes.values()]
     ids += list(process_data.can_ids(settings).values())
@@ -64,7 +64,7 @@ def open_bus(settings: RigSettings) -> can.BusABC:
 
 
 def warm_up(settings: RigSettings, gains: Gains, directory: Runtime, process_data: ProcessData) -> None:
-    """Run every path of the tick on a bus of its own, so that the first real tick meets nothing for the first time."""
+    """Run every path of the tick on a bus of its own, so that no real tick is the first to execute its code."""
     runtime = Runtime(directory.directory / f"warm-up-{os.getpid()}")
     runtime.directory.mkdir()
     try:
@@ -131,7 +131,7 @@ def run(directory: str) -> int:
         return EXIT_CANNOT_START
     line = sys.stdin.readline()
     if not line:
-        return EXIT_CANNOT_START  # the supervisor has ended, or refused the design
+        return EXIT_CANNOT_START  # the supervisor has ended or refused the design
     gains = msgspec.json.decode(line, type=Gains)
     warm_up(settings, gains, runtime, report.process_data)
     if settings.can.interface in FILTERS_IN_FULL:
@@ -145,22 +145,22 @@ def run(directory: str) -> int:
         clock,
         Rings.of(runtime),
         supervised=report.supervised,
-        host_checks=Check.HOST,  # the gateway judges them before an operator can arm
+        host_checks=Check.HOST,  # the gateway evaluates them before an operator can arm
         correction=correction,
         process_data=report.process_data,
         watched=report.watched,
         last_stroke=last,
     )
     on_signals(_stop_on_signal(loop), signal.SIGTERM, signal.SIGHUP)
-    frozen = realtime.freeze_garbage_collector()  # before real time: it takes 100 ms, which another loop must not wait
+    frozen = realtime.freeze_garbage_collector()  # before real time: its 100 ms must not delay another loop
     applied = [*realtime.apply(settings.loop), frozen]
     runtime.write_json(
         "control.json",
         {
             "pid": os.getpid(),
-            "host_checks": int(Check.HOST),  # those the loop began with: for a replay
+            "host_checks": int(Check.HOST),  # as the loop started with them, for a replay
             "realtime": [asdict(setting) for setting in applied],
-            "last_stroke": asdict(last),  # the same
+            "last_stroke": asdict(last),  # also for a replay
             "warnings": [f"{setting.name}: {setting.warning}" for setting in applied if not setting.ok],
             **report.as_json(),
         },
@@ -170,5 +170,5 @@ def run(directory: str) -> int:
         bus.set_filters(None)
         startup.release(bus, settings)
     bus.shutdown()
-    realtime.leave()  # not before: the drive watches us until it is let go of
+    realtime.leave()  # not earlier: until its release the drive supervises us
     return 0

@@ -99,7 +99,7 @@ def _said(guard: Guard) -> str:
 
 
 def _cell(mode: Mode, verb: Verb) -> str:
-    """What a command leads to in a mode; a dash where it is refused whatever the situation."""
+    """Mode after a command in a mode; a dash where it is always refused."""
     if (mode, verb) in WITHOUT_EVENT:
         return f"carried out{_brackets(WITHOUT_EVENT[mode, verb])}"
     found = {

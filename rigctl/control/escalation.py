@@ -1,4 +1,4 @@
-"""What is done when the reaction to a fault has not helped: ramp down -> hold -> quick stop -> power off, by table."""
+"""Escalation of a reaction that has not helped: ramp down -> hold -> quick stop -> power off, as a table."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from rigctl.control.safety import BRAKE_SLIP_MM_S, Action, Snapshot, Trip
 from rigctl.control.stroke_hold import AUTHORITY_MM_S
 
 _MS = 1_000_000
-RISE_MM = 0.5  # of stretch: a stroke that is held adds none
+RISE_MM = 0.5  # of stretch: a held stroke adds none
 FAST_MM_S = 2.0 * AUTHORITY_MM_S  # no correction of HOLD is as fast
 MOVED_MM = 0.2
-STOP_TAIL_LAGS = 5.0  # of the drive, beyond its ramp: below 0.1 mm/s from 10
-BRAKE_NS = 200 * _MS  # to close; servo holding brakes take 20 to 60 ms
-OFF_NS = 1_000 * _MS  # for a drive that stands to close its brake and go off
+STOP_TAIL_LAGS = 5.0  # of the drive, beyond its ramp: 10 mm/s decay to below 0.1 mm/s
+BRAKE_NS = 200 * _MS  # for the brake to close; servo holding brakes take 20 to 60 ms
+OFF_NS = 1_000 * _MS  # for a drive at standstill to close its brake and go off
 RAMP_SPARE_S = 5.0
-UNSEEN_S = 0.5  # a stroke that is not seen may creep; by then a drive or an interface that came back would be heard
+UNSEEN_S = 0.5  # an unseen stroke may creep; a drive or interface that recovers does so sooner
 
 
 class Symptom(IntEnum):
-    """What shows that a reaction did not help; the number is in the event."""
+    """Sign that a reaction did not help; the number is in the event."""
 
     RAMP_RISES = 1
     RAMP_LATE = 2
@@ -38,7 +38,7 @@ class Symptom(IntEnum):
 
 @dataclass
 class Since:
-    """What was so when the reaction began, and the stroke when it should have come to rest."""
+    """Time and tension at the start of the reaction, and the stroke where it should have come to rest."""
 
     t_ns: int = 0
     tension_n: float = 0.0
@@ -46,7 +46,7 @@ class Since:
 
 
 class Bounds:
-    """What of the table follows from the rig file; ``stop_ns``: how long a drive that obeys takes to stop by itself."""
+    """Limits of the table that follow from the rig file; ``stop_ns``: time in which a drive that obeys stops."""
 
     def __init__(self, settings: RigSettings, stop_ns: int) -> None:
         plant = settings.plant
@@ -59,10 +59,10 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Step:
-    """``value`` above ``limit`` for ``persistence_ns``, once the reaction has had its time, leads to ``after``.
+    """``value`` above ``limit`` for ``persistence_ns``, later than ``wait_ns``, leads to ``after``.
 
-    ``wait_ns`` is that time; counted from when a drive that obeys stands, unless the action lets it move. ``after`` is
-    None where nothing stronger is left. ``shows`` and ``why`` are for docs/modes.md.
+    ``wait_ns`` counts from when a drive that obeys stands still; for a ramp down, from its start. ``after`` is None
+    where no stronger action is left. ``shows`` and ``why`` are for docs/modes.md.
     """
 
     symptom: Symptom
@@ -76,11 +76,11 @@ class Step:
     why: str
 
     def bound(self, bounds: Bounds) -> float:
-        """The limit on a rig."""
+        """The limit on this rig."""
         return bounds.rise_n if self.limit is None else self.limit
 
     def waits_ns(self, bounds: Bounds) -> int:
-        """From the reaction on."""
+        """The wait in ns from the start of the reaction."""
         return self.wait_ns + (0 if self.action is Action.RAMP_DOWN else bounds.rest_ns)
 
 
@@ -132,12 +132,12 @@ STEPS = (
     Step(Symptom.HOLD_UNSEEN, Action.HOLD, _unseen_s, UNSEEN_S, 0, 0, Action.QUICK_STOP,
          f"nothing heard of the drive for {UNSEEN_S:g} s", "a stroke that is not seen is not held"),
 )  # fmt: skip
-"""What is watched after a reaction has had its time: what shows that it did not help, and what comes next."""
+"""For each action: the symptoms that it did not help, and the next action."""
 
 
 @dataclass(frozen=True)
 class Escalation:
-    """A reaction that did not help: of which fault, what shows it, and the next action (None: there is none)."""
+    """A reaction that did not help: its fault, the symptom, and the next action (None: there is none)."""
 
     fault: Fault
     symptom: Symptom
@@ -147,12 +147,12 @@ class Escalation:
 
     @property
     def trip(self) -> Trip | None:
-        """What the machine is asked for."""
+        """The trip for the machine, None without a next action."""
         return None if self.after is None else Trip(self.fault, self.value, self.limit, self.after)
 
 
 class Escalator:
-    """The table with its clocks; begins anew with every latched fault and every stronger action."""
+    """The table with its timers, which restart with every latched fault and every stronger action."""
 
     def __init__(self, settings: RigSettings, stop_ns: int) -> None:
         """``stop_ns``: see `Bounds`."""
@@ -164,7 +164,7 @@ class Escalator:
         self._said: set[Symptom] = set()
 
     def look(self, fault: Fault, action: Action, snapshot: Snapshot, t_ns: int) -> Escalation | None:
-        """One tick with ``fault`` latched and ``action`` taken; what has not helped, once each."""
+        """One tick with ``fault`` latched and ``action`` taken; returns each symptom once."""
         if fault is Fault.NONE:
             self._latched = None
             return None

@@ -1,11 +1,12 @@
 """Kalman filter of tension, drive speed and disturbance speed.
 
-State ``x = [tension N, drive speed mm/s, disturbance speed mm/s]``. The disturbance is whatever stretches the spring
-that the cylinder does not: the upper point lagging, the rail's level, the payload moving.
+State ``x = [tension N, drive speed mm/s, disturbance speed mm/s]``. The disturbance is every stretch of the spring not
+made by the cylinder: lag of the upper point, level of the rail, motion of the payload.
 
     dT/dt = k (v + w + f),   dv/dt = (u(t - Td) - v) / tau,   dw/dt = white noise
 
-with f the part of the disturbance that the inclination tells (`rigctl.control.stretch`); the law is given w + f.
+with f the part of the disturbance known from inclination (`rigctl.control.inclination.Stretch`) and run-out table; the
+law takes w + f.
 
 A sample latched by the SYNC of tick n - 1 is read in tick n, and the command sent in tick n reaches the cylinder
 ``delay_ticks`` after the SYNC of tick n. ``update`` therefore corrects the state of tick n - 1, ``predict`` carries
@@ -43,7 +44,7 @@ class FilterModel:
     delay_ticks: int
     period_s: float
     gate_sigma: float = 5.0
-    burst_mm_s: float = math.inf  # disturbance speed beyond the model that the gate allows for, one sigma
+    burst_mm_s: float = math.inf  # disturbance speed beyond the model, one sigma, for the gate
     drive_burst_mm_s: float = math.inf  # the same per tick of drive speed
 
 
@@ -92,11 +93,11 @@ def _inverse(s: Array) -> Array:
 
 
 class TensionFilter:
-    """The filter, with absent samples skipped and non-finite ones refused.
+    """The filter; it skips absent samples and refuses non-finite ones.
 
     `KalmanFilter` carries state and covariance until the gain has settled (a tenth of a second). From then on, while
-    both samples come, the covariance stands still, and the state is carried by the settled gain in plain floats: the
-    same numbers for a tenth of the time. An absent sample or an overrun goes back to it.
+    both samples come, the covariance is constant, and the settled gain carries the state in plain floats: the same
+    numbers in a tenth of the time. An absent sample or an overrun goes back to `KalmanFilter`.
     """
 
     def __init__(self, model: FilterModel) -> None:
@@ -114,7 +115,7 @@ class TensionFilter:
         self.cell = Gate(model.gate_sigma, model.f.item(0, 2) * model.burst_mm_s)
         self.drive = Gate(model.gate_sigma, model.drive_burst_mm_s)
         self.known_mm_s = 0.0
-        """f: the part of the disturbance that is known from elsewhere."""
+        """f: the known part of the disturbance, from inclination and run-out table."""
         self.refused = 0
         self.reset(0.0, 0.0)
 
@@ -129,17 +130,17 @@ class TensionFilter:
         return carry, np.hstack(columns) if columns else np.zeros((3, 0))
 
     def reset(self, tension_n: float, speed_mm_s: float) -> None:
-        """Start again from a measurement, with the disturbance at zero (a slack rope tells nothing of it)."""
+        """Start again from a measurement, with the disturbance at zero, as a slack rope does not show it."""
         kf = self._kf
         kf.x = np.array([[tension_n], [speed_mm_s], [0.0]])
         kf.p = np.diag([self.model.cell_variance_n2, self.model.speed_variance_mm2_s2, 1.0])
-        kf.k = np.zeros((3, 1))  # so that the first gain after this is never taken for a settled one
+        kf.k = np.zeros((3, 1))  # so that the first gain after a reset never counts as settled
         self._settled = None
         self.cell.idle()
         self.drive.idle()
 
     def update(self, tension_n: float | None, speed_mm_s: float | None) -> None:
-        """Correct with the newest samples; ``None`` is absent, a non-finite one is counted and left out."""
+        """Correct with the newest samples; ``None`` is absent, a non-finite sample is counted and skipped."""
         tension_n, speed_mm_s = self._finite(tension_n), self._finite(speed_mm_s)
         t, v, w = self.state
         y0 = tension_n - t if tension_n is not None else None
@@ -169,7 +170,7 @@ class TensionFilter:
         return None
 
     def _variances(self) -> tuple[float, float]:
-        """Of the innovations of tension and speed."""
+        """Variances of the innovations of tension and speed."""
         if self._settled is not None:
             return self._settled.variances
         p, r = self._kf.p, self._kf.r
@@ -183,7 +184,7 @@ class TensionFilter:
         return gate.believes(innovation, variance)
 
     def _follow(self, ticks: int) -> None:
-        """Before a surprising tension is taken in: the disturbance may have been anything a burst can be."""
+        """Widen the covariance by a burst of disturbance, so that the filter follows a surprising tension."""
         kf, model = self._kf, self.model
         if self._settled is not None:
             self._unsettle()
@@ -220,7 +221,7 @@ class TensionFilter:
             self._kf.x = np.array(self._x).reshape(3, 1)
 
     def predict(self, periods: int = 1) -> None:
-        """Carry the state to this tick; ``periods`` > 1 after an overrun, the last command having stayed."""
+        """Carry the state to this tick; ``periods`` > 1 after an overrun, under the last command."""
         sent = self._sent
         self.cell.pass_ticks(periods)
         self.drive.pass_ticks(periods)
@@ -245,7 +246,7 @@ class TensionFilter:
             del sent[0]
 
     def ahead(self) -> tuple[float, float, float]:
-        """Tension, drive speed and whole disturbance speed when a command sent now will act."""
+        """Tension, drive speed and whole disturbance speed, w + f, when a command sent now will act."""
         t, v, w = self.state
         w += self.known_mm_s
         if not self.model.delay_ticks:
@@ -260,7 +261,7 @@ class TensionFilter:
         return result[0], result[1], result[2]
 
     def command(self, speed_mm_s: float) -> None:
-        """Note the command sent in this tick (the limited one: what the drive will do)."""
+        """Store the limited command sent in this tick, which the drive will follow."""
         self._sent[-1] = speed_mm_s
 
     @property

@@ -1,4 +1,4 @@
-"""Events: numbers in the loop, words for people. The loop writes ``EVENT`` slots; the gateway words them here."""
+"""Events are numbers in the loop and words for people: the loop writes ``EVENT`` slots, the gateway words them."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from rigctl.ipc.record import NEVER_AGE_NS
 
 
 class Kind(IntEnum):
-    """Kind of an event; ``a``, ``b``, ``value`` and ``limit`` mean what the comment says."""
+    """Kind of an event; the comment gives the meaning of ``a``, ``b``, ``value`` and ``limit``."""
 
     MODE = 1  # a: from, b: to, value: event, limit: safe frames sent before it
-    TRIP = 2  # a: fault, b: action, value, limit, text: what is beyond its limit, for a limit of the rig file
+    TRIP = 2  # a: fault, b: action, value, limit, text: the signal, for a limit of the rig file
     RESET = 3  # a: fault acknowledged
     EMERGENCY = 4  # a: node, b: emergency code | error register << 16 (CiA 301), text: manufacturer's bytes, hex
     NODE_STATE = 5  # a: node, b: NMT state
@@ -36,20 +36,20 @@ class Kind(IntEnum):
     CLOCK = 11  # a: ticks skipped at once
     CORRECTION = 12  # value: zero of the tension cell in N, limit: its scale
     GAINS = 14  # text: K_T, K_v, K_i now in force
-    LIMIT = 15  # a: fault, b: action (LOG), value, limit, text: a limit of the rig file is passed ...
-    LIMIT_OVER = 16  # ... and is kept again
+    LIMIT = 15  # a: fault, b: action (LOG), value, limit, text: a limit of the rig file is exceeded
+    LIMIT_OVER = 16  # as LIMIT: the limit is kept again
     RECEIVE_FAILED = 17  # text: why
-    STROKE_LEFT = 40  # a: mode, value: stroke from where it was latched in mm, limit: what is told
-    DRIVE_CREEPS = 41  # value: speed in mm/s at which the drive creeps when told 0, limit: what is told
+    STROKE_LEFT = 40  # a: mode, value: stroke from where it was latched in mm, limit: excursion that is reported
+    DRIVE_CREEPS = 41  # value: speed in mm/s at which the drive creeps when commanded 0, limit: creep that is reported
     ESCALATION = 42  # a: fault, b: symptom, see rigctl.control.escalation, value, limit: its reaction did not help
-    CAUSE = 45  # as TRIP: a further cause stands, while a fault is latched ...
-    CAUSE_OVER = 46  # ... and it, or what tripped, is gone
+    CAUSE = 45  # as TRIP: a further cause while a fault is latched
+    CAUSE_OVER = 46  # as TRIP: such a cause, or the one that tripped, is gone
     FOREIGN_SDO = 50  # a: node, b: index << 8 | sub-index (0: not known), text: what another master does there
     SETTING_LOST = 51  # a: node, b: index << 8 | sub-index, value: found (NaN: no value), limit: wanted, text: in words
     READ_BACK = 52  # a: objects that were as wanted, value: how long it took in s
     STROKE = 53  # a: 1 the drive's position is believed, 0 not, value: it in mm, limit: last known in mm, text: why
     BRAKE_TEST = 55  # a: 1 held, 0 not possible on a slack rope, value: stroke moved in mm, limit: tension in N
-    LOCAL_HOLD = 65  # a: user, b: process it came from, text: operator; what came of it is in the reply
+    LOCAL_HOLD = 65  # a: user, b: process it came from, text: operator; its result is in the reply
     SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
 
 
@@ -86,7 +86,7 @@ _NMT: dict[float, str] = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pr
 
 
 def fault_text(fault: Fault, value: float, limit: float, text: str = "") -> str:
-    """One line for a fault; ``text``: what is beyond its limit, where the rig file says so."""
+    """One line for a fault; ``text``: the signal of a limit of the rig file."""
     scale, words = 1e-6 if Trait.AGE in fault.traits else 1.0, fault.words
     if Trait.AGE in fault.traits and value > NEVER_AGE_NS:
         words = words.replace("{value:.0f} ms", "as long as the loop has run")
@@ -103,7 +103,7 @@ def fault_text(fault: Fault, value: float, limit: float, text: str = "") -> str:
 
 
 def _emergency_words(value: float) -> str:
-    """Node and code of an emergency that stands: node << 16 | code."""
+    """Node and code of an active emergency: node << 16 | code."""
     node, code = divmod(int(value), 1 << 16) if math.isfinite(value) else (0, 0)
     if not node:
         return "see the events"
@@ -111,14 +111,14 @@ def _emergency_words(value: float) -> str:
 
 
 def _node_words(value: float, limit: float) -> str:
-    """Of a device: how long it has sent no heartbeat, or the NMT state it tells, where the limit is none."""
+    """Time without a heartbeat of a device; its NMT state where ``limit`` is 0."""
     if limit:
         return f"has sent no heartbeat for {Number(value * 1e-6):.0f} ms (limit {Number(limit * 1e-6):.0f} ms)"
     return f"is {_NMT.get(value, 'in an unknown state')}, not operational: start the daemon anew"
 
 
 def _unit_of(limit: str) -> str:
-    """Unit of a limit of the rig file, from its words: ``tension_n above``."""
+    """Unit of a limit of the rig file, from its text such as ``tension_n above``."""
     signal, _, words = limit.partition(" ")
     unit = SIGNALS[signal].unit if signal in SIGNALS else ""
     return f" {unit}{'/s' if 'per second' in words else ''}" if unit else ""
@@ -139,7 +139,7 @@ _ACTION_TEXT = {
 
 
 def failed_checks(bits: int, known: Mapping[Check, str] = MappingProxyType({})) -> list[str]:
-    """Preflight checks that failed, in words; ``known``: what more is known of some."""
+    """Preflight checks that failed, in words; ``known``: details of some of them."""
     return [known.get(check, check.words) for check in Check if bits & check]
 
 
@@ -154,9 +154,9 @@ def refusal_text(
     known: Mapping[Check, str] = MappingProxyType({}),
     standing: Mapping[Fault, str] = MappingProxyType({}),
 ) -> str:
-    """Why a command was refused, in one line; ``value`` is the reply's, ``known`` as of `failed_checks`.
+    """Why a command was refused, in one line; ``value`` is the reply's, ``known`` as in `failed_checks`.
 
-    ``standing``: causes that stand, in words, the strongest first.
+    ``standing``: causes present now, in words, the strongest first.
     """
     match refusal:
         case Refusal.ALREADY:
@@ -244,7 +244,7 @@ def _emergency(a: int, b: int, _value: float, _limit: float, text: str) -> Worde
 
 
 def setting_words(text: str) -> str:
-    """Which setting a device does not keep, and what to do."""
+    """The setting a device does not keep, and what to do."""
     return f"a device does not keep what start-up wrote, {text}: start the daemon anew, it writes all of it again"
 
 

@@ -1,6 +1,6 @@
-"""The catalogue of faults: number, name, cause in words, what the operator does about it, and what it bars.
+"""The catalogue of faults: number, name, cause in words, remedy, and what the fault bars.
 
-What is watched for each, and for how long, are the rows of `rigctl.control.safety.table`.
+The rows of `rigctl.control.safety.table` give the value watched for each, with limit and persistence.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from enum import IntEnum, IntFlag
 
 
 class Trait(IntFlag):
-    """What else is so of a fault."""
+    """Further properties of a fault."""
 
     BLOCKS_RESET = 1
-    """While its cause is there, a reset is refused."""
+    """A reset is refused while the cause is present."""
     AGE = 2
     """Value and limit are ages in ns, shown in ms."""
     DEVICE_SILENT = 4
-    """A device that was switched off or unplugged shows so, and needs the daemon started anew."""
+    """A device that was switched off or unplugged causes this fault, and the daemon must be restarted then."""
 
 
 _NO_TRAIT = Trait(0)
@@ -25,8 +25,8 @@ _NO_TRAIT = Trait(0)
 class Fault(IntEnum):
     """What can trip the rig; the number is latched in every record until an operator resets it.
 
-    ``words``: the cause in one line, a template of ``value``, ``limit`` and what `rigctl.control.events.fault_text`
-    has. ``remedy``: what the operator does about it.
+    ``words``: the cause in one line, a template of ``value``, ``limit`` and the names that
+    `rigctl.control.events.fault_text` fills in. ``remedy``: what the operator does about it.
     """
 
     words: str
@@ -123,7 +123,7 @@ class Fault(IntEnum):
         "Start the daemon anew: it writes the device's settings again.",
         Trait.BLOCKS_RESET | Trait.DEVICE_SILENT,
     )
-    # Tension or drive speed went on contradicting what the filter expects
+    # Tension or drive speed keeps contradicting the filter's prediction
     INNOVATION = (
         15,
         "tension or cylinder speed contradicts what the filter expects",
@@ -135,7 +135,7 @@ class Fault(IntEnum):
         "the stroke does not go where the drive is told: check the drive's sign and scale",
         "Correct the drive's sign or scale in the rig file.",
     )
-    # A shorter rope does not pull harder, or far from what the plant says
+    # A shorter rope does not pull harder, or by far more or less than the plant's stiffness
     SIGN_CELL = (
         17,
         "the tension does not follow the stroke as the plant says: check the signs of cell and drive",
@@ -147,14 +147,14 @@ class Fault(IntEnum):
         "{text} {limit:.10g}{unit} ({value:.4g}{unit})",
         "Look at the signal named; the limit stands in the rig file.",
     )
-    # The cell goes on sending the very same value
+    # The cell keeps sending the very same value
     CELL_STUCK = (
         19,
         "tension cell has sent the very same value {value:.0f} times more",
         "Check the cell amplifier: it repeats its last value.",
         Trait.BLOCKS_RESET,
     )
-    # The drive's speed is not what its position does
+    # The drive's reported speed is not the rate of its position
     DRIVE_CONTRADICTS = (
         20,
         "drive's position and speed contradict each other by {value:.2f} mm (limit {limit:.2f} mm)",
@@ -169,7 +169,7 @@ class Fault(IntEnum):
         ),
         "Secure the load; reset, then arm has the motor carry it; have the brake repaired.",
     )
-    # Tension changed as no stroke explains, or did not where the stroke says it must
+    # Tension changed without a stroke that explains it, or did not change with the stroke
     STRETCH_UNEXPLAINED = (
         22,
         (
@@ -178,35 +178,35 @@ class Fault(IntEnum):
         ),
         "Look at rope, cell and payload before a reset.",
     )
-    # The emergency stop is seen pressed
+    # The emergency stop is pressed
     E_STOP = (
         23,
         "emergency stop pressed ({seen})",
         "Release the emergency stop, then reset.",
         Trait.BLOCKS_RESET,
     )
-    # Far more than the cell's noise, and no payload moves like that
+    # The reading changes far more than by the cell's noise or any motion of the payload
     CELL_NOISY = (
         24,
         "tension cell jumps by {value:.1f} N from sample to sample (limit {limit:.1f} N)",
         "Check the cell's cable, shield and amplifier.",
         Trait.BLOCKS_RESET,
     )
-    # A rope cannot push
+    # The reading is negative, but a rope cannot push
     CELL_NEGATIVE = (
         25,
         "tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
         "Check the cell's zero (rigctl tare) and its mounting.",
         Trait.BLOCKS_RESET,
     )
-    # Cell, inclinometer or I/O node has sent an emergency message, and not taken it back
+    # Cell, inclinometer or I/O node has sent an emergency message and not withdrawn it
     SENSOR_EMERGENCY = (
         26,
         "a sensor's emergency message stands ({emergency})",
         "Read the emergency code in the events, and the sensor's manual.",
         Trait.BLOCKS_RESET,
     )
-    # The drive has
+    # The drive has sent an emergency message and not withdrawn it
     DRIVE_EMERGENCY = (
         27,
         "the drive's emergency message stands ({emergency})",
@@ -235,7 +235,7 @@ class Fault(IntEnum):
         ),
         "Look at the drive's velocity offset (0x60B1) and tuning, and at the brake.",
     )
-    # Correcting the stroke moved the load: the drive's position is not where the stroke is
+    # Correcting the stroke moved the load, so the drive's position is not the stroke
     POSITION_DRIFTS = (
         31,
         (
@@ -244,7 +244,7 @@ class Fault(IntEnum):
         ),
         "Check the drive's encoder: its position moves and the stroke does not.",
     )
-    # The drive's current, temperature and inputs have stopped coming
+    # The drive no longer sends current, temperature and inputs
     STATUS_STALE = (
         33,
         (
@@ -254,14 +254,14 @@ class Fault(IntEnum):
         "Check the drive's second TPDO (cylinder.status_rate_hz).",
         Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT,
     )
-    # The signal that a limit of the rig file watches is not there
+    # The signal that a limit of the rig file watches is missing
     LIMIT_UNSEEN = (
         34,
         "{text} is limited by the rig file and does not come: no sample for {value:.0f} ms (limit {limit:.0f} ms)",
         "Check the device that sends the signal named.",
         Trait.AGE,
     )
-    # The drive is enabled, or moves under power, and not because we asked for it
+    # The drive is enabled, or moves under power, without our command
     DRIVE_UNASKED = (
         35,
         (
@@ -271,28 +271,28 @@ class Fault(IntEnum):
         "Find who commands the drive, withdraw the tool, then reset.",
         Trait.BLOCKS_RESET,
     )
-    # The drive says itself that it does not do as it is told: statusword bits 9, 11, 12
+    # The drive reports that it does not do as commanded: statusword bits 9, 11, 12
     DRIVE_REFUSES = (
         36,
         "drive says that {text}",
         "Withdraw the drive's panel or service tool; look at its display.",
         Trait.BLOCKS_RESET,
     )
-    # A device's heartbeat has stopped, or says that it has left OPERATIONAL
+    # A device's heartbeat has stopped, or reports another state than OPERATIONAL
     NODE_NOT_OPERATIONAL = (
         37,
         "{text} {state}",
         "Check the device's power and cable; start the daemon anew.",
         Trait.BLOCKS_RESET | Trait.DEVICE_SILENT,
     )
-    # An object that safety hangs on is not what start-up wrote, or is not answered for
+    # An object that safety needs is not what start-up wrote, or its device gives no answer
     SUPERVISION_LOST = (
         38,
         "a device does not keep what start-up wrote, {text}: start the daemon anew, it writes all of it again",
         "Start the daemon anew: it writes all settings again.",
         Trait.BLOCKS_RESET | Trait.DEVICE_SILENT,
     )
-    # The drive's position went from one sample to the next where no stroke can go
+    # The drive's position changed between two samples by more than a stroke can move
     STROKE_JUMPED = (
         39,
         (
@@ -314,5 +314,5 @@ class Fault(IntEnum):
 
     @property
     def blocks_reset(self) -> bool:
-        """While its cause is there, a reset is refused."""
+        """A reset is refused while the cause is present."""
         return Trait.BLOCKS_RESET in self.traits

@@ -1,20 +1,20 @@
-"""Innovation gate of one sensor: what is believed, what is left out, and how the innovations are distributed."""
+"""Innovation gate of one sensor: it accepts or rejects samples, and measures their distribution (NIS)."""
 
 from __future__ import annotations
 
 from enum import IntEnum
 
 NIS_SAMPLES = 1000
-"""The running mean of NIS forgets with this many samples."""
+"""Window of the running mean of NIS, in samples."""
 
 
 class Verdict(IntEnum):
     """What became of a sensor's sample in a tick."""
 
-    ABSENT = 0  # none came, or it was not a number
+    ABSENT = 0  # no sample came, or it was not a number
     USED = 1
     REJECTED = 2  # outside the gate
-    IDLE = 3  # the rope is slack: there is nothing to estimate from it
+    IDLE = 3  # the rope is slack, so nothing can be estimated
 
 
 _USED, _REJECTED = Verdict.USED.value, Verdict.REJECTED.value
@@ -23,9 +23,9 @@ _USED, _REJECTED = Verdict.USED.value, Verdict.REJECTED.value
 class Gate:
     """Believes an innovation y of variance S while ``y^2 <= sigma^2 (S + (burst n)^2)``.
 
-    n counts ticks since a sample was believed; ``burst`` is what the quantity may change in a tick beyond the filter's
-    own model, one sigma. A spike is left out; a jolt is followed, ``surprised`` tells the filter to follow it faster;
-    and a jump no rig can make is left out for so many ticks that it becomes a fault.
+    n counts ticks since a sample was believed; ``burst`` is the change of the quantity in a tick beyond the filter's
+    model, one sigma. A spike is rejected, a jolt is followed (``surprised`` makes the filter follow it faster), and a
+    jump no rig can make is rejected for so many ticks that it becomes a fault.
 
     Args:
         sigma: width of the gate.
@@ -57,7 +57,7 @@ class Gate:
         self.since = 1
         """Ticks since the last sample that was believed, this one included."""
         self.surprised = False
-        """The last sample was believed for the burst's sake only."""
+        """The last sample was believed only because of the burst term."""
         self.nis = 1.0
         """Running mean of y^2 / S over the samples within sigma; 1 where the filter's model is right."""
 
@@ -85,11 +85,11 @@ class Gate:
         self.surprised = False
 
     def idle(self) -> None:
-        """Nothing is estimated: start afresh."""
+        """Start again, as nothing is estimated on a slack rope."""
         self.verdict = Verdict.IDLE.value
         self.innovation = 0.0
         self.rejects = self.since = 0
 
     def pass_ticks(self, periods: int) -> None:
-        """Time goes on."""
+        """Advance the time by ``periods`` ticks."""
         self.since += periods

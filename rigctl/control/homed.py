@@ -1,6 +1,6 @@
-"""Whether the drive's position is where the stroke is: held against the last one known, and watched for jumps.
+"""Checks that the drive's position is the stroke: compares it with the last known stroke and watches for jumps.
 
-The ends of the stroke are limits on the drive's position. An encoder that has lost its zero moves them.
+The stroke's limits are limits on the drive's position, so an encoder that has lost its zero shifts them.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from rigctl.config.settings import CylinderSettings
 
 TOLERANCE_MM = 0.5
-GAP_NS = 100_000_000  # after a longer one the speed says nothing of where the stroke has gone
+GAP_NS = 100_000_000  # over a longer gap the speed does not predict the stroke
 
 
 @dataclass(frozen=True)
 class LastStroke:
-    """The stroke that was last known, when a loop starts; ``mm`` is None where none is, ``why`` says why, if it should.
+    """The last known stroke at the start of a loop; ``mm`` is None where it is unknown, ``why`` then has the reason.
 
-    Nothing on record, and no reason: the first start ever.
+    At the very first start there is neither stroke nor reason.
     """
 
     mm: float | None = None
@@ -27,7 +27,7 @@ class LastStroke:
 
 @dataclass(frozen=True)
 class Finding:
-    """What has been found of the drive's position; ``last_mm`` is NaN where nothing is known to compare it with."""
+    """Verdict on the drive's position; ``last_mm`` is NaN where there is no last known stroke."""
 
     believed: bool
     reads_mm: float
@@ -36,7 +36,7 @@ class Finding:
 
 
 class Homed:
-    """``known``: the position is believed. ``doubted``: it must be confirmed. ``jump_mm``: why, while the loop ran."""
+    """``known``: the position is believed. ``doubted``: it must be confirmed. ``jump_mm``: jump seen by this loop."""
 
     def __init__(self, cylinder: CylinderSettings, last: LastStroke) -> None:
         self._absolute, self._waiver, self._last = cylinder.absolute_encoder, cylinder.stroke_waiver, last
@@ -46,7 +46,7 @@ class Homed:
         self._seen_ns = 0
 
     def look(self, stroke_mm: float, speed_mm_s: float, now_ns: int) -> Finding | None:
-        """Take a new sample of the drive; what has been found, where that is news."""
+        """Take a new sample of the drive; returns a finding where it is new, else None."""
         before_mm, passed_ns = self._seen_mm, now_ns - self._seen_ns
         usual_mm = 0.5 * (speed_mm_s + self._seen_mm_s) * passed_ns * 1e-9 if passed_ns <= GAP_NS else 0.0
         # Over a longer gap the drive has stopped by its own deadline: within GAP_NS at the speed it had.
@@ -67,7 +67,7 @@ class Homed:
         return Finding(True, stroke_mm, math.nan, "confirmed by an operator")
 
     def _first(self, stroke_mm: float) -> Finding:
-        """Hold the first sample against what is known of the last one."""
+        """Compare the first sample with the last known stroke."""
         last, last_mm = self._last, math.nan if self._last.mm is None else self._last.mm
         if not self._absolute:
             against = "its encoder is not absolute"

@@ -1,4 +1,4 @@
-"""The newest sample of every signal, with age and quality, and what else came over the bus."""
+"""The newest sample of every signal, with age and quality, and the other messages received from the bus."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from rigctl.ipc.ring import RingWriter
 MAX_FRAMES_PER_TICK = 256
 MAX_NOTICES = 32
 NEVER_NS = -(1 << 61)
-ANSWERED_NS = 1_000_000_000  # an SDO server answers sooner
-OVERRANGE = 1.2  # a cell reads somewhat beyond its rated range, not more
+ANSWERED_NS = 1_000_000_000  # an SDO server answers within this time
+OVERRANGE = 1.2  # a cell may read this much of its rated range
 _SATURATED, _INVALID = Quality.SATURATED.value, Quality.INVALID.value
 _NEVER = Quality.NEVER.value
 _EMCY_SIZE = 8
@@ -32,7 +32,7 @@ Handler = Callable[[bytes | bytearray, int], None]
 
 
 def _flagged(message: can.Message) -> int:
-    """Identifier of a frame that is no plain one, with the flags that say so."""
+    """Identifier of an extended, remote or error frame, with its flags."""
     can_id = message.arbitration_id & 0x1FFFFFFF
     can_id |= FrameFlag.EXTENDED.value if message.is_extended_id else 0
     can_id |= FrameFlag.REMOTE.value if message.is_remote_frame else 0
@@ -40,7 +40,7 @@ def _flagged(message: can.Message) -> int:
 
 
 def rival_ids(settings: RigSettings) -> list[int]:
-    """Identifiers of what only a controller of this rig sends: NMT, SYNC, its heartbeat, the drive's command."""
+    """Identifiers that only a controller of this rig sends: NMT, SYNC, its heartbeat, the drive's command."""
     heartbeat = od.HEARTBEAT_BASE + settings.can.controller_node
     return [od.NMT_COB, od.SYNC_COB, heartbeat, od.DRIVE_RPDO.cob_base + settings.cylinder.node]
 
@@ -56,9 +56,9 @@ class Inbox:
         process_data: ProcessData | None = None,
         readback: Readback | None = None,
     ) -> None:
-        """``frames``: where every frame that comes is kept, None for nowhere. ``readback``: whose SDO answers come.
+        """``frames``: ring for every frame received, None for no ring. ``readback``: takes the SDO answers.
 
-        ``process_data``: as the devices have it; None: as the rig file asks for it.
+        ``process_data``: as the devices have it; None: as the rig file has it.
         """
         self._bus, self._frames, self._readback = bus, frames, readback
         self._process_data = process_data or wanted(settings)
@@ -72,7 +72,7 @@ class Inbox:
         self._rated_current_a = settings.cylinder.rated_current_a or math.nan
         self._drive_node, self._rail_node = settings.cylinder.node, rail.node if rail is not None else 0
         self.correction = Correction()
-        self.reading_n = math.nan  # as the cell sends it
+        self.reading_n = math.nan  # uncorrected
         self.tension_n = math.nan  # corrected
         self.cell_quality = _NEVER
         self.cell_t_ns = NEVER_NS
@@ -87,36 +87,36 @@ class Inbox:
         self.stroke_mm = math.nan
         self.speed_mm_s = 0.0
         self.drive_t_ns = NEVER_NS
-        # Of a drive that sends stroke and speed in two frames: the values, and when each came (never together).
+        # For a drive that sends stroke and speed in two frames: values and times, unequal at the start.
         self._stroke_mm, self._stroke_t_ns, self._speed_mm_s, self._speed_t_ns = math.nan, NEVER_NS, 0.0, NEVER_NS + 1
         self.drive_current_a = self.drive_temperature_c = math.nan
         self.drive_status_t_ns = NEVER_NS
-        # By the newest of the drive's input and its emergency message; by the I/O node's input.
+        # From the newer of the drive's input and its emergency message; from the I/O node's input.
         self.e_stop = self.io_e_stop = False
         self.bus_t_ns = self.rival_t_ns = self.io_t_ns = self._io_opened_ns = NEVER_NS
         self._foreign_request_ns = NEVER_NS
         self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
         self.received = self.refused = self.error_frames = self.receive_failures = 0
-        self.failure_text = self.rival_words = ""  # of the last receive that failed; what the rival heard last did
-        self._in_error: dict[int, int] = {}  # of cell, inclinometer and I/O node, the newest last
-        self.sensor_emergency = self.drive_emergency = 0  # node << 16 | code of one that stands, 0 for none
-        # Since last taken: node, code | register << 16, the manufacturer's bytes in hexadecimal.
+        self.failure_text = self.rival_words = ""  # of the last failed receive; what a rival did last
+        self._in_error: dict[int, int] = {}  # emergencies of cell, inclinometer and I/O node, the newest last
+        self.sensor_emergency = self.drive_emergency = 0  # node << 16 | code of an active emergency, 0 for none
+        # Since the last read: node, code | register << 16, the manufacturer's bytes in hexadecimal.
         self.emergencies: list[tuple[int, int, bytes]] = []
-        self.node_states: list[tuple[int, int]] = []  # (node, NMT state) changes since last taken
-        self.bus_errors: list[tuple[int, int]] = []  # (error class, its details) since last taken
-        self.foreign_sdo: list[tuple[int, int, str]] = []  # (node, index << 8 | sub, in words) since last taken
-        self.restarted = False  # a device booted since start-up: what was set and verified there is gone
+        self.node_states: list[tuple[int, int]] = []  # changes (node, NMT state) since the last read
+        self.bus_errors: list[tuple[int, int]] = []  # (error class, its details) since the last read
+        self.foreign_sdo: list[tuple[int, int, str]] = []  # (node, index << 8 | sub, in words) since the last read
+        self.restarted = False  # a device booted since start-up, so its verified settings are lost
         self._tension_max_n = settings.tension_cell.range_n * OVERRANGE
         self._slope_max_rad = math.radians(settings.inclinometer.range_deg)
-        self.states: dict[int, int] = {}  # NMT state each node has told
-        self.heartbeats_t_ns: dict[int, int] = {}  # when each node's newest came; start-up has just spoken to all
+        self.states: dict[int, int] = {}  # newest NMT state of each node
+        self.heartbeats_t_ns: dict[int, int] = {}  # at first of the first tick: start-up has just reached all
         self._nodes = tuple(settings.canopen_nodes.values())
-        # Frames of cell, slope, drive, rail, drive status, drive speed since the first of each, and the SYNCs sent
-        # when that came.
+        # Frames of cell, slope, drive, rail, drive status and drive speed since the first of each; SYNCs sent at that
+        # first frame.
         self._counts, self._bases, self._syncs = [0] * 6, [-1] * 6, 0
 
     def _handlers_of(self, settings: RigSettings) -> dict[int, Handler]:
-        """What to do with the frames of each identifier that means something."""
+        """Handlers by identifier."""
         nodes, plain = settings.canopen_nodes, settings.plain_messages
         data = self._process_data
         compiled: dict[str, Callable[[RigSettings, PdoLayout], Handler]] = {
@@ -181,9 +181,9 @@ class Inbox:
                 self.refused += 1
 
     def frames_missing(self) -> int:
-        """Answers due to the SYNCs sent before this tick that have not come (late ones count until they do).
+        """Answers due to the SYNCs sent before this tick that have not come; late ones count until they come.
 
-        Plain frames answer no SYNC: none is ever due.
+        Plain frames answer no SYNC, so none is ever due.
         """
         missing = 0
         for i, divisor in enumerate(self._divisors):
@@ -207,12 +207,12 @@ class Inbox:
         return on_cell
 
     def correct(self, correction: Correction) -> None:
-        """Read the cell with another correction from now on, the newest sample included."""
+        """Put another correction of the cell in force, for the newest sample too."""
         self.correction = correction
         self.tension_n = correction.applied(self.reading_n)
 
     def _take_cell(self, reading_n: float, quality: int, now_ns: int) -> None:
-        """Newest tension; a reading beyond the cell's range is saturated, whatever the device says."""
+        """Take a tension; a reading beyond the cell's range is saturated even if the device reports it as good."""
         if not quality and abs(reading_n) > self._tension_max_n:
             quality = _SATURATED
         if not quality:
@@ -224,7 +224,7 @@ class Inbox:
         self.cell_fresh = quality == 0
 
     def _take_slope(self, tangential_rad: float, normal_rad: float, quality: int, now_ns: int) -> None:
-        """Newest inclination; one beyond the sensor's range is invalid, whatever the device says."""
+        """Take an inclination; one beyond the sensor's range is invalid even if the device reports it as good."""
         if not quality and (abs(tangential_rad) > self._slope_max_rad or abs(normal_rad) > self._slope_max_rad):
             quality = _INVALID
         if not quality:
@@ -274,9 +274,9 @@ class Inbox:
         return on_speed
 
     def _take_drive(self, now_ns: int) -> None:
-        """Stroke and speed that come in two frames are a sample once the second has come, right after the first.
+        """Make one sample of stroke and speed from two frames, once the second has come in the same tick.
 
-        A frame whose other was lost is dropped: stroke and speed of two SYNCs are no sample.
+        A frame without its partner is dropped: stroke and speed of two SYNCs are no sample.
         """
         if self._stroke_t_ns == self._speed_t_ns:
             self.stroke_mm, self.speed_mm_s = self._stroke_mm, self._speed_mm_s
@@ -302,7 +302,7 @@ class Inbox:
         decode, mask = codecs.inputs_decoder(layout), settings.io.mask
 
         def on_inputs(data: bytes | bytearray, now_ns: int) -> None:
-            """Open in any of the frames that came together: a contact that bounces is one that was pressed."""
+            """An open contact in any frame of a tick counts: a bouncing contact was pressed."""
             if not decode(data) & mask:
                 self._io_opened_ns = now_ns
             self.io_e_stop = self._io_opened_ns == now_ns
@@ -315,7 +315,7 @@ class Inbox:
         decode = codecs.encoder_decoder(layout, settings.rail_encoder.counts_per_turn)
 
         def on_rail(data: bytes | bytearray, now_ns: int) -> None:
-            """Newest angle; invalid while its encoder reports an error, or runs unverified after a restart."""
+            """Take an angle; it is invalid while the encoder reports an error, and after an unverified restart."""
             angle_rad = decode(data)
             good = not (self._rail_in_error or self._rail_restarted)
             if good:
@@ -348,11 +348,11 @@ class Inbox:
         return on_slope
 
     def _on_rival(self, _data: bytes | bytearray, now_ns: int) -> None:
-        """What only a controller sends, and it was not us: the bus gives nobody his own frames."""
+        """A controller's frame. It is another controller's, because the bus does not return our own frames."""
         self.rival_t_ns, self.rival_words = now_ns, "commands this bus"
 
     def _sdo_request_handler(self, node: int) -> Handler:
-        """A request to a device is another master's: the bus gives nobody his own frames."""
+        """An SDO request is another master's, because the bus does not return our own frames."""
 
         def on_request(data: bytes | bytearray, now_ns: int) -> None:
             where = sdo.multiplexer(data)
@@ -368,7 +368,7 @@ class Inbox:
             if self._readback is not None and self._readback.take(node, data, now_ns):
                 return
             if now_ns - self._foreign_request_ns < ANSWERED_NS:
-                self.rival_t_ns = now_ns  # what it asked for has been told
+                self.rival_t_ns = now_ns  # the request has been reported already
             else:
                 self._on_foreign_sdo(node, sdo.multiplexer(data), sdo.foreign_answer(node, data), now_ns)
 
@@ -391,7 +391,7 @@ class Inbox:
             elif node == self._drive_node:
                 self.drive_emergency = node << 16 | code if error else 0
                 if code == od.EmcyCode.EXTERNAL and self._e_stop_bit:
-                    self.e_stop = True  # at once; the input follows with the next status
+                    self.e_stop = True  # before the input, which comes with the next status
             else:
                 self._in_error.pop(node, None)
                 if error:
@@ -408,7 +408,7 @@ class Inbox:
                 raise ValueError("length")
             state = data[0] & 0x7F
             if state == od.NmtState.BOOT_UP:
-                if node == self._rail_node:  # nothing hangs on it but the run-out table
+                if node == self._rail_node:  # only the run-out table needs it
                     self._rail_restarted = True
                 else:
                     self.restarted = True

@@ -1,7 +1,7 @@
 """Kalman filter of the rope's inclination, and the speed at which that inclination stretches the rope.
 
 Per axis ``x = [angle rad, rate rad/s]`` with white angular acceleration. Samples come at the inclinometer's own rate,
-10 to 100 Hz; between them the angle goes on at the rate estimated last.
+10 to 100 Hz; between them the angle continues at the last estimated rate.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from rigctl.control.gate import Gate
 from rigctl.control.kalman import KalmanFilter
 
 BURST_RAD_S = math.radians(5.0)
-"""Change of rate within a sample interval that the gate allows for, one sigma: a rope that is struck."""
+"""Change of rate within a sample interval that the gate allows, one sigma, as of a rope that is struck."""
 MOST_AHEAD_S = 0.1
-"""The angle is not carried on for longer than this without a sample."""
+"""Longest extrapolation of the angle without a sample."""
 SETTLED_GAIN = 1e-9  # relative change of the gain from one sample to the next below which it counts as settled
 
 
@@ -34,11 +34,10 @@ class _Settled(NamedTuple):
 
 
 class InclinationFilter:
-    """Tangential and normal angle with their rates; both axes share one gain, samples are judged together.
+    """Tangential and normal angle with their rates; both axes share one gain, and their samples are judged together.
 
-    `KalmanFilter` carries state and covariance until the gain has settled at the interval the samples have; from then
-    on the same numbers come from that gain in plain floats, in a fiftieth of the time. Another interval goes back to
-    it.
+    `KalmanFilter` carries state and covariance until the gain has settled at the samples' interval; from then on that
+    gain gives the same numbers in plain floats, in a fiftieth of the time. Another interval goes back to it.
     """
 
     def __init__(self, settings: RigSettings) -> None:
@@ -83,7 +82,7 @@ class InclinationFilter:
                     t + settled.angle * y0, tr + settled.rate * y0, n + settled.angle * y1, nr + settled.rate * y1,
                 )  # fmt: skip
             self._x, self._ticks = (t, tr, n, nr), 0
-            if not believed:  # the covariance has not been brought down: the filter goes on from before the sample
+            if not believed:  # a rejected sample leaves state and covariance as predicted
                 kf.x, kf.p = np.array([[t], [tr], [n], [nr]]), settled.prior
                 self._settled = None
         else:
@@ -93,7 +92,7 @@ class InclinationFilter:
             self._x = (t, tr, n, nr)
 
     def _correct(self, tangential_rad: float, normal_rad: float) -> None:
-        """Take a sample in; notice when the gain no longer changes."""
+        """Correct with a sample, and detect a settled gain."""
         kf = self._kf
         kf.update(np.array([[tangential_rad], [normal_rad]]))
         kf.p = 0.5 * (kf.p + kf.p.T)
@@ -112,7 +111,7 @@ class InclinationFilter:
         self._settled = None
 
     def _start(self, tangential_rad: float, normal_rad: float) -> None:
-        """Begin at a sample, the rates unknown."""
+        """Begin at a sample, with unknown rates."""
         kf = self._kf
         kf.x = np.array([[tangential_rad], [0.0], [normal_rad], [0.0]])
         kf.p = np.diag([kf.r[0, 0], BURST_RAD_S**2, kf.r[1, 1], BURST_RAD_S**2])
@@ -125,7 +124,7 @@ class InclinationFilter:
         self.normal.absent()
 
     def pass_ticks(self, periods: int) -> None:
-        """Time goes on to the next tick."""
+        """Advance the time by ``periods`` ticks."""
         self._ticks += periods
         self.tangential.pass_ticks(periods)
         self.normal.pass_ticks(periods)
@@ -138,7 +137,7 @@ class InclinationFilter:
         return t + tr * ahead, tr, n + nr * ahead, nr
 
     def _carry(self) -> None:
-        """Bring state and covariance to the present."""
+        """Predict state and covariance to the present."""
         self._last_interval, self._interval = self._interval, max(1, self._ticks)
         kf, dt = self._kf, self._interval * self._dt
         one = np.array([[1.0, dt], [0.0, 1.0]])
@@ -150,10 +149,10 @@ class InclinationFilter:
 
 
 class Stretch:
-    """Speed at which the inclination stretches the rope, from its position form ``L (1/cos - 1)``.
+    """Speed at which the inclination stretches the rope, from the stretch ``L (1/cos - 1)``.
 
-    The low-pass' own input less its output, over its time constant: the derivative of the low-passed stretch. The
-    derivative of the angle itself would be all noise.
+    The difference of a low-pass' input and output over its time constant is the derivative of the low-passed stretch;
+    the derivative of the angle itself would be all noise.
 
     Args:
         length_mm: between the lifting points.
@@ -168,7 +167,7 @@ class Stretch:
         self._slow_mm: float | None = None
 
     def speed_mm_s(self, cosine: float) -> float:
-        """One tick on, with the product of the inclinations' cosines."""
+        """Advance one tick; ``cosine`` is the product of both inclinations' cosines."""
         stretch_mm = self._length * (1.0 / cosine - 1.0)
         if self._slow_mm is None:
             self._slow_mm = stretch_mm

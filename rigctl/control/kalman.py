@@ -1,8 +1,8 @@
 """Predict and update of a linear Kalman filter, in Joseph's form of the covariance.
 
-The operations and their order are those of ``filterpy.kalman.KalmanFilter``, which the tests hold this against to the
-last bit. That library is not imported here: with it every process of the daemon loads ``scipy.stats`` at its start,
-which takes longer than all else together.
+The operations and their order are those of ``filterpy.kalman.KalmanFilter``, with which the tests compare it to
+the last bit. That library is not imported here: every process of the daemon would load ``scipy.stats`` at its start,
+which takes longer than the rest together.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class KalmanFilter:
         self.p_prior = self.p
 
     def update(self, z: Array, rows: slice = slice(None)) -> None:
-        """Take in a measurement, (m, 1), or only its ``rows``, which ``z`` then has alone."""
+        """Correct with a measurement, (m, 1); with ``rows``, ``z`` has only these."""
         h, r = self.h[rows], self.r[rows, rows]
         innovation = z - np.dot(h, self.x)
         pht = np.dot(self.p, h.T)

@@ -1,7 +1,7 @@
-"""The last stroke that was known, kept across the daemon's restarts in a file beside the ledger.
+"""The last known stroke, kept across the daemon's restarts in a file beside the ledger.
 
-Written by the recorder alone, at once or not at all (new file, fsync, rename); read by the supervisor before it starts
-a loop. A file that cannot be believed is a stroke that is not known, which an operator has to confirm.
+Only the recorder writes the file, whole or not at all (new file, fsync, rename); the supervisor reads it before it
+starts a loop. With an invalid file the stroke is unknown and an operator has to confirm it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def read(settings: RigSettings) -> LastStroke:
-    """What the file says; a damaged one says why nothing is known."""
+    """The file's content; a damaged file gives the reason why the stroke is unknown."""
     path = settings.last_stroke
     try:
         found: _File = input_file.decoded(input_file.read(path, largest=_LARGEST_BYTES, links=True), _File)
@@ -53,10 +53,10 @@ def read(settings: RigSettings) -> LastStroke:
 
 
 def write(settings: RigSettings, stroke_mm: float, wall_ns: int, *, sync: bool = True) -> None:
-    """Replace the file. ``sync``: wait until it is on the disk; without, a power cut may leave an older one.
+    """Replace the file. ``sync``: wait until it is on the disk; without it a power cut may leave an older file.
 
     Raises:
-        OSError: it could not be written, and is as it was.
+        OSError: the file could not be written and is unchanged.
     """
     path = settings.last_stroke
     part = path.with_name(f"{path.name}.new")
@@ -79,7 +79,7 @@ def write(settings: RigSettings, stroke_mm: float, wall_ns: int, *, sync: bool =
 
 
 def of_record(record: Any) -> float | None:
-    """The stroke of a record, where it is known: one that waits to be confirmed would hide what it differs from."""
+    """A record's stroke, None while it awaits confirmation: it must not replace the stroke it differs from."""
     if record is None or record["drive_quality"] or int(record["flags"]) & Flag.STROKE_UNCONFIRMED:
         return None
     stroke_mm = float(record["stroke_mm"])
@@ -87,7 +87,7 @@ def of_record(record: Any) -> float | None:
 
 
 def in_force(runtime: Runtime) -> LastStroke:
-    """What the supervisor has found."""
+    """The stroke that the supervisor has read."""
     try:
         return msgspec.convert(runtime.read_json(IN_FORCE), LastStroke)
     except (OSError, msgspec.MsgspecError):

@@ -12,7 +12,7 @@ from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
 from rigctl.control.safety import ARMED, Action, Row, Snapshot, status_stale_ns
 
-RATE_S = 0.02  # a rate is that of the signal low-passed by this
+RATE_S = 0.02  # low-pass of a signal before its rate is taken
 _GAP_NS = 100_000_000
 
 VALUES: dict[str, Callable[[Snapshot], float]] = {
@@ -38,7 +38,7 @@ VALUES: dict[str, Callable[[Snapshot], float]] = {
     "error_frames": lambda x: float(x.error_frames),
     "command_age_s": lambda x: x.command_age_ns * 1e-9,
 }
-"""How each signal of `rigctl.config.limits_section.SIGNALS` is read off the snapshot."""
+"""Value in the snapshot of each signal of `rigctl.config.limits_section.SIGNALS`."""
 
 Age = Callable[[Snapshot], float]
 _CELL: Age = attrgetter("cell_age_ns")
@@ -59,11 +59,11 @@ MEASURED: dict[str, tuple[str, Age]] = {
     "drive_temperature_c": ("drive temperature", _STATUS),
     "drive_current_a": ("motor current", _STATUS),
 }
-"""Signals that a device sends: each in words, and the age of its newest sample."""
+"""Signals sent by a device: words and the age of the newest sample."""
 
 
 class Rate:
-    """Rate of change of a signal, per second, absolute; starts anew after a pause."""
+    """Rate of change of a signal, per second, absolute; it starts again after a pause."""
 
     def __init__(self, value: Callable[[Snapshot], float]) -> None:
         self._value = value
@@ -84,16 +84,16 @@ class Rate:
 
 
 def rows(settings: RigSettings) -> tuple[Row, ...]:
-    """A row per bound of each limit, in the rig file's order; then a row for each signal that may not be there."""
+    """A row per bound of each limit, in the rig file's order; then a row for each signal that may be missing."""
     found = [row for limit in settings.limits for row in _rows_of(limit)]
     unseen = {(row.text, row.action, row.modes): row for limit in settings.limits for row in _unseen(limit, settings)}
     return (*found, *unseen.values())
 
 
 def _unseen(limit: LimitSettings, settings: RigSettings) -> list[Row]:
-    """A limit on a signal that does not come is never passed, so that its absence has to trip.
+    """Rows that trip if the limit's signal is missing, because the limit itself could then never trip.
 
-    In the armed modes the built-in rows watch cell, inclinometer and drive, and sooner.
+    In the armed modes the built-in rows watch cell, inclinometer and drive, and trip sooner.
     """
     if limit.signal not in MEASURED:
         return []
@@ -101,13 +101,13 @@ def _unseen(limit: LimitSettings, settings: RigSettings) -> list[Row]:
     s, modes = settings.safety, frozenset(Mode[name] for name in limit.modes)
     oldest_ns = {_SLOPE: s.inclination_stale_ms * 1_000_000, _STATUS: status_stale_ns(settings)}
     stale_ns = oldest_ns.get(age, s.stale_ms * 1_000_000)
-    # Any loss is answered by holding, whatever a value beyond the limit asks for.
+    # The action is HOLD, as for any loss, and not the limit's own action.
     text = f"{words} ({limit.signal})"
     watched = (
         (modes & ARMED if age is _STATUS else frozenset(), 0),
-        (modes - ARMED, stale_ns),  # a loop that has just started has not heard anybody yet
+        (modes - ARMED, stale_ns),  # a loop that has just started has no samples yet
     )
-    if limit.action == "log":  # told as every limit that is only logged: it begins, and it is over
+    if limit.action == "log":  # a logged limit reports its begin and its end
         old = f"age in ms of {text} above"
         return [
             Row(Fault.LIMIT, lambda x: age(x) / 1e6, stale_ns / 1e6, ns, where, "ms", Action.LOG, old)

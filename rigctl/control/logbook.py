@@ -1,4 +1,4 @@
-"""The loop's pen: a record of every tick, events, answers. Numbers into rings; wording is the gateway's."""
+"""Writes the loop's records, events and replies into rings, as numbers; the gateway words them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _ENABLED, _ARMING, _STOPPING = Flag.DRIVE_ENABLED.value, Flag.ARMING.value, Flag
 
 @dataclass(frozen=True)
 class Rings:
-    """Where a loop's records, events, replies and frames go, and where its commands come from."""
+    """Rings of the loop: records, events, replies and frames out, commands and holds in."""
 
     records: RingWriter
     events: RingWriter
@@ -48,11 +48,11 @@ class Rings:
 
 
 class Logbook:
-    """Writes what the tick leaves behind."""
+    """Writes a tick's record, events and replies."""
 
     def __init__(self, settings: RigSettings, rings: Rings) -> None:
         self._rings = rings
-        self._noticed: dict[tuple[Kind, int, int], int] = {}  # not again before
+        self._noticed: dict[tuple[Kind, int, int], int] = {}  # earliest time of the next one
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._slope_stale_ns = settings.safety.inclination_stale_ms * 1_000_000
         self._failures = self._receive_failures = 0
@@ -62,9 +62,9 @@ class Logbook:
         self, t_ns: int, lateness_ns: int, work_ns: int, machine: Machine, observer: Observer, law: TensionLaw,
         outbox: Outbox, command_seq: int, hold_seq: int, causes: int, *, arming: bool, stroke_known: bool,
     ) -> None:  # fmt: skip
-        """One record of this tick.
+        """The record of this tick.
 
-        ``work_ns`` is the tick before's, ``command_seq`` and ``hold_seq`` the last command and hold taken.
+        ``work_ns`` is of the tick before, ``command_seq`` and ``hold_seq`` are the last command and hold taken.
         ``causes``: see `rigctl.control.safety.Watch.standing`.
         """
         inbox, snapshot, kalman, slope = observer.inbox, observer.snapshot, observer.filter, observer.inclination
@@ -141,7 +141,7 @@ class Logbook:
     def event(
         self, t_ns: int, kind: Kind, a: int = 0, b: int = 0, value: float = 0.0, limit: float = 0.0, text: bytes = b""
     ) -> None:
-        """An event; what its numbers mean, `Kind` says."""
+        """Write an event; `Kind` gives the meaning of its numbers."""
         self._rings.events.write(t_ns, kind, a, b, value, limit, text)
 
     def stroke(self, t_ns: int, found: Finding) -> None:
@@ -150,7 +150,7 @@ class Logbook:
         self.event(t_ns, Kind.STROKE, int(found.believed), 0, number(found.reads_mm), found.last_mm, text)
 
     def notice(self, t_ns: int, kind: Kind, a: int, b: int, text: bytes = b"") -> None:
-        """An event, the same one at most once a second: a babbling bus must not drown the others."""
+        """Write an event, at most once a second each, so that a babbling bus does not drown the others."""
         if t_ns >= self._noticed.get((kind, a, b), 0):
             if len(self._noticed) >= NOTICES_KEPT:
                 self._noticed.clear()
@@ -164,7 +164,7 @@ class Logbook:
         self._rings.replies.write(t_ns, id_, refusal is Refusal.NONE, refusal, checks, mode, value, spread)
 
     def trip(self, t_ns: int, kind: Kind, trip: Trip) -> None:
-        """A row of the safety table, with what it found and what it asks for."""
+        """A trip of a row of the safety table, with value, limit and action."""
         self.event(t_ns, kind, trip.fault, trip.action, trip.value, trip.limit, trip.text.encode()[:80])
 
     def mode_changes(self, t_ns: int, machine: Machine, safe_frames: int) -> None:
@@ -175,7 +175,7 @@ class Logbook:
             machine.changes.clear()
 
     def bus_notices(self, t_ns: int, inbox: Inbox, outbox: Outbox, readback: Readback) -> None:
-        """What devices and bus said of themselves, and what was found in the devices' settings."""
+        """Events from the devices, the bus and the read-back since the last tick."""
         if inbox.emergencies:
             for node, code, manufacturer in inbox.emergencies:
                 self.notice(t_ns, Kind.EMERGENCY, node, code, manufacturer)
@@ -206,5 +206,5 @@ class Logbook:
 
 
 def number(value: float) -> float:
-    """For a slot: 0 for what is not finite."""
+    """A value for a slot: 0 where it is not finite."""
     return value if math.isfinite(value) else 0.0

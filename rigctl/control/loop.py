@@ -38,15 +38,15 @@ STOPPED_MM_S = 0.05
 STOP_LIMIT_NS = 2_000_000_000
 SAFE_FRAMES = 10  # commands of no speed in a row before the drive is switched on, and before it is switched off
 COMMANDS_PER_TICK = HOLDS_PER_TICK = 4
-FAILING_TICKS = 100  # in a row that end in an exception, after which the drive is stopped and goes off
-SKIP_NOTICE = 5  # ticks skipped at once that are worth an event
+FAILING_TICKS = 100  # consecutive ticks that end in an exception, after which the drive stops and goes off
+SKIP_NOTICE = 5  # ticks skipped at once from which an event is written
 _KEEPS = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
-"""Modes in which the stroke is to stay where it is."""
+"""Modes that keep the stroke."""
 LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]
 
 
 class Loop:
-    """The fixed-rate loop. Bus and clock are passed in; nothing here knows whether they are real."""
+    """The fixed-rate loop. Bus and clock are passed in, so that the same code runs real and simulated rigs."""
 
     def __init__(
         self,
@@ -66,11 +66,10 @@ class Loop:
     ) -> None:
         """``supervised``: start-up has verified that the drive stops by itself when we go silent.
 
-        ``host_checks``: what fails of `rigctl.control.checks.HOST_CHECKS`, until the gateway says otherwise.
-        ``law``: makes another law than ours, to be compared with it; it may look into the inbox.
-        ``correction``: of the tension cell, from the ledger. ``watched``: what start-up has verified in the devices.
-        ``process_data``: as start-up found it; None: as the rig file asks for it.
-        ``last_stroke``: the stroke that was last known.
+        ``host_checks``: failing bits of `rigctl.control.checks.HOST_CHECKS`, until the gateway sends newer ones.
+        ``law``: makes another law for comparison with ours; the law may read the inbox.
+        ``correction``: of the tension cell, from the ledger. ``watched``: objects start-up has verified in the devices.
+        ``process_data``: as start-up found it; None: as the rig file has it. ``last_stroke``: the last known stroke.
         """
         self.settings = settings
         self.machine = Machine(_stopping_ns(settings))
@@ -90,8 +89,8 @@ class Loop:
         self._stroke_hold = StrokeHold(settings)
         self._escalator = Escalator(settings, _stopping_ns(settings))
         self._travel_from_mm = 0.0
-        self._tripped: Trip | None = None  # in this tick
-        self._went_off = True  # the drive has been seen off since we asked last for it to be enabled
+        self._tripped: Trip | None = None  # of this tick
+        self._went_off = True  # the drive has been off since we last commanded it to be enabled
         self._logbook = logbook = Logbook(settings, rings)
         self._orders = Orders(
             settings, self.machine, self.observer, self.law, self._watch, logbook, self.readback, self.homed,
@@ -108,12 +107,12 @@ class Loop:
 
     @property
     def drive_off(self) -> bool:
-        """The drive was last seen off, its brake closed."""
+        """The newest statusword says that the drive is off, with its brake closed."""
         return drive_state(self.inbox.statusword) in OFF_STATES
 
     # -- the tick -----------------------------------------------------------------------------------------------
     def tick(self) -> None:
-        """One period. Whatever goes wrong in it, the drive gets a command, and that command is to stop."""
+        """One period. If anything in it fails, the drive still gets a command: stop."""
         t_ns, skipped = self._clock.next_tick()
         woke_ns = self._clock.now()
         try:
@@ -127,12 +126,12 @@ class Loop:
             self._stop_safely(t_ns, error)
         try:
             self._record(t_ns, woke_ns)
-        except Exception as error:  # noqa: BLE001 - the same edge, for what is written down
+        except Exception as error:  # noqa: BLE001 - the same edge, for the record
             self._stop_safely(t_ns, error)
         self._work_ns = self._clock.now() - woke_ns
 
     def run(self) -> None:
-        """Tick until told to stop and stopped."""
+        """Tick until a requested stop has ended."""
         while not self.finished:
             self.tick()
 
@@ -155,9 +154,9 @@ class Loop:
         snapshot.rope_lost = law.rope_lost
         snapshot.drive_wanted = machine.drive_wanted and not machine.stopping
         asked = self.outbox.controlword == Controlword.ENABLE_OPERATION
-        snapshot.drive_powered = snapshot.drive_powered and not asked  # motion we ask for is ours; the latch watches it
+        snapshot.drive_powered = snapshot.drive_powered and not asked  # the latch watches motion under our own command
         self._went_off = not asked and (self._went_off or snapshot.drive_off)
-        heard = snapshot.drive_age_ns <= self._stale_ns  # a drive that is not heard may have obeyed long ago
+        heard = snapshot.drive_age_ns <= self._stale_ns  # a silent drive may have obeyed long ago
         snapshot.drive_unasked = heard and snapshot.drive_enabled and self._went_off
         snapshot.drive_lingers = heard and snapshot.drive_enabled and not asked
         homed, readback, inbox = self.homed, self.readback, self.inbox
@@ -196,11 +195,11 @@ class Loop:
         self._begin_modes(estimate)
 
     def _begin_modes(self, estimate: Estimate) -> None:
-        """What begins with a change of mode."""
+        """Start what a change of mode needs: ramp, sign check, travel, a new latch of the stroke."""
         machine, law = self.machine, self.law
         for change in machine.changes:
             if change.before is Mode.FAULT or change.event is Event.ENABLED:
-                self._stroke_hold.follow()  # acknowledged; or the motor takes the load over from the brake
+                self._stroke_hold.follow()  # motion acknowledged, or the motor took the load from the brake
             if change.after is Mode.COMPENSATING:
                 self._travel_from_mm = estimate.stroke_mm
             if change.after in (Mode.TENSIONING, Mode.RELEASING):
@@ -208,7 +207,7 @@ class Loop:
                 self._signs.begin(estimate.stroke_mm, self.observer.tension_n)
 
     def _take_orders(self, t_ns: int) -> None:
-        """Holds come before commands: no number of commands that wait delays one."""
+        """Holds come first, so that no queue of commands delays a HOLD."""
         for slot in self._holds.read(HOLDS_PER_TICK):
             self._orders.take_hold(slot, t_ns)
             self._commanded_ns = t_ns
@@ -243,7 +242,7 @@ class Loop:
         unsafe = outbox.safe_frames < SAFE_FRAMES
         waits = (self._moving() or unsafe) and t_ns < self._off_until and abs(snapshot.excursion_mm) <= SAID_MM
         if power is Power.OFF and snapshot.drive_enabled and waits:
-            power = Power.ON  # stop first, then power off: a brake is no place to stop a moving load
+            power = Power.ON  # stop first, then power off: a brake must not stop a moving load
         elif power is Power.ON and not snapshot.drive_enabled and unsafe:
             power = Power.OFF
         elif power is not Power.OFF:
@@ -267,7 +266,7 @@ class Loop:
             logbook.trip(t_ns, Kind.LIMIT if begins else Kind.LIMIT_OVER, limit)
         self._watch.crossed.clear()
         for cause, begins in self._watch.causes:
-            if not begins or cause != self._tripped:  # that one has been told as what tripped
+            if not begins or cause != self._tripped:  # the trip's own event has reported this cause
                 logbook.trip(t_ns, Kind.CAUSE if begins else Kind.CAUSE_OVER, cause)
         self._watch.causes.clear()
         self._tripped = None
@@ -278,15 +277,15 @@ class Loop:
 
     # -- what the tick is made of -------------------------------------------------------------------------------
     def _moving(self) -> bool:
-        """It moves, or is told to by more than the correction of a stroke that is held."""
+        """The stroke moves, or is commanded to by more than the correction of a held stroke."""
         return abs(self.inbox.speed_mm_s) >= STOPPED_MM_S or self.law.command_mm_s != self._stroke_hold.command_mm_s
 
     def _watch_stroke(self, now_ns: int) -> None:
-        """Latch the stroke where it is to stay, and say when it leaves."""
+        """Latch the stroke where the mode keeps it, and write an event when it leaves the latch."""
         hold, machine, snapshot, trial = self._stroke_hold, self.machine, self.observer.snapshot, self._orders.trial
         slips = snapshot.drive_off and snapshot.brake_slip_known
         moves = machine.mode not in _KEEPS or (trial is not None and trial.moves)
-        if moves or slips or snapshot.stroke_unconfirmed:  # a position that is not believed is not held to
+        if moves or slips or snapshot.stroke_unconfirmed:  # an unconfirmed position cannot be held
             hold.follow()
         else:
             hold.watch(now_ns, snapshot, self.law.command_mm_s)
@@ -295,7 +294,7 @@ class Loop:
         snapshot.excursion_mm, snapshot.doubt_mm = hold.error_mm, hold.doubt_mm
 
     def _correction(self, *, powered: bool) -> float:
-        """Speed that brings a stroke that is held back to its latch."""
+        """Speed in mm/s that brings a held stroke back to its latch."""
         hold, observer = self._stroke_hold, self.observer
         speed_mm_s = hold.correct(observer.snapshot, 1 + observer.just_skipped, powered=powered)
         if hold.creeps:
@@ -303,7 +302,7 @@ class Loop:
         return speed_mm_s
 
     def _escalate(self, t_ns: int) -> None:
-        """A reaction to the latched fault that has not helped is followed by the next stronger one."""
+        """Follow a reaction that has not helped against the latched fault by the next stronger one."""
         machine, slack = self.machine, self.observer.slack
         over = machine.action is Action.RAMP_DOWN and machine.mode is Mode.FAULT
         action = Action.HOLD if over else machine.action
@@ -323,7 +322,7 @@ class Loop:
             self._logbook.event(now_ns, Kind.SIGNS, value=signs.slope_n_mm, limit=stiffness)
 
     def _finish_stop(self, t_ns: int) -> None:
-        """Once the stroke stands still, let the drive close its brake; once it has, the loop may end."""
+        """Once the stroke stands still, let the drive close its brake; end the loop once the brake is closed."""
         still = not self._moving()
         late = t_ns >= self._stop_until
         if still or late:
@@ -334,11 +333,11 @@ class Loop:
             self._logbook.event(t_ns, Kind.STOPPED, value=number(inbox.stroke_mm), limit=number(inbox.tension_n))
 
     def _stop_safely(self, t_ns: int, error: Exception) -> None:
-        """The safe command first: no speed, the drive as it is. Then FAULT, latched, and a word about why."""
+        """First send the safe command: no speed, controlword unchanged. Then latch FAULT and record the exception."""
         self._failing += 1
         try:
             word = self.outbox.controlword
-            if self._failing > FAILING_TICKS:  # nobody watches the stroke meanwhile
+            if self._failing > FAILING_TICKS:  # failing ticks do not watch the stroke
                 word = next_controlword(drive_state(self.inbox.statusword), Power.QUICK_STOP, word)
             self.outbox.command(word, 0.0, t_ns)
         except Exception:  # noqa: BLE001 - the bus itself fails: the drive stops by its own supervision
@@ -351,12 +350,12 @@ class Loop:
             self.finished = True
         try:
             self._logbook.notice(t_ns, Kind.EXCEPTION, 0, 0, _place(error))
-        except Exception:  # noqa: BLE001 - nowhere left to say it; the latched fault is in every record
+        except Exception:  # noqa: BLE001 - no event can be written; the latched fault is in every record
             self.exceptions_untold += 1
 
 
 def _stopping_ns(settings: RigSettings) -> int:
-    """How long a drive that obeys takes to stop by itself from the highest speed there is, and a little more."""
+    """Time in ns in which a drive that obeys stops by itself from top speed, with two lags to spare."""
     seconds = settings.tension.speed_max_mm_s / settings.cylinder.stop_deceleration_mm_s2
     return round((seconds + 2.0 * settings.plant.cylinder_lag_s) * 1e9)
 

@@ -1,6 +1,6 @@
-"""The rig's mode, with the little that surrounds it: arming, the latched fault, what is wanted of the drive.
+"""The rig's mode and its state: arming, the latched fault, the power wanted of the drive.
 
-Takes events and commands, returns what happened as values; sends and writes nothing.
+The machine takes events and commands and returns results as values; it sends and writes nothing.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from rigctl.devices.drive import Power
 
 ARM_LIMIT_NS = 2_000_000_000
 _MAY_MOVE = frozenset({Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
-CUT_AFTER_NS = 60_000_000  # a drive that has not stopped by then is taken off power where it moves
+CUT_AFTER_NS = 60_000_000  # the power of a drive that has not stopped by then is cut while it moves
 DRIVE_RESET_NS = 500_000_000
 
 
@@ -38,20 +38,20 @@ class Answer:
 
 
 class Machine:
-    """DISARMED at first. ``changes`` and ``answers`` collect what the loop has yet to publish.
+    """Starts in DISARMED. ``changes`` and ``answers`` wait for the loop to publish them.
 
-    ``action``: what the latched fault asks for; it may grow stronger while the fault stands, never weaker.
+    ``action``: reaction to the latched fault; it may grow stronger while the fault is latched, never weaker.
     """
 
     def __init__(self, cut_after_ns: int = CUT_AFTER_NS) -> None:
-        """``cut_after_ns``: how long a drive may take to stop before it is taken off power all the same."""
+        """``cut_after_ns``: time a drive has to stop before its power is cut."""
         self.mode = Mode.DISARMED
         self.fault = Fault.NONE
         self.action = Action.HOLD
         self._cut_after_ns, self._cut_at_ns = cut_after_ns, 0
         self.stopping = False
         self.awaiting = False
-        """An accepted arm command waits for the sequence before the drive's power, see `rigctl.control.arming`."""
+        """An accepted ARM waits for the sequence of `rigctl.control.arming`, before the drive's power."""
         self.changes: list[Change] = []
         self.answers: list[Answer] = []
         self._arm_id: int | None = None
@@ -62,16 +62,16 @@ class Machine:
 
     @property
     def trial(self) -> Verb | None:
-        """The trial under way; whoever runs it calls ``end_trial``."""
+        """The trial under way; its runner calls ``end_trial``."""
         return None if self._trial is None else self._trial[1]
 
     @property
     def arming(self) -> bool:
-        """An arm command waits for the drive."""
+        """An accepted ARM waits for the drive."""
         return self._arm_id is not None
 
     def power(self, t_ns: int, *, drive_enabled: bool, drive_faulted: bool) -> Power:
-        """What is wanted of the drive now. Only arming switches it on; a drive that dropped out stays out."""
+        """Power to command now. Only arming switches the drive on; a drive that has dropped out stays off."""
         if drive_faulted and t_ns < self._reset_until:
             return Power.RESET
         if self.mode is Mode.FAULT and self.action >= Action.QUICK_STOP:
@@ -86,14 +86,14 @@ class Machine:
         return self._powered
 
     def on(self, event: Event) -> None:
-        """An event of the rig itself; with a fault latched a ramp down has reached its end."""
+        """Take an event of the rig itself; SLACK with a fault latched is the end of a ramp down, and goes to FAULT."""
         self._go(Event.TRIP if event is Event.SLACK and self.fault is not Fault.NONE else event)
 
     def trip(self, trip: Trip, t_ns: int, *, slack: bool = True) -> bool:
-        """Latch the first fault and do what the strongest asks; whether this one changes anything.
+        """Latch the first fault and take the strongest action; returns whether this trip changes anything.
 
-        The drive keeps holding under power if it has it, but for a quick stop or power off. A ramp down needs a tight
-        rope (not ``slack``) in a mode that moves or may move; it is a hold elsewhere, and a hold ends it.
+        A drive under power holds, except after a quick stop or power off. A ramp down needs a tight rope (not
+        ``slack``) in a mode that moves or may move; elsewhere it becomes a hold, and a hold ends it.
         """
         ramps = trip.action is Action.RAMP_DOWN and not slack and self.mode in _MAY_MOVE
         action = trip.action if ramps else max(trip.action, Action.HOLD)
@@ -101,7 +101,7 @@ class Machine:
             return False
         if self.fault is Fault.NONE:
             self.fault = trip.fault
-        if action >= Action.QUICK_STOP > self.action:  # a quick stop under way has its time already
+        if action >= Action.QUICK_STOP > self.action:  # a quick stop under way keeps its deadline
             self._powered = False
             self._cut_at_ns = t_ns + self._cut_after_ns
         self.action = action
@@ -111,13 +111,13 @@ class Machine:
         return True
 
     def command(self, id_: int, verb: Verb, situation: Situation, t_ns: int) -> Refusal | None:
-        """An operator's command; what it is answered at once, None where that comes later (arm waits for the drive)."""
+        """Take an operator's command; returns its refusal, None if the answer comes later (ARM waits for the drive)."""
         self.end_trial(Refusal.ABORTED)
         if self.stopping:
             return self._answer(id_, verb, Refusal.STOPPING)
         if verb in modes.TRIED_IN and self.arming:
             return self._answer(id_, verb, Refusal.WRONG_MODE)
-        if verb in (Verb.DISARM, Verb.HOLD) and self.arming:  # the load stays where it hangs: on the brake
+        if verb in (Verb.DISARM, Verb.HOLD) and self.arming:  # the load stays on the brake
             self._finish_arming(Refusal.ABORTED)
             return self._answer(id_, verb, Refusal.NONE)
         if verb is Verb.ARM and self.arming:
@@ -148,11 +148,11 @@ class Machine:
             self._finish_arming(Refusal.DRIVE_TIMEOUT)
 
     def switch_on(self, t_ns: int) -> None:
-        """What an arm command awaited has come: the drive may have its power."""
+        """The sequence of the accepted ARM is complete: the drive may have its power."""
         self.awaiting, self._arm_until = False, t_ns + ARM_LIMIT_NS
 
     def refuse_arming(self, refusal: Refusal) -> None:
-        """The arm command under way comes to nothing."""
+        """Refuse the ARM under way."""
         self._finish_arming(refusal)
 
     def end_trial(self, refusal: Refusal) -> None:
@@ -162,7 +162,7 @@ class Machine:
             self._trial = None
 
     def stop(self) -> None:
-        """The process is to end: hold the stroke, take no more commands."""
+        """The process ends: hold the stroke and take no more commands."""
         if not self.stopping:
             self.stopping = True
             self.end_trial(Refusal.ABORTED)
@@ -170,7 +170,7 @@ class Machine:
             self._go(Event.STOP if self.fault is Fault.NONE else Event.TRIP)
 
     def power_off(self) -> None:
-        """Let the drive close its brake and go off, whatever the mode (the last act of a stop)."""
+        """Let the drive close its brake and go off, in any mode, as the last act of a stop."""
         self._powered = False
 
     def _accept(self, verb: Verb, event: Event | None, t_ns: int) -> None:

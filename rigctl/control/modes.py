@@ -1,4 +1,4 @@
-"""Operator modes as a transition table, and what an operator may ask in which mode. Pure functions."""
+"""Operator modes as a transition table, and the commands allowed in each mode. Pure functions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Event(IntEnum):
     TRIP = 7
     RESET_HELD = 8  # fault acknowledged, drive still on
     RESET_OFF = 9  # fault acknowledged, drive off
-    STOP = 10  # the process was told to end
+    STOP = 10  # the process is to end
     RAMP_DOWN = 11  # a limit whose action is to ramp the tension down
 
 
@@ -48,23 +48,23 @@ class Verb(IntEnum):
     DISARM = 5
     RESET = 6
     TARGET = 7
-    TARE = 8  # these three measure first and answer when they are over, see rigctl.control.trials
+    TARE = 8  # TARE, CALIBRATE and IDENTIFY measure first and answer at their end, see rigctl.control.trials
     CALIBRATE = 9
     IDENTIFY = 10
-    GAINS = 11  # other gains; they follow as settings, once they have been judged
-    CONFIRM_STROKE = 12  # the stroke was measured and is what the drive says; value: mm
+    GAINS = 11  # the new gains follow as settings, once their margins have been judged
+    CONFIRM_STROKE = 12  # the measured stroke agrees with the drive's position; value: mm
 
 
 class Setting(IntEnum):
-    """What the gateway sets once it is on record; on the same ring as the verbs, but no operator's to give."""
+    """Settings the gateway sends once they are on record; on the ring of the verbs, but not for operators."""
 
     ZERO = 128  # value: N
     SCALE = 129  # value: factor
     OVERDUE = 130  # value: 1 the calibration is overdue, 0 it is not
-    K_TENSION = 131  # these three come in this order, the last puts all in force; see rigctl.control.tension.Gains
+    K_TENSION = 131  # three gains in this order, the last puts all in force; see rigctl.control.tension.Gains
     K_SPEED = 132
     K_INTEGRAL = 133
-    HOST_CHECKS = 134  # value: bits of rigctl.control.checks.HOST_CHECKS that fail; told before every ARM
+    HOST_CHECKS = 134  # value: bits of rigctl.control.checks.HOST_CHECKS that fail; sent before every ARM
 
 
 class Refusal(IntEnum):
@@ -72,9 +72,9 @@ class Refusal(IntEnum):
 
     NONE = 0
     WRONG_MODE = 1
-    PREFLIGHT = 2  # the reply's ``checks`` say which
+    PREFLIGHT = 2  # the reply's ``checks`` name the failures
     OUT_OF_RANGE = 3
-    CAUSE_PRESENT = 4  # the fault's cause is still there
+    CAUSE_PRESENT = 4  # the fault's cause is still present
     ALREADY = 5
     EXPIRED = 6
     UNKNOWN = 7
@@ -82,19 +82,19 @@ class Refusal(IntEnum):
     DRIVE_TIMEOUT = 9  # the drive did not follow
     ABORTED = 10  # a command, a trip or a change of mode came in between
     LOADED = 11  # the rope is not unloaded
-    UNSTEADY = 12  # it moves, or the reading does
+    UNSTEADY = 12  # the stroke moves, or the reading does
     NO_SAMPLES = 13  # the cell gives no good samples
-    SLACK = 14  # there is nothing to be found on a slack rope
+    SLACK = 14  # a slack rope shows nothing to identify
     STRAYED = 15  # tension or stroke left the bounds of the excitation
-    FAULT_LATCHED = 16  # a limit has the tension ramped down; only HOLD stops that
-    STROKE_DIFFERS = 19  # the stroke measured is not what the drive says
+    FAULT_LATCHED = 16  # a limit ramps the tension down; only HOLD stops that
+    STROKE_DIFFERS = 19  # the measured stroke is not the drive's position
     STOP_RUNNING = 21  # the drive is still stopping, or its brake is closing
     BRAKE_SLIPPED = 22  # the brake did not hold the load while the drive was off; value: mm
 
 
 @dataclass(frozen=True)
 class Situation:
-    """What a decision depends on, beside the mode."""
+    """Values that a decision depends on, beside the mode."""
 
     failed_checks: int = 0  # preflight, bits of checks.Check
     cause_present: bool = False  # the latched fault's cause
@@ -105,12 +105,12 @@ class Situation:
     slack: bool = False
     unloaded: bool = False  # the cell reads no more than a tare may take away
     value: float = 0.0  # of the command
-    stroke_mm: float = math.nan  # NaN: the drive does not say it now
+    stroke_mm: float = math.nan  # NaN: unknown now
     target_min_n: float = 0.0
     target_max_n: float = 0.0
 
 
-# -- guards: what must hold for a transition or a command, else the refusal ------------------------------------------
+# -- guards: the refusal of a transition or command whose condition does not hold -----------------------------------
 Guard = Callable[[Situation], Refusal]
 
 
@@ -121,7 +121,7 @@ def preflight_passed(situation: Situation) -> Refusal:
 
 def cause_gone(situation: Situation) -> Refusal:
     """The latched fault's cause is no longer seen, and the stop it began has ended."""
-    # A reset during the stop would also take back the power off that follows if the drive does not obey.
+    # A reset during the stop would also cancel the power off that follows if the drive does not obey.
     if situation.cause_present:
         return Refusal.CAUSE_PRESENT
     return Refusal.STOP_RUNNING if situation.stop_running else Refusal.NONE
@@ -168,7 +168,7 @@ def drive_at_fault(situation: Situation) -> Refusal:
 
 @dataclass(frozen=True)
 class Transition:
-    """Where an event leads, if its guard has nothing against it."""
+    """The mode an event leads to, if its guard allows it."""
 
     after: Mode
     guard: Guard | None = None
@@ -194,11 +194,11 @@ TRANSITIONS: dict[tuple[Mode, Event], Transition] = {
     **{(mode, Event.STOP): Transition(Mode.HOLD, no_fault_latched) for mode in _ALIVE},
     **{(mode, Event.TRIP): Transition(Mode.FAULT) for mode in Mode},
 }
-"""RELEASING with a fault latched is a ramp down: whatever ends it (slack, hold, stop, a trip) ends in FAULT."""
+"""RELEASING with a fault latched is a ramp down, which always ends in FAULT: by slack, hold, stop or a trip."""
 
 
 def next_mode(mode: Mode, event: Event) -> Mode:
-    """Mode after ``event``; an event that means nothing in ``mode`` changes nothing."""
+    """Mode after ``event``; an event without a transition in ``mode`` changes nothing."""
     transition = TRANSITIONS.get((mode, event))
     return mode if transition is None else transition.after
 
@@ -216,12 +216,12 @@ TRIED_IN = {
     Verb.CALIBRATE: (Mode.DISARMED, Mode.HOLD),
     Verb.IDENTIFY: (Mode.HOLD,),
 }
-FILED = frozenset({*TRIED_IN, Verb.GAINS})  # what they come to is put on record before it takes effect
+FILED = frozenset({*TRIED_IN, Verb.GAINS})  # their results are put on record before they take effect
 
 _TRIAL_GUARD: dict[Verb, Guard] = {Verb.TARE: rope_unloaded, Verb.IDENTIFY: rope_as_asked}
 
 WITHOUT_EVENT: dict[tuple[Mode, Verb], Guard | None] = {
-    (Mode.DISARMED, Verb.ARM): preflight_passed,  # the drive first; ENABLED follows
+    (Mode.DISARMED, Verb.ARM): preflight_passed,  # no event yet: ENABLED follows from the drive
     (Mode.DISARMED, Verb.RESET): drive_at_fault,
     **{(mode, Verb.CONFIRM_STROKE): stroke_as_said for mode in (Mode.DISARMED, Mode.FAULT)},
     (Mode.FAULT, Verb.DISARM): None,  # power off, brake closed; the fault stays latched
@@ -242,7 +242,7 @@ _ALREADY = {
 
 
 def decide(mode: Mode, verb: Verb, situation: Situation) -> Decision:
-    """What a command does in a mode. ARM and DISARM without an event are carried out by the drive first."""
+    """What a command does in a mode. ARM and DISARM without an event take effect through the drive first."""
     if (mode, verb) in _ALREADY:
         return Decision(Refusal.ALREADY)
     if (mode, verb) in WITHOUT_EVENT:

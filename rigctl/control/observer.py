@@ -1,4 +1,4 @@
-"""What a tick sees: the newest samples as safety judges them, and as the filters estimate them."""
+"""The snapshot and the estimate of a tick, from the newest samples in the inbox."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from rigctl.ipc.correction import Correction
 
 _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value
-UNLOADED_REJECTS = 3  # with the drive off, a rope that is loaded or let go by hand is believed after so many
-LEAST_COSINE = 0.5  # a rope at 60 deg: nothing beyond it is believed
+UNLOADED_REJECTS = 3  # rejects after which, with the drive off, a rope loaded or let go by hand is believed
+LEAST_COSINE = 0.5  # a rope at 60 deg; larger angles are not believed
 
 
 class Observer:
-    """Reads the inbox; keeps the filters. ``snapshot`` is for safety, ``estimate`` for the law."""
+    """Reads the inbox and runs the filters. ``snapshot`` is for safety, ``estimate`` for the law."""
 
     def __init__(self, settings: RigSettings, inbox: Inbox) -> None:
         self.inbox = inbox
@@ -40,13 +40,13 @@ class Observer:
         self.inclination = InclinationFilter(settings)
         self.tension_n = 0.0  # newest good sample
         self.cosine = 1.0  # of the rope against the vertical
-        self.run_out_mm_s = 0.0  # disturbance speed known from the table
+        self.run_out_mm_s = 0.0  # disturbance speed from the run-out table
         self.rail_age_ns = 0
         self.skipped = self.just_skipped = 0
         self._stretch = Stretch(settings.plant.rope_length_mm, 1.0 / settings.loop.rate_hz)
         self._skips: deque[tuple[int, int]] = deque(maxlen=4096)
-        self._errors: deque[tuple[int, int]] = deque(maxlen=4096)  # when, error frames so far
-        self._errors_before = 0  # those of more than a second ago
+        self._errors: deque[tuple[int, int]] = deque(maxlen=4096)  # time, error frames up to then
+        self._errors_before = 0  # error frames older than a second
         self._window_ns = settings.safety.overrun_window_ms * 1_000_000
         self._slack_n = settings.tension.slack_n
         rail, run_out = settings.rail_encoder, settings.run_out
@@ -64,7 +64,7 @@ class Observer:
         return self.tension_n < self._slack_n
 
     def look(self, now_ns: int, skipped: int) -> None:
-        """Take what the inbox holds as this tick's snapshot; ``skipped`` ticks passed since the last one."""
+        """Make this tick's snapshot from the inbox; ``skipped`` ticks passed since the last one."""
         inbox, snapshot = self.inbox, self.snapshot
         self.just_skipped = skipped
         snapshot.t_ns = now_ns
@@ -110,7 +110,7 @@ class Observer:
         snapshot.sensor_emergency, snapshot.drive_emergency = inbox.sensor_emergency, inbox.drive_emergency
 
     def _look_at_drive_status(self, now_ns: int) -> None:
-        """Current, temperature and E-stop, where the drive is asked for them; what is old is not known."""
+        """Current, temperature and E-stop, where the drive's status is configured; a stale status counts as unknown."""
         if not self._status_stale_ns:
             return
         inbox, snapshot = self.inbox, self.snapshot
@@ -121,7 +121,7 @@ class Observer:
         snapshot.e_stop, snapshot.e_stop_unseen = inbox.e_stop, stale and self._e_stop_fitted
 
     def estimate(self, skipped: int, *, regulated: bool) -> Estimate:
-        """What the filters make of it, predicted to when a command acts; ``regulated``: the run-out table may learn.
+        """The filters' estimate, predicted to when a command acts; ``regulated``: the run-out table may learn.
 
         Raises:
             ArithmeticError: the estimate is not finite; the filter has been reset.
@@ -166,7 +166,7 @@ class Observer:
         return Estimate(tension_n, speed_mm_s, disturbance_mm_s, inbox.stroke_mm)
 
     def correct(self, correction: Correction) -> None:
-        """Read the cell anew; the filter starts again from there, for a step in what is seen is no innovation."""
+        """Apply a correction and restart the filter there: the step it makes in the reading is no innovation."""
         self.inbox.correct(correction)
         if math.isfinite(self.inbox.tension_n):
             self.tension_n = self.inbox.tension_n
@@ -182,7 +182,7 @@ class Observer:
         return total - self._errors_before
 
     def _run_out_speed(self, table: RunOutTable, ticks: int, regulated: bool) -> float:
-        """What the table knows; what the filter finds beside it in the tick before, it learns."""
+        """Disturbance speed from the table, which learns what the filter found beside it in the tick before."""
         inbox = self.inbox
         if inbox.rail_quality or self.rail_age_ns > self.rail_stale_ns:
             table.lose()

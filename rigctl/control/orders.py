@@ -1,4 +1,4 @@
-"""Commands from the ring: an operator's verbs, the trials they begin, and what the gateway sets."""
+"""Commands from the ring: an operator's verbs, the trials they begin, and the gateway's settings."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from rigctl.ipc.correction import Correction, tare_limit_n
 from rigctl.ipc.record import COMMAND_LIFETIME_NS
 
 _VERBS, _SETTINGS = frozenset(map(int, Verb)), frozenset(map(int, Setting))
-LOOK_NS = 500_000_000  # how often what stands against arming is looked at, to be shown; never while it is armed
+LOOK_NS = 500_000_000  # period of the preflight for display while the rig is not armed
 _GAINS = (Setting.K_TENSION, Setting.K_SPEED, Setting.K_INTEGRAL)
 
 
 class Orders:
-    """Carries out what is ordered, and answers. ``trial`` is the one under way."""
+    """Carries out commands and answers them. ``trial`` is the trial under way."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class Orders:
     ) -> None:
         """``supervised``: start-up has verified that the drive stops by itself when we go silent.
 
-        ``readback``: reads it, and all else that start-up has verified, again before the rig arms.
+        ``readback``: reads this, and all else that start-up has verified, again before the rig arms.
         """
         self.trial: trials.Trial | None = None
         self._settings, self._machine, self._observer = settings, machine, observer
@@ -53,20 +53,20 @@ class Orders:
         self._arm: tuple[int, float, int] | None = None  # id, value and time of an ARM that waits for the read-back
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._look_ns = 0
-        self._near_end = False  # the last ARM is to drive away from an end of the stroke
+        self._near_end = False  # the last ARM was given to drive away from an end of the stroke
         self._found = (0.0, 0.0)  # value and spread of the last trial
         self._held_ns = 0  # when the last HOLD from the ring of holds was given
-        self._sequence = arming.Sequence(settings)  # before the drive's power
-        self._gains: list[float] = []  # those of a set that have come
+        self._sequence = arming.Sequence(settings)  # from an accepted ARM to the drive's power
+        self._gains: list[float] = []  # of a set that is not complete yet
 
     def take(self, slot: object, t_ns: int) -> bool:
-        """One slot of the command ring; whether it was an operator's."""
+        """Take one slot of the command ring; returns whether an operator gave it."""
         given_ns, id_, code, value = (slot[name].item() for name in ("t_ns", "id", "verb", "value"))  # type: ignore[index]
         if code not in _VERBS and code not in _SETTINGS:
             self._reply(t_ns, id_, Refusal.UNKNOWN)
         elif abs(t_ns - given_ns) > COMMAND_LIFETIME_NS:
             self._reply(t_ns, id_, Refusal.EXPIRED)
-        elif code in _VERBS and given_ns < self._held_ns:  # a command that waited must not undo the later HOLD
+        elif code in _VERBS and given_ns < self._held_ns:  # an older command that waited must not undo a HOLD
             self._reply(t_ns, id_, Refusal.ABORTED)
         elif code in _SETTINGS:
             refusal = self._set(Setting(code), value, t_ns)
@@ -76,7 +76,7 @@ class Orders:
         return code in _VERBS
 
     def take_hold(self, slot: object, t_ns: int) -> None:
-        """One slot of the ring of holds: HOLD, whoever gives it."""
+        """Take one slot of the ring of holds: a HOLD, which anyone may give."""
         names = ("t_ns", "id", "uid", "pid", "operator")
         given_ns, id_, uid, pid, operator = (slot[name].item() for name in names)  # type: ignore[index]
         self._logbook.event(t_ns, Kind.LOCAL_HOLD, uid, pid, text=operator[:80])
@@ -87,7 +87,7 @@ class Orders:
             self._obey(id_, Verb.HOLD, 0.0, t_ns)
 
     def attend(self, t_ns: int) -> None:
-        """Show the trial this tick; its answer is due when it is over, or when something has put an end to it."""
+        """Go on with a waiting ARM, the preflight for display, and the trial, which is answered once it has ended."""
         machine = self._machine
         if self._arm is not None:
             self._go_on_arming(self._arm, t_ns)
@@ -107,7 +107,7 @@ class Orders:
         self.trial = None
 
     def prepare(self, t_ns: int) -> None:
-        """Go on with what an accepted ARM awaits; the preflight must hold to the end of it."""
+        """Go on with the sequence of an accepted ARM; the preflight must pass to its end."""
         machine, snapshot, sequence = self._machine, self._observer.snapshot, self._sequence
         if not machine.awaiting:
             return
@@ -126,7 +126,7 @@ class Orders:
                 self._logbook.event(t_ns, Kind.BRAKE_TEST, held, 0, sequence.moved_mm, number(sequence.tension_n))
 
     def answer(self, t_ns: int) -> None:
-        """Send the answers the machine has ready."""
+        """Reply to the commands that the machine has answered."""
         machine = self._machine
         if not machine.answers:
             return
@@ -134,7 +134,7 @@ class Orders:
             checks, value, spread = 0, number(self._observer.tension_n), 0.0
             if given.refusal is Refusal.PREFLIGHT:
                 failing = self.failed_checks(near_end=self._near_end)
-                checks = int(failing & ~arming.AWAITED_CHECKS or failing)  # what passes by itself only if nothing else
+                checks = int(failing & ~arming.AWAITED_CHECKS or failing)  # name AWAITED_CHECKS only if alone
             elif given.refusal is Refusal.BRAKE_SLIPPED:
                 value = number(self._sequence.moved_mm)
             elif given.refusal is Refusal.STOP_RUNNING:
@@ -154,12 +154,12 @@ class Orders:
         machine.answers.clear()
 
     def correct(self, correction: Correction, t_ns: int) -> None:
-        """Zero and scale of the cell from now on."""
+        """Put zero and scale of the cell in force."""
         self._observer.correct(correction)
         self._logbook.event(t_ns, Kind.CORRECTION, value=correction.zero_n, limit=correction.scale)
 
     def failed_checks(self, *, near_end: bool = False) -> Check:
-        """What stands against arming now; ``near_end``: see `rigctl.control.safety.preflight`."""
+        """Checks that bar arming now; ``near_end``: see `rigctl.control.safety.preflight`."""
         verified = self._verified_at_start and not self._readback.lost
         snapshot = self._observer.snapshot
         beyond = self._watch.beyond(snapshot, Mode.HOLD)
@@ -199,7 +199,7 @@ class Orders:
         self._carry_out(id_, verb, value, t_ns)
 
     def _go_on_arming(self, waiting: tuple[int, float, int], t_ns: int) -> None:
-        """Arm once everything is read back, or refuse; what else has changed meanwhile is judged anew."""
+        """Arm once everything is read back, or refuse; the other checks are evaluated again."""
         id_, value, since_ns = waiting
         verdict = self._readback.verdict(t_ns)
         if verdict is None and self._machine.mode is Mode.DISARMED and not self._machine.stopping:
@@ -233,7 +233,7 @@ class Orders:
         )
         fault, was_arming = machine.fault, machine.arming
         done = machine.command(id_, verb, situation, t_ns) is Refusal.NONE
-        if machine.arming and not was_arming:  # what is shown while armed is what was found then
+        if machine.arming and not was_arming:  # while armed, the checks shown are those of the moment of arming
             observer.snapshot.failed_checks = situation.failed_checks
             machine.awaiting = True
             self._sequence.begin(t_ns)
@@ -249,7 +249,7 @@ class Orders:
             self._logbook.stroke(t_ns, self._homed.confirm(observer.snapshot.stroke_mm))
 
     def _set(self, setting: Setting, value: float, t_ns: int) -> Refusal:
-        """What is on record takes effect: within its bounds, and what changes the reading only at standstill."""
+        """Put a setting in force, within its bounds; one that changes the cell's reading only in DISARMED or HOLD."""
         if setting is Setting.OVERDUE:
             self._observer.snapshot.calibration_overdue = value != 0.0
             return Refusal.NONE
@@ -270,7 +270,7 @@ class Orders:
         return Refusal.NONE
 
     def _take_host_checks(self, value: float) -> Refusal:
-        """Bits of the checks that fail among those the loop cannot make itself."""
+        """Take the failing bits of the checks that the loop cannot make itself."""
         known = value >= 0.0 and value.is_integer() and not int(value) & ~int(HOST_CHECKS)
         snapshot = self._observer.snapshot
         snapshot.host_checks = int(value) if known else int(Check.HOST)
@@ -278,7 +278,7 @@ class Orders:
         return Refusal.NONE if known else Refusal.OUT_OF_RANGE
 
     def _set_gain(self, setting: Setting, value: float, t_ns: int) -> Refusal:
-        """Gains come one by one, in their order; the last puts the set in force, in any mode, without a bump."""
+        """Gains come one by one, in their order; the last puts the whole set in force, in any mode, bumpless."""
         place = _GAINS.index(setting)
         if not math.isfinite(value) or value < 0.0 or place > len(self._gains):
             self._gains.clear()

@@ -1,4 +1,4 @@
-"""What the loop sends: command, SYNC, heartbeat, SDO request, in that order, never waiting for the bus."""
+"""Sends command, SYNC, heartbeat and SDO request, in that order, without waiting for the bus."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from rigctl.ipc.ring import RingWriter
 
 
 class Outbox:
-    """Sends and counts; a frame the bus does not take is a missed send, not an error of the tick."""
+    """Sends and counts; a frame the bus refuses is counted and is no error of the tick."""
 
     def __init__(
         self, bus: can.BusABC, settings: RigSettings, frames: RingWriter, process_data: ProcessData | None = None
     ) -> None:
-        """``frames``: where every frame the bus has taken is kept. ``process_data``: see `rigctl.control.inbox`."""
+        """``frames``: ring for every frame the bus has taken. ``process_data``: see `rigctl.control.inbox`."""
         self._bus, self._frames = bus, frames
         data = process_data or wanted(settings)
         self._command_id = data.can_ids(settings)[COMMAND]
@@ -46,7 +46,7 @@ class Outbox:
             self._send(self._heartbeat_id, self._operational)
 
     def ask(self, node: int, request: bytes) -> None:
-        """An SDO request, after `command`: what is cyclic goes first."""
+        """Send an SDO request; after `command`, because cyclic frames go first."""
         self._send(od.SDO_RX_BASE + node, request)
 
     def _send(self, can_id: int, data: bytes) -> int:

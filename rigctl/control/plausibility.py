@@ -1,6 +1,6 @@
-"""What no single signal shows: does the stroke do as commanded, and the tension as the stroke says?
+"""Comparisons that no single signal shows: stroke against command, and tension against stroke.
 
-Each figure is fed every tick and forgets over a time constant, so that what is small and steady does not add up.
+Each figure is updated every tick and decays over a time constant, so that small steady errors do not add up.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ STROKE_MEMORY_S = 1.0
 CONTRADICTION_MEMORY_S = 0.2
 STRETCH_MEMORY_S = 2.0
 UNREST_S = 0.1
-LARGEST_STEP_NOISES = 150.0  # beyond this, and 1 mm of stretch, a step counts as no larger
+LARGEST_STEP_NOISES = 150.0  # and 1 mm of stretch; a larger step counts as this sum
 RATE_S = 0.005
 _AT_REST = frozenset({Mode.HOLD, Mode.FAULT})
-LATCH_TICKS = 1  # what the drive latches in a tick is read in the next
+LATCH_TICKS = 1  # a value latched by the drive in one tick is read in the next
 
 
 class Plausibility:
@@ -27,9 +27,9 @@ class Plausibility:
 
     ``speed_error_mm_s``: drive's speed against the model of the drive (lag and delay of the plant) under the commands
     sent. ``stroke_error_mm``: the same, of the position. ``contradiction_mm``: position against the speed reported
-    beside it. ``unexplained_mm``: stretch that the tension says and the stroke does not. ``cell_repeats``: how often in
-    a row the cell has sent the very same value. ``cell_unrest_n``: mean step from sample to sample over 100 ms,
-    of which one alone counts little. ``tension_rate_n_s``: low-passed by 5 ms.
+    beside it. ``unexplained_mm``: stretch by the tension that the stroke does not explain. ``cell_repeats``: samples in
+    a row with the very same value. ``cell_unrest_n``: mean step from sample to sample over 100 ms, in which a single
+    step counts little. ``tension_rate_n_s``: low-passed by 5 ms.
     """
 
     def __init__(self, settings: RigSettings) -> None:
@@ -47,15 +47,15 @@ class Plausibility:
         self._largest_n = LARGEST_STEP_NOISES * settings.tension_cell.noise_n + plant.stiffness_n_mm
         self._unrest_share = dt / UNREST_S
         self._mode = Mode.DISARMED
-        self._unheard, self._modelled_mm = 0, 0.0  # ticks since the drive's newest word, and the model's way in them
+        self._unheard, self._modelled_mm = 0, 0.0  # ticks since the drive's newest sample; modelled distance in them
 
     def look(
         self, inbox: Inbox, snapshot: Snapshot, command_mm_s: float, *, ticks: int, slack: bool, mode: Mode
     ) -> None:
-        """One tick, ``ticks`` after the last; ``command_mm_s`` is what was sent in the last one, ``mode`` that it left.
+        """One tick, ``ticks`` after the last; ``command_mm_s`` was sent in the last one, ``mode`` is the mode after it.
 
-        Stretch that a mode in motion tolerates is forgotten once the stroke is held, whatever ended the motion, an
-        exception in the loop too: the limit at rest is far lower. What stood before a reset is acknowledged with it.
+        Stretch tolerated in motion is cleared once the stroke is held, even after an exception in the loop: the limit
+        at rest is far lower. A reset acknowledges the stretch from before it.
         """
         if mode is not self._mode:
             if mode in _AT_REST or self._mode is Mode.FAULT:
@@ -82,7 +82,7 @@ class Plausibility:
         self._look_at_stretch(inbox, snapshot, moved_mm, slack)
 
     def _model(self, command_mm_s: float, ticks: int) -> float:
-        """Let the modelled drive go on; how far it moves, in mm."""
+        """Advance the modelled drive; returns its distance in mm."""
         sent, travel_mm = self._sent, 0.0
         delays = min(ticks, len(sent))
         for _ in range(delays):
@@ -90,7 +90,7 @@ class Plausibility:
             self._at = (self._at + 1) % len(sent)
             self._model_mm_s += (delayed - self._model_mm_s) * self._share
             travel_mm += self._model_mm_s * self._dt
-        if rest := ticks - delays:  # under one and the same command, at once however long the loop was stopped
+        if rest := ticks - delays:  # all under the last command, in one step however long the loop was stopped
             left_mm_s, keep = self._model_mm_s - command_mm_s, (1.0 - self._share) ** rest
             self._model_mm_s = command_mm_s + left_mm_s * keep
             travel_mm += (rest * command_mm_s + left_mm_s * (1.0 - keep) * (1.0 - self._share) / self._share) * self._dt
@@ -110,7 +110,7 @@ class Plausibility:
     def _look_at_stretch(self, inbox: Inbox, snapshot: Snapshot, moved_mm: float, slack: bool) -> None:
         if not snapshot.drive_enabled or not math.isfinite(self._tension_n):
             snapshot.unexplained_mm = 0.0
-        else:  # a slack rope takes up stroke without a word, but does not lose tension either
+        else:  # a slack rope takes up stroke without a change of tension, but does not lose tension either
             gained_mm = (inbox.tension_n - self._tension_n) / self._stiffness if inbox.cell_fresh else 0.0
             explained_mm = 0.0 if slack else moved_mm
             snapshot.unexplained_mm = self._stretch_keep * snapshot.unexplained_mm + gained_mm - explained_mm

@@ -1,6 +1,6 @@
-"""What safety hangs on in the devices, read back by SDO: all of it before arming, object by object while armed.
+"""Read-back by SDO of the device settings that safety needs: all before arming, one by one while armed.
 
-One request at most is under way, and one is sent every `sdo.every_ticks`: the bus load is bounded. Bytes in, bytes out.
+At most one request is under way, one per `sdo.every_ticks`, so the bus load is bounded. Bytes in, bytes out.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from rigctl.config.settings import RigSettings
 from rigctl.devices import sdo
 from rigctl.devices.sdo import Watched
 
-TRIES = 3  # requests without an answer before a device is said to have none
-LIMIT_NS = 15_000_000_000  # for all of it, before arming: 75 objects of a device that takes 200 ms for each
-FOREIGN_AFTER_NS = 1_000_000_000  # before that an answer may be one that start-up did not wait for
+TRIES = 3  # requests without an answer before a device counts as silent
+LIMIT_NS = 15_000_000_000  # for all objects before arming: 75 of them at 200 ms each
+FOREIGN_AFTER_NS = 1_000_000_000  # until then an answer may still be to start-up's last requests
 
 
 @dataclass(frozen=True)
 class Lost:
-    """An object that is not as start-up left it: ``found`` is None where the device gave no value, ``why`` says why."""
+    """An object that differs from start-up; ``found`` is None where the device gave no value, ``why`` is the reason."""
 
     item: Watched
     found: int | None
@@ -39,21 +39,21 @@ class Lost:
 
 
 class Readback:
-    """An SDO client that waits for nothing. ``lost``: objects that were not as wanted when they were last read."""
+    """An SDO client that never blocks. ``lost``: objects whose last reading was not the wanted value."""
 
     def __init__(self, table: Sequence[Watched], settings: RigSettings, started_ns: int) -> None:
         """``table``: from start-up, the most important first. ``started_ns``: when the loop began."""
         self._foreign_ns = started_ns + FOREIGN_AFTER_NS
         self._table = tuple(table)
         self._every, self._left = sdo.every_ticks(settings), 0
-        self._place = 0  # of the next object
+        self._place = 0  # index of the next object
         self._asked: Watched | None = None
         self._asked_ns = self._tries = 0
-        self._recent: dict[int, tuple[tuple[int, int], tuple[int, int]]] = {}  # last two objects asked for, by node
-        self._all_since_ns = 0  # 0: nothing waits for all of it
+        self._recent: dict[int, tuple[tuple[int, int], tuple[int, int]]] = {}  # last two objects requested, by node
+        self._all_since_ns = 0  # 0: no ARM waits
         self._unread = 0
         self.lost: dict[Watched, Lost] = {}
-        self.newest: Lost | None = None  # since last taken
+        self.newest: Lost | None = None  # since the last read
         self.read = 0  # objects read so far
 
     @property
@@ -68,7 +68,7 @@ class Readback:
 
     @property
     def disobeys(self) -> bool:
-        """The drive was found not to do as it is commanded."""
+        """A setting is lost without which the drive does not do as commanded."""
         return any(item.obeys and lost.found is not None for item, lost in self.lost.items())
 
     @property
@@ -83,11 +83,11 @@ class Readback:
         self._asked, self._left = None, 0
 
     def give_up(self) -> None:
-        """Nobody waits for all of it any more."""
+        """No ARM waits any more."""
         self._unread = self._all_since_ns = 0
 
     def verdict(self, t_ns: int) -> bool | None:
-        """Whether every object is as wanted; None while they are being read. A device that is silent ends it."""
+        """Whether every object is as wanted; None while they are being read. A silent device makes it False."""
         silent = any(lost.found is None for lost in self.lost.values())
         if self._unread and not silent and t_ns - self._all_since_ns < LIMIT_NS:
             return None
@@ -97,9 +97,9 @@ class Readback:
         return not self.lost
 
     def request(self, t_ns: int, *, armed: bool) -> tuple[int, bytes] | None:
-        """What to send now: node and data; None for nothing. Disarmed, only what `begin_all` has asked for is read.
+        """Request to send now, as node and data, or None. A DISARMED rig reads only after `begin_all`.
 
-        A technician's tool uses the same SDO channel of a device, so a rig that is DISARMED leaves it alone.
+        A technician's tool uses the same SDO channel of a device, so a DISARMED rig leaves it free.
         """
         self._left = max(0, self._left - 1)
         if not (self._table and (armed or self._unread)):
@@ -118,7 +118,7 @@ class Readback:
         return self._ask(t_ns)
 
     def take(self, node: int, data: bytes | bytearray, t_ns: int) -> bool:
-        """An SDO answer of a device; whether it is one to us. A copy of an answer, or a late one, is."""
+        """Take an SDO answer; returns whether it is to one of our requests. A late or repeated answer is."""
         where = sdo.answered(data)
         if where is None or where not in self._recent.get(node, ()):
             return t_ns < self._foreign_ns
@@ -139,14 +139,14 @@ class Readback:
         return True
 
     def forget(self) -> None:
-        """What was found lost is acknowledged; whoever does so reads everything again before it matters."""
+        """Acknowledge lost settings; ARM reads every object again."""
         self.lost.clear()
 
     def suspect(self, node: int, where: tuple[int, int] | None) -> None:
-        """Somebody else has asked a device for this object: it is read next."""
+        """Another master has accessed this object: read it next."""
         for i, item in enumerate(self._table):
             if not self._unread and (item.node, item.index, item.sub) == (node, *(where or ())):
-                self._place = i - (self._asked is not None)  # the answer that is awaited takes it one further
+                self._place = i - (self._asked is not None)  # the answer under way will move it by one
 
     def _ask(self, t_ns: int) -> tuple[int, bytes]:
         if self._asked is None:
@@ -168,5 +168,5 @@ class Readback:
         known, lost = self.lost.get(item), Lost(item, found, why)
         told = any(other.found is None and other.item.node == item.node for other in self.lost.values())
         self.lost[item] = lost
-        if lost != known and not (found is None and told):  # a device that is silent is told of once
+        if lost != known and not (found is None and told):  # a silent device is reported once
             self.newest = lost

@@ -1,7 +1,7 @@
-"""Asking the operating system for real time, and reading back what it gave.
+"""Real-time settings of the operating system, each read back.
 
-Each setting is optional: one that is refused leaves a warning that says what was asked, what is in force and what
-would help, and the process runs on without it.
+Each setting is optional: a refused one leaves a warning with the setting wanted, the one in force and the remedy, and
+the process runs on without it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 @dataclass(frozen=True)
 class Applied:
-    """One setting: what was asked, what is in force, and a warning if they differ."""
+    """One setting: the wanted value, the value in force, and a warning if they differ."""
 
     name: str
     asked: str
@@ -32,7 +32,7 @@ class Applied:
 
 
 def apply(loop: LoopSettings) -> list[Applied]:
-    """Apply every setting the rig file asks for to this process; each is read back."""
+    """Apply the rig file's settings to this process; each is read back."""
     steps: list[Callable[[], Applied]] = [_timer_slack]
     if loop.lock_memory:
         steps.append(_lock_memory)
@@ -44,13 +44,13 @@ def apply(loop: LoopSettings) -> list[Applied]:
 
 
 def leave() -> None:
-    """Back to an ordinary process: what is left to do has no deadline, and nobody's loop shall wait for it."""
+    """Return to ordinary scheduling: the rest has no deadline and must not delay another loop."""
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def freeze_garbage_collector() -> Applied:
-    """Collect once, move what is left out of the collector's snapshot, and switch it off: no tick pays for it."""
+    """Collect once, freeze the remaining objects and switch the collector off, so that no tick pays for it."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -59,10 +59,10 @@ def freeze_garbage_collector() -> Applied:
 
 
 def die_with_parent(signal_number: int) -> None:
-    """Have the kernel send this process ``signal_number`` when its parent ends, however it ends."""
+    """Have the kernel send this process ``signal_number`` when its parent ends for any reason."""
     parent = os.getppid()
     _libc.prctl(_PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
-    if os.getppid() != parent:  # it ended in between
+    if os.getppid() != parent:  # the parent ended before this call
         raise SystemExit(0)
 
 

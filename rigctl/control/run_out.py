@@ -1,16 +1,16 @@
-"""Run-out of the rail against its angle: learnt from the moves themselves, and fed forward in those that follow.
+"""Run-out of the rail against its angle: learnt during moves and fed forward in the next ones.
 
 A rail that is not level, or whose shaft is not plumb, lifts the upper point by a height h that depends on its angle
-only, so that h' (mm per rad) times the rail's rate is a disturbance speed that can be known before the cell feels it.
-The table holds h' per bin of angle. What the Kalman filter still finds as disturbance w beside it is what the table
-lacks, and once a bin has been passed out and back a share of that is added (iterative learning):
+only, so h' (mm per rad) times the rail's rate is a disturbance speed known before the cell measures it. The table
+holds h' per bin of angle. The disturbance w that the Kalman filter still finds is the error of the table; a share of
+it is added once a bin has been passed out and back (iterative learning):
 
     h'_i <- KEPT h'_i + learning_rate / 2 * (out + back),   out, back = sum(w r) / sum(r^2) of the samples on that way
 
 with r the rail's rate, over bin i and its neighbours at half weight. Only the mean of both ways is run-out: a rail
-that jerks after the mechanism also lets the rope down by R tan(lag) per rad, whichever way it goes, and what changes
-sign with the way cancels. A pass is a way without reversal or stop; the table stands still during it, so that learning
-never meets its own effect on w. It is memory only: after a start of the daemon it is empty.
+that lags the mechanism also lets the rope down by R tan(lag) per rad in both directions, and terms that change sign
+with the direction cancel. A pass is a motion without reversal or stop; the table is constant during it, so that
+learning never sees its own effect on w. The table is in memory only and is empty after a start of the daemon.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ import math
 from rigctl.config.settings import RailEncoderSettings, RigSettings, RunOutSettings
 
 RATE_S = 0.005
-"""Low-pass of the rail's rate. The rail goes in jerks; a count of 2^20 in a turn at 1 kHz is 6 mrad/s by itself."""
+"""Low-pass of the rail's rate: the rail moves in jerks, and one count of 2^20 per turn at 1 kHz is 6 mrad/s."""
 FASTEST_RAD_S = math.radians(10.0)
-"""No mechanism of ours turns faster (``demo.speed_deg_s``); a rail that slips may, for a moment."""
+"""No mechanism of ours turns faster (``demo.speed_deg_s``); a slipping rail may for a moment."""
 JUMP_RAD_S = math.radians(60.0)
-"""A rate beyond this is none, but a jump of the encoder."""
+"""A higher rate is a jump of the encoder."""
 STOPPED_S = 0.5
-"""A rail slower than ``min_speed_deg_s`` for longer has ended its pass; for less, it only sticks."""
+"""A rail slower than ``min_speed_deg_s`` for longer than this has ended its pass; until then it only sticks."""
 KEPT = 0.9
-"""Of a slope, each time it is learnt anew: what w does not confirm goes, so that neither noise nor bias piles up."""
+"""Share of a slope kept at each learning: the rest decays unless w confirms it, so noise and bias do not add up."""
 BINS_PER_TICK = 8
-"""Learnt per tick after a pass, so that no tick is long: 16 us."""
+"""Bins learnt per tick after a pass, which takes 16 us."""
 _LOST_SAMPLES = 3
 
 
 def stale_ns(rail: RailEncoderSettings) -> int:
-    """Oldest angle that is used: two samples may be missing, the third may not."""
+    """Oldest angle in use, in ns: two samples in a row may be missing."""
     return _LOST_SAMPLES * 1_000_000_000 // rail.rate_hz
 
 
 class _Way:
-    """What was seen of the bins in one direction since they were last learnt."""
+    """Sums of the bins in one direction since they were last learnt."""
 
     __slots__ = ("products", "squares")
 
@@ -49,13 +49,13 @@ class _Way:
         self.squares = [0.0] * (bins + 2)  # sum of r^2
 
     def slope(self, i: int) -> float:
-        """Disturbance per rail rate about bin i, mm/rad, its neighbours at half weight."""
+        """Disturbance per rail rate about bin i in mm/rad, with its neighbours at half weight."""
         products, squares = self.products, self.squares
         square = squares[i] + 0.5 * (squares[i - 1] + squares[i + 1])
         return (products[i] + 0.5 * (products[i - 1] + products[i + 1])) / square
 
     def clear(self) -> None:
-        """Forget it."""
+        """Clear the sums."""
         for i in range(len(self.products)):
             self.products[i] = self.squares[i] = 0.0
 
@@ -67,7 +67,7 @@ class RunOutTable:
 
     Args:
         settings: the section `run_out`.
-        rig: whose loop rate and speed limit count.
+        rig: for loop rate and speed limit.
     """
 
     def __init__(self, settings: RunOutSettings, rig: RigSettings) -> None:
@@ -80,36 +80,36 @@ class RunOutTable:
         self._stopped_ticks = round(STOPPED_S * rig.loop.rate_hz)
         self._speed_max = rig.tension.speed_max_mm_s
         self.slope_max_mm_rad = self._speed_max / FASTEST_RAD_S
-        """Bound of every slope: at ``FASTEST_RAD_S`` it asks for the law's whole speed."""
+        """Bound of every slope: at ``FASTEST_RAD_S`` it takes the law's whole speed."""
         self.slopes_mm_rad = [0.0] * (bins + 2)
-        """h' at the bins' centres; the first and the last, outside the range, stay 0 so that it fades out there."""
+        """h' at the bins' centres; the first and the last are outside the range and stay 0, so that h' fades out."""
         self._next = 0  # bin to be learnt next, 0: none
-        self._learnt: list[int] = []  # bins learnt of whose sums are to be cleared
+        self._learnt: list[int] = []  # bins learnt whose sums have yet to be cleared
         self._ways = _Way(bins), _Way(bins)  # out (rate positive) and back
-        self._place = -1.0  # in bins, 1.0 is the first one's centre; below 0: outside
-        self._slow_rad: float | None = None  # the angle, low-passed; None: none known
+        self._place = -1.0  # in bins; 1.0 is the centre of the first bin, below 0 is outside
+        self._slow_rad: float | None = None  # angle, low-passed; None: unknown
         self._ticks = 0  # since the last sample
         self._direction = 0.0  # of the pass under way, 0: none
-        self._still = 0  # ticks slower than the slowest
-        self._slow_rad_s = 0.0  # the rate, low-passed once more
-        self._slow_mm_s = 0.0  # the disturbance found, low-passed as the rate is: what is compared lags alike
+        self._still = 0  # ticks below ``min_speed_deg_s``
+        self._slow_rad_s = 0.0  # rate, low-passed once more
+        self._slow_mm_s = 0.0  # disturbance, low-passed with the same lag as the rate
         self._blend = self._dt / (self._dt + RATE_S)
         self._ahead_s = rig.plant.command_delay_s + rig.plant.cylinder_lag_s
         self._lead_s = self._ahead_s + RATE_S
         self.rate_rad_s = self.acceleration_rad_s2 = 0.0
         self.speed_mm_s = 0.0
-        """Disturbance speed by the table, mm/s, positive stretches the rope."""
+        """Disturbance speed by the table, mm/s; positive stretches the rope."""
         self.lead_mm_s = 0.0
-        """What is to come on top of it by the time the cylinder follows a command given now, mm/s."""
+        """Change of ``speed_mm_s`` by the time the cylinder follows a command given now, mm/s."""
 
     def follow(self, angle_rad: float, ticks: int, *, fresh: bool) -> None:
-        """``ticks`` periods on; ``angle_rad`` is a new sample, or between two samples the one before."""
+        """Advance ``ticks`` periods; ``angle_rad`` is the newest sample, ``fresh`` if it came in this tick."""
         self._ticks += ticks
         if fresh:
             self._sample(angle_rad)
         rate, place = self.rate_rad_s, self._place
         acceleration = self.acceleration_rad_s2
-        speed = self._slope(place) * (rate + RATE_S * acceleration)  # the low-pass' lag made good
+        speed = self._slope(place) * (rate + RATE_S * acceleration)  # compensates the low-pass' lag
         then = self._slope(place + rate * self._ahead_s / self._width)
         ahead = then * (rate + self._lead_s * acceleration)
         most = self._speed_max
@@ -131,7 +131,7 @@ class RunOutTable:
         if slow is None:
             self._slow_rad, self.rate_rad_s, self._slow_rad_s, self.acceleration_rad_s2 = angle_rad, 0.0, 0.0, 0.0
         else:
-            # The low-pass' own input less its output: the encoder may have gone through the end of its turn between.
+            # Derivative by the low-pass: input less output, modulo a turn because the encoder may have wrapped.
             rate = math.remainder(angle_rad - slow, math.tau) / (elapsed_s + RATE_S)
             if abs(rate) > JUMP_RAD_S:
                 self.lose()
@@ -144,7 +144,7 @@ class RunOutTable:
         self._place = place if place < self._bins + 1 else -1.0
 
     def lose(self) -> None:
-        """The angle is not known: nothing is fed forward, and nothing learnt of the pass it is lost in."""
+        """The angle is unknown: feed forward nothing, and learn nothing from this pass."""
         if self._slow_rad is not None:
             self._slow_rad, self._place = None, -1.0
             self.rate_rad_s = self.speed_mm_s = self.lead_mm_s = 0.0
@@ -152,7 +152,7 @@ class RunOutTable:
             self.forget_pass()
 
     def learn(self, disturbance_mm_s: float) -> None:
-        """Take in the disturbance speed found beside the table's; while COMPENSATING only."""
+        """Take the disturbance speed found beside the table's; call it in COMPENSATING only."""
         rate = self.rate_rad_s
         self._slow_mm_s += self._blend * (disturbance_mm_s - self._slow_mm_s)
         if self._next or self._learnt:
@@ -174,7 +174,7 @@ class RunOutTable:
             way.squares[i] += rate * rate
 
     def forget_pass(self) -> None:
-        """Nothing is learnt of the pass under way: it did not end under control."""
+        """Discard the pass under way: it did not end under control."""
         if self._direction:
             self._direction = 0.0
             for way in self._ways:
@@ -186,7 +186,7 @@ class RunOutTable:
             self._next = 1
 
     def _fold(self) -> None:
-        """Where both ways have been seen, add a share of what was found beside the table; some bins at a time."""
+        """Learn the bins passed both out and back, `BINS_PER_TICK` at a time."""
         out, back = self._ways
         if not self._next:
             for i in self._learnt[-BINS_PER_TICK:]:

@@ -1,7 +1,7 @@
-"""The safety table: what is watched, when, for how long, and what is done about it.
+"""The safety table: the value each row watches, the modes it watches in, its limit, persistence and action.
 
-Evaluated every tick on values the tick already has; a row trips once its condition has held for its persistence. The
-built-in rows cannot be configured away; the rig file's ``limits`` come after them, see `rigctl.control.limits`.
+The table is evaluated every tick on the snapshot; a row trips once its condition has held for its persistence. The
+built-in rows cannot be configured away; the rig file's ``limits`` follow them, see `rigctl.control.limits`.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from rigctl.ipc.correction import tare_limit_n
 
 
 class Action(IntEnum):
-    """What a row asks for, the weakest first. All but LOG latch a fault."""
+    """Reaction of a row, the weakest first. All but LOG latch a fault."""
 
-    LOG = 0  # say so
+    LOG = 0  # write an event
     RAMP_DOWN = 1  # lower the tension on its ramp until the rope is slack, then hold
     HOLD = 2  # hold the stroke under power
     QUICK_STOP = 3  # the drive stops on its own ramp, then power off with the brake closed
-    POWER_OFF = 4  # the same, and the brake closes in any case once the drive has had its time to stop
+    POWER_OFF = 4  # the same, but power is cut and the brake closes even if the drive has not stopped in its time
 
 
 class EStop(IntFlag):
-    """Where the emergency stop is seen pressed; the value of its trip."""
+    """Inputs on which the emergency stop reads as pressed; the value of its trip."""
 
     DRIVE = 1
     IO_NODE = 2
@@ -44,7 +44,7 @@ class Snapshot:
 
     t_ns: int = 0
     tension_n: float = math.nan
-    reading_n: float = math.nan  # the same before zero and scale
+    reading_n: float = math.nan  # tension before zero and scale are applied
     cell_age_ns: int = 1 << 62
     cell_quality: int = 0
     inclination_age_ns: int = 1 << 62
@@ -57,26 +57,26 @@ class Snapshot:
     drive_age_ns: int = 1 << 62
     drive_enabled: bool = False
     drive_off: bool = False  # no power, brake closed or closing
-    off_ns: int = 0  # for how long the drive has reported a state without power
-    still_ns: int = 0  # for how long the stroke has stood still, see rigctl.control.arming
-    brake_slip_known: bool = False  # acknowledged: whoever arms now has the motor carry the load
+    off_ns: int = 0  # time since the drive began to report a state without power
+    still_ns: int = 0  # time the stroke has stood still, see rigctl.control.arming
+    brake_slip_known: bool = False  # the slip is acknowledged: arming may put the load on the motor
     drive_faulted: bool = False
     drive_warning: bool = False
-    drive_local: bool = False  # statusword bit 9 is off: it does not take our commands
-    drive_limited: bool = False  # bit 11
-    drive_ignores: bool = False  # enabled, and bit 12 is off: it does not follow the target velocity
+    drive_local: bool = False  # statusword bit 9 is off: the drive takes no commands from the bus
+    drive_limited: bool = False  # statusword bit 11: a limit inside the drive is active
+    drive_ignores: bool = False  # enabled, but bit 12 is off: the drive does not follow the target velocity
     drive_powered: bool = False  # neither off nor in its fault state
-    drive_unasked: bool = False  # enabled again since it was off, and we have not asked for it
-    drive_lingers: bool = False  # enabled, and we have asked it to go off
-    heartbeats_t_ns: dict[int, int] = field(default_factory=dict)  # when each node's newest came
-    node_states: dict[int, int] = field(default_factory=dict)  # NMT state it told
+    drive_unasked: bool = False  # enabled again after it was off, without our command
+    drive_lingers: bool = False  # still enabled although it is commanded to go off
+    heartbeats_t_ns: dict[int, int] = field(default_factory=dict)  # time of each node's newest heartbeat
+    node_states: dict[int, int] = field(default_factory=dict)  # NMT state each node reported last
     drive_temperature_c: float = math.nan
     drive_current_a: float = math.nan
-    e_stop: int = 0  # where it is seen pressed, bits of EStop
-    e_stop_unseen: bool = False  # the drive has one, and what it says is not known
-    io_age_ns: int = 1 << 62  # since the I/O node's inputs came, where one is fitted
-    status_age_ns: int = 1 << 62  # since the drive's current, temperature and inputs came, where they are asked for
-    rail_age_ns: int = 1 << 62  # since the rail encoder's angle came, where one is fitted
+    e_stop: int = 0  # inputs that read as pressed, bits of EStop
+    e_stop_unseen: bool = False  # the drive has the input, but its state is stale
+    io_age_ns: int = 1 << 62  # of the I/O node's inputs, where one is fitted
+    status_age_ns: int = 1 << 62  # of the drive's current, temperature and inputs, where configured
+    rail_age_ns: int = 1 << 62  # of the rail encoder's angle, where one is fitted
     bus_age_ns: int = 1 << 62
     error_frames: int = 0  # in the last second
     skipped_in_window: int = 0
@@ -87,13 +87,13 @@ class Snapshot:
     rope_lost: bool = False
     device_restarted: bool = False
     rival_age_ns: int = 1 << 62  # since another controller was heard
-    rival_words: str = ""  # what it did
+    rival_words: str = ""  # what that controller did
     stroke_unconfirmed: bool = False  # see rigctl.control.homed
-    stroke_jump_mm: float = 0.0  # until it is confirmed
-    settings_lost: int = 0  # objects found changed, or not answered for, see rigctl.control.readback
-    disobeys: bool = False  # one of them is what the drive needs to do as it is commanded
-    settings_words: str = ""  # the first of them
-    sensor_emergency: int = 0  # node << 16 | code of one that stands
+    stroke_jump_mm: float = 0.0  # kept until the stroke is confirmed
+    settings_lost: int = 0  # objects that changed or gave no answer, see rigctl.control.readback
+    disobeys: bool = False  # the drive cannot follow commands without one of them
+    settings_words: str = ""  # the first of them, in words
+    sensor_emergency: int = 0  # node << 16 | code of an emergency that is still active
     drive_emergency: int = 0
     drive_reversed: bool = False  # see rigctl.control.signs
     cell_reversed: bool = False
@@ -102,14 +102,14 @@ class Snapshot:
     cell_nis: float = 0.0
     calibration_overdue: bool = False
     host_checks: int = 0  # bits of HOST_CHECKS that fail
-    failed_checks: int = 0  # bits of Check that failed when they were last looked at
-    vertical_error_n: float = 0.0  # from the set-point on its ramp, while there is one
+    failed_checks: int = 0  # bits of Check that failed at the last evaluation
+    vertical_error_n: float = 0.0  # from the set-point on its ramp, 0 without a set-point
     disturbance_mm_s: float = 0.0
-    speed_error_mm_s: float = 0.0  # these seven: see rigctl.control.plausibility
+    speed_error_mm_s: float = 0.0  # these four and the last three: see rigctl.control.plausibility
     stroke_error_mm: float = 0.0
     contradiction_mm: float = 0.0
     unexplained_mm: float = 0.0
-    excursion_mm: float = 0.0  # these two: see rigctl.control.stroke_hold
+    excursion_mm: float = 0.0  # with doubt_mm: see rigctl.control.stroke_hold
     doubt_mm: float = 0.0
     cell_repeats: int = 0
     cell_unrest_n: float = 0.0
@@ -120,8 +120,8 @@ class Snapshot:
 class Row:
     """One line of the table: tripped when ``value(snapshot) > limit`` for ``persistence_ns``, in ``modes``.
 
-    ``text``: for a row of the rig file, what is beyond its limit. ``sign``: -1 where the row watches a lower limit, so
-    that found value and limit are shown as they are.
+    ``text``: of its trip, as ``tension_n above`` in a row of the rig file. ``sign``: -1 where the row watches a lower
+    limit, to restore the signs of value and limit in the trip.
     """
 
     fault: Fault
@@ -133,10 +133,10 @@ class Row:
     action: Action = Action.HOLD
     text: str = ""
     sign: float = 1.0
-    words: Callable[[Snapshot], str] | None = None  # what the trip says beside value and limit
+    words: Callable[[Snapshot], str] | None = None  # text of the trip beside value and limit
 
     def trip(self, value: float, snapshot: Snapshot | None = None) -> Trip:
-        """What it trips with; without a ``snapshot`` that is looked at, in its own text only."""
+        """The trip of this row at ``value``; its words are evaluated only where a ``snapshot`` is given."""
         text = self.words(snapshot) if self.words is not None and snapshot is not None else self.text
         return Trip(self.fault, self.sign * float(value), self.sign * float(self.limit), self.action, text)
 
@@ -155,36 +155,36 @@ _HELD = _AT_REST | _OFF
 _EVERY = frozenset(Mode)
 _OPERATIONAL = NmtState.OPERATIONAL.value
 _MS = 1_000_000
-LOG_AGAIN_NS = 1_000 * _MS  # a row that comes and goes is told no more often than this
+LOG_AGAIN_NS = 1_000 * _MS  # least time between two events of a row whose condition comes and goes
 STROKE_END_NS = 200 * _MS
 RIVAL_NS = 500 * _MS  # a controller is heard far more often than this
 DRIVE_GRACE_NS = 20 * _MS  # the drive's answer to enable or disable may take this long
-INTERNAL_LIMIT_NS = 100 * _MS  # of current or speed, for an instant, while it accelerates: five lags of the drive
-LINGER_NS = 1_000 * _MS  # ramp and brake of a drive that goes off take less
-HEARTBEAT_SILENT_NS = 5 * DEVICE_HEARTBEAT_MS * _MS  # as of STATUS_PERIODS: a burst does not take five in a row
+INTERNAL_LIMIT_NS = 100 * _MS  # five lags of the drive: it may reach its current limit while it accelerates
+LINGER_NS = 1_000 * _MS  # a drive that goes off needs less for its ramp and brake
+HEARTBEAT_SILENT_NS = 5 * DEVICE_HEARTBEAT_MS * _MS  # as for STATUS_PERIODS: no burst takes five in a row
 STROKE_SPARE_MM = 2.0
-SPEED_ERROR_MM_S, SPEED_ERROR_NS = 2.5, 15 * _MS  # a lag half as long again as the plant's makes 1.5 mm/s of 10
+SPEED_ERROR_MM_S, SPEED_ERROR_NS = 2.5, 15 * _MS  # a lag 50 % above the plant's makes an error of 1.5 mm/s at 10 mm/s
 STROKE_ERROR_MM = 0.5
 CONTRADICTION_MM = 0.3
-SLOPE_REJECTS = 50  # half a second of an inclinometer at 100 Hz; until then the filter goes on by itself
-# A payload that heaves by 10 mm in 10 s makes 8, a mechanism of 6 N/mm tensioned at 10 mm/s 10 ...
+SLOPE_REJECTS = 50  # half a second of an inclinometer at 100 Hz; the filter extrapolates that long
+# A payload that heaves by 10 mm in 10 s makes 8 mm, a mechanism of 6 N/mm tensioned at 10 mm/s makes 10 mm.
 UNEXPLAINED_MM = 12.0
-UNEXPLAINED_NS = 15 * _MS  # ... and a single bad sample anything
-AT_REST_MM, AT_REST_NS = 1.6, 15 * _MS  # in HOLD: the rail's run-out is 1.5
+UNEXPLAINED_NS = 15 * _MS  # a single bad sample may show any stretch
+AT_REST_MM, AT_REST_NS = 1.6, 15 * _MS  # in HOLD and FAULT: the rail's run-out makes 1.5 mm
 PAYLOAD_MM_S = 80.0  # faster than any payload; a jolt of 1 mm in 20 ms makes 50
 UNREST_NOISES = 30.0
 UNREST_NS = 5 * _MS
 NEGATIVE_NS = 10 * _MS
-# A stroke that is held stays within 1 mm: 0.1 mm are what the slowest creep that gets here, 0.5 mm/s, does until the
-# drive has had its time to stop and the brake has closed. What creeps faster trips DRIVE_NOT_FOLLOWING at 0.5 mm.
+# A held stroke must stay within 1 mm. At 0.5 mm/s, the slowest creep that reaches this row, the stroke moves another
+# 0.1 mm until the drive has stopped and the brake has closed. Faster creep trips DRIVE_NOT_FOLLOWING at 0.5 mm.
 NOT_HELD_MM, NOT_HELD_NS = 0.9, 2 * _MS
 DOUBT_MM = 0.5
-BRAKE_SLIP_MM_S, BRAKE_SLIP_NS = 0.2, 200 * _MS  # a stop that has begun takes less
-STATUS_PERIODS = 5  # of the drive's status lost in a row: at 10 % of frames lost once in 10^5, 1.4 h at 20 Hz
+BRAKE_SLIP_MM_S, BRAKE_SLIP_NS = 0.2, 200 * _MS  # a stop under way is shorter
+STATUS_PERIODS = 5  # status frames lost in a row: at 10 % loss once in 10^5 frames, or 1.4 h at 20 Hz
 
 
 def status_stale_ns(settings: RigSettings) -> int:
-    """Oldest current, temperature and inputs of the drive that count as known; 0 where they are not asked for."""
+    """Age in ns beyond which the drive's current, temperature and inputs are unknown; 0 where not configured."""
     return STATUS_PERIODS * settings.status_divisor * settings.loop.period_ns
 
 
@@ -198,12 +198,12 @@ _DEVICE_WORDS = {"cylinder": "cylinder drive", "io": "I/O node"}
 
 
 def _highest_n(snapshot: Snapshot) -> float:
-    """A correction of the cell can bring this trip forward, never put it off."""
+    """The larger of tension and raw reading: a correction of the cell may bring this trip forward, never delay it."""
     return max(snapshot.tension_n, snapshot.reading_n)
 
 
 def table(settings: RigSettings) -> tuple[Row, ...]:
-    """The built-in rows, in the order in which the first to trip names the fault."""
+    """The built-in rows; among equal actions the first row that trips names the fault."""
     s = settings.safety
     stale, slope = s.stale_ms * _MS, s.inclination_stale_ms * _MS
     persist = s.persistence_ms * _MS
@@ -213,7 +213,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         settings.plant.stiffness_n_mm * PAYLOAD_MM_S / settings.loop.rate_hz,
     )
     negative_n = settings.tension.slack_n + tare_limit_n(settings)
-    lost = Action.POWER_OFF  # a drive that does not obey is not told to hold, but taken off power
+    lost = Action.POWER_OFF  # a drive that does not obey cannot hold, so its power is cut
     return (
         Row(Fault.E_STOP, lambda x: x.e_stop, 0, 0, _EVERY, "", Action.QUICK_STOP),
         Row(Fault.BUS_SILENT, lambda x: x.bus_age_ns, s.bus_silent_ms * _MS, 0, _ARMED, "ns"),
@@ -268,20 +268,20 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
 
 
 def _io_rows(settings: RigSettings) -> tuple[Row, ...]:
-    """What the I/O node does not say, nobody knows: the drive's input is seen apart from it, or not fitted at all."""
+    """The I/O node's E-stop input has its own row: the drive's input may not be fitted and cannot replace it."""
     if settings.io is None:
         return ()
     return (Row(Fault.E_STOP_UNSEEN, lambda x: x.io_age_ns, settings.io.stale_ms * _MS, 0, _ARMED, "ns"),)
 
 
 def _status_rows(settings: RigSettings) -> tuple[Row, ...]:
-    """Without it neither the emergency stop's input nor the drive's temperature is seen."""
+    """Without the drive's status neither its emergency stop input nor its temperature is known."""
     stale = status_stale_ns(settings)
     return (Row(Fault.STATUS_STALE, lambda x: x.status_age_ns, stale, 0, _ARMED, "ns"),) if stale else ()
 
 
 def _rail_rows(settings: RigSettings) -> tuple[Row, ...]:
-    """Only feed-forward hangs on the rail's angle, and ends with it: no reason to hold, but to say so."""
+    """The rail's angle serves feed-forward only, which stops without it; so its loss is logged and nothing else."""
     if (rail := settings.rail_encoder) is None:
         return ()
     ages: tuple[tuple[str, Callable[[Snapshot], float], float], ...] = (
@@ -295,9 +295,9 @@ def _rail_rows(settings: RigSettings) -> tuple[Row, ...]:
 
 
 def _node_rows(settings: RigSettings) -> tuple[Row, ...]:
-    """Heartbeats of the devices: one that still sends samples but no heartbeat, or has left OPERATIONAL, is not well.
+    """Heartbeats: a device may send samples and yet no heartbeat, or have left OPERATIONAL.
 
-    A node that has booted anew says so, and trips as DEVICE_RESTARTED.
+    A node that boots again sends its boot-up message and trips as DEVICE_RESTARTED.
     """
     rows = []
     for device, node in settings.canopen_nodes.items():
@@ -337,7 +337,7 @@ def _dropped_out(snapshot: Snapshot) -> float:
 
 @dataclass(frozen=True)
 class Trip:
-    """What tripped, with the value found, the limit allowed, and what is to be done."""
+    """A tripped row: its fault, the value found, the limit and the action."""
 
     fault: Fault
     value: float
@@ -347,12 +347,12 @@ class Trip:
 
 
 class Watch:
-    """The table with its clocks: since when each row has been bad."""
+    """The table with the time since which each row has been bad."""
 
     def __init__(self, settings: RigSettings, limits: Sequence[Row] = ()) -> None:
         """``limits``: the rig file's rows."""
         self._rows = (*table(settings), *limits)
-        # By mode: place, value and limit of the rows watched in it; a tick touches no more of a row that is good.
+        # By mode: index, value and limit of the rows watched in it; a good row costs a tick no more than these.
         self._watched = [
             [(i, row.value, row.limit) for i, row in enumerate(self._rows) if mode in row.modes] for mode in Mode
         ]
@@ -361,15 +361,13 @@ class Watch:
         self._since: list[int | None] = [None] * len(self._rows)
         self._logged = [False] * len(self._rows)
         self._quiet_until = [-LOG_AGAIN_NS] * len(self._rows)
-        self.crossed: list[tuple[Trip, bool]] = []  # LOG rows since last taken: True begins, False is over
+        self.crossed: list[tuple[Trip, bool]] = []  # LOG rows since the last read: True begins, False ends
         self._stands = [False] * len(self._rows)
-        self.standing = (
-            0  # bits 1 << fault of the rows, but those that only log, that are bad for their persistence now
-        )
-        self.causes: list[tuple[Trip, bool]] = []  # of these, as ``crossed``
+        self.standing = 0  # bits 1 << fault of the rows that have been bad for their persistence, LOG rows excepted
+        self.causes: list[tuple[Trip, bool]] = []  # begin and end of these, as in ``crossed``
 
     def trips(self, snapshot: Snapshot, mode: Mode, t_ns: int) -> Trip | None:
-        """The strongest of the rows that have been bad for their persistence, among equals the first; or None."""
+        """Trip of the strongest row that has been bad for its persistence, the first among equals; None if none has."""
         strongest: Trip | None = None
         since = self._since
         if mode is not self._mode:
@@ -399,7 +397,7 @@ class Watch:
         return strongest
 
     def beyond(self, snapshot: Snapshot, mode: Mode) -> set[Fault]:
-        """Faults that would come, sooner or later, if the rig were in ``mode``."""
+        """Faults whose rows are bad now and would trip in ``mode`` after their persistence."""
         return {
             row.fault
             for row in self._rows
@@ -407,14 +405,14 @@ class Watch:
         }
 
     def present(self, snapshot: Snapshot) -> Fault:
-        """First cause that is there at this instant, whatever the mode; what keeps a fault from being reset.
+        """First cause present now, in any mode, that keeps a fault from being reset.
 
-        A fault of the drive itself is not one: the reset is what clears it. Nor is what only a mode can show.
+        A fault inside the drive does not, because the reset clears it; nor does a cause that only one mode can show.
         """
         return next(self._blocking(snapshot), Fault.NONE)
 
     def blocking(self, snapshot: Snapshot) -> int:
-        """All causes that keep a fault from being reset at this instant, bits 1 << fault."""
+        """All causes present now that keep a fault from being reset, bits 1 << fault."""
         found = 0
         for fault in self._blocking(snapshot):
             found |= 1 << fault
@@ -423,13 +421,13 @@ class Watch:
     def _blocking(self, snapshot: Snapshot) -> Iterator[Fault]:
         for row, stands in zip(self._rows, self._stands, strict=True):
             if not row.fault.blocks_reset or row.text is _LIMITS:
-                continue  # a limit of the drive's own may stand until its fault is reset; arming is barred by it
-            ours = row.text in (_LINGERS, _POWERED) and not stands  # for the moment a drive takes to go off
+                continue  # a limit inside the drive may last until its fault is reset; it still bars arming
+            ours = row.text in (_LINGERS, _POWERED) and not stands  # a drive takes a moment to go off
             if row.value(snapshot) > row.limit and not ours:
                 yield row.fault
 
     def _ends(self, i: int, *, watched: bool = True) -> None:
-        """A row that is good again, or not watched any more: of these only the rows that log say that they are over."""
+        """End a row that is good again, or not watched in this mode: then only LOG rows report the end."""
         self._since[i] = None
         if self._stands[i]:
             self._stands[i] = False
@@ -455,9 +453,9 @@ _LIMITED = frozenset({Fault.LIMIT, Fault.LIMIT_UNSEEN})
 def preflight(
     snapshot: Snapshot, settings: RigSettings, beyond: set[Fault], *, supervision_verified: bool, near_end: bool = False
 ) -> Check:
-    """Checks that fail now; arming needs none to. ``beyond``: `Watch.beyond` of HOLD, the mode that arming leads to.
+    """Checks that fail now and so bar arming. ``beyond``: `Watch.beyond` of HOLD, the mode that arming leads to.
 
-    ``near_end``: the operator means to drive away from an end of the stroke, where the law lets it go no further.
+    ``near_end``: the operator wants to drive away from an end of the stroke; the law lets it go no further outward.
     """
     s = settings.safety
     cylinder, margin_mm = settings.cylinder, settings.preflight.stroke_margin_mm

@@ -1,12 +1,12 @@
-"""Sign checks in the first tensioning after a start: before the loop is closed on them, drive and cell must agree.
+"""Sign checks in the first tensioning after a start: the signs of drive and cell must be right before compensating.
 
 A positive command must move the stroke up, and a shorter rope must pull harder, by about the stiffness of the plant.
-A rig that is wired, mounted or configured the other way round would run away as soon as the loop closes on it; here it
-is caught within a millimetre, or within the tension that counts as slack. As long as a tensioning has been too short
-to tell, the next one is watched again.
+A rig that is wired, mounted or configured the other way round would run away in the closed loop; here it is caught
+within a millimetre, or within the tension that counts as slack. A tensioning too short for a verdict leaves the check
+to the next one.
 
-A rig that starts tight and on target has no way to go that would tell. It feels its way first: the loop open, the
-tension lowered by `SLOPE_N` at low speed (raised where there is no room below); the ramp then leads back.
+On a rig that starts tight and on target the ramp makes no motion to judge. Then the tension is first lowered by
+`SLOPE_N` in open loop at low speed (raised where there is no room below); the ramp then leads back.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ import math
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 
-TRAVEL_MM = 0.1  # expected of the drive before it is judged: more than its delay hides
-PATIENCE_MM = 1.0  # ... and by then it must have moved
-FOLLOWS, OPPOSES = 0.5, -0.25  # of what was expected
-SLOPE_N, SLOPE_MM = 15.0, 0.2  # the tension's slope is judged over this stretch: far above noise and the screw's play
-SLOPE_FACTOR = 3.0  # what the plant in the rig file may be wrong by
+TRAVEL_MM = 0.1  # expected travel before the drive is judged: more than its delay hides
+PATIENCE_MM = 1.0  # expected travel at which the drive must have moved
+FOLLOWS, OPPOSES = 0.5, -0.25  # shares of the expected travel
+SLOPE_N, SLOPE_MM = 15.0, 0.2  # span of the slope's verdict: far above noise and the screw's play
+SLOPE_FACTOR = 3.0  # largest error allowed of the rig file's stiffness
 FALL_NOISES = 20.0
-PROBE_S, PROBE_MM_S = 0.5, 0.2  # a move that only feels lasts; but no slower: there a drive's dead band may hold it
+PROBE_S, PROBE_MM_S = 0.5, 0.2  # time and least speed of the probing move; a dead band may hold a slower drive
 
 
 class SignCheck:
-    """Fed every tick of TENSIONING until ``passed``; ``slope_n_mm`` is what it found.
+    """Runs every tick of TENSIONING until ``passed``; ``slope_n_mm`` is the stiffness found.
 
-    ``probe_mm_s``: speed at which the stroke is to move, loop open, so that there is something to find; 0 for none.
+    ``probe_mm_s``: speed of the probing move in open loop; 0 for none.
     """
 
     def __init__(self, settings: RigSettings) -> None:
@@ -44,7 +44,7 @@ class SignCheck:
         self.begin(0.0, 0.0)
 
     def begin(self, stroke_mm: float, tension_n: float) -> None:
-        """A tensioning starts here."""
+        """A tensioning starts at this stroke and tension."""
         self.probe_mm_s = 0.0
         self._travel_mm, self._span_mm = TRAVEL_MM, max(SLOPE_N / self._stiffness, SLOPE_MM)
         self._start_mm, self._start_n = stroke_mm, tension_n
@@ -53,16 +53,16 @@ class SignCheck:
         self._drive_follows = False
 
     def feel(self, stroke_mm: float, tension_n: float) -> None:
-        """The rope is tight here and has nowhere to go: move it for the sake of the signs."""
+        """The tension is on target and the check undecided: start the probing move."""
         self.begin(stroke_mm, tension_n)
-        # Load seats the nut: no play to get beyond, and a stiff rope is not pulled by more than a soft one.
+        # The load seats the nut, so there is no play to exceed, and a stiff rope gains no more tension than a soft one.
         self._span_mm = span_mm = SLOPE_N / self._stiffness
         self._travel_mm = min(TRAVEL_MM, 0.5 * span_mm)
         room = stroke_mm - span_mm > self._stroke_min_mm and tension_n - SLOPE_N > self._tight_n
         self.probe_mm_s = math.copysign(max(span_mm / PROBE_S, PROBE_MM_S), -1.0 if room else 1.0)
 
     def see(self, command_mm_s: float, stroke_mm: float, tension_n: float) -> Fault:
-        """One tick: the command that acts in it, and what drive and cell say; the fault there is, or NONE."""
+        """One tick, with the command that acts in it, stroke and tension; returns the fault, or NONE."""
         self._speed_mm_s += (command_mm_s - self._speed_mm_s) * self._share
         self._expected_mm += self._speed_mm_s * self._dt
         if not self._drive_follows and self._drive_opposes(stroke_mm):
@@ -81,7 +81,7 @@ class SignCheck:
     def _cell_opposes(self, stroke_mm: float, tension_n: float) -> bool:
         moved_mm, gained_n = stroke_mm - self._start_mm, tension_n - self._start_n
         if moved_mm * gained_n < 0.0 and abs(gained_n) >= self._fall_n:
-            # What falls more steeply than the rope can is not the stroke's doing, but a load that moves.
+            # A fall steeper than the rope's stiffness allows comes from a load that moves, not from the stroke.
             return abs(moved_mm) * self._stiffness * SLOPE_FACTOR >= abs(gained_n)
         if self._tight_at is None:
             if tension_n >= self._tight_n:

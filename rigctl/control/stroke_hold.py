@@ -1,6 +1,6 @@
-"""The stroke that HOLD, FAULT and DISARMED keep: where it is latched, how far it is from there, what brings it back.
+"""The stroke that HOLD, FAULT and DISARMED keep: its latch, its excursion, and the loop that brings it back.
 
-A drive that is told 0 may creep all the same. In HOLD and FAULT a position loop with integral action corrects that,
+A drive that is commanded 0 mm/s may still creep. In HOLD and FAULT a position loop with integral action corrects that,
 
     u = -K_p e - I,    dI/dt = K_i e,    e = stroke - latched stroke, outside a dead zone
 
@@ -15,27 +15,27 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.plausibility import STROKE_MEMORY_S
 from rigctl.control.safety import CONTRADICTION_MM, STROKE_ERROR_MM, Snapshot
 
-SAID_MM, OVER_MM = 0.2, 0.1  # an excursion is told beyond the first, and is over within the second
-DEAD_ZONE_MM = 0.02  # no correction within it: the encoder's noise and the drive's dead band make no motion
+SAID_MM, OVER_MM = 0.2, 0.1  # an excursion is reported beyond the first and ends within the second
+DEAD_ZONE_MM = 0.02  # no correction within it, so that encoder noise and the drive's dead band cause no motion
 AUTHORITY_MM_S = STROKE_ERROR_MM / STROKE_MEMORY_S
-"""A drive that creeps faster than this trips DRIVE_NOT_FOLLOWING: no correction needs more."""
-CREEP_MM_S, CREEP_S = 0.05, 3.0  # integral action that stays above this so long is told
-LAGS_PER_GAIN = 8.0  # 1/K_p in lags of the drive: a phase margin of 70 deg, of 65 deg with twice the lag
+"""A drive that creeps faster than this trips DRIVE_NOT_FOLLOWING, so no correction needs more."""
+CREEP_MM_S, CREEP_S = 0.05, 3.0  # integral action above the first for longer than the second is reported
+LAGS_PER_GAIN = 8.0  # 1/K_p in lags of the drive: a phase margin of 70 deg, or 65 deg with twice the lag
 INTEGRAL_SHARE = 0.2  # K_i / K_p^2: real poles at 0.28 and 0.72 K_p, no overshoot
-STOP_LAGS, SETTLE_LAGS = 3.0, 6.0  # way of a stop in lags at the speed it began with, and time until it is over
+STOP_LAGS, SETTLE_LAGS = 3.0, 6.0  # distance of a stop in lags times its first speed; time to its end in lags
 REST_MM_S, SPARE_MM = 0.05, 0.05
-WINDOW_MM, WINDOWS = 0.3, 2  # of correction, after which load and speed are looked at; so often in a row is no chance
-AGREES, AGREES_TOO_WELL = 0.4, 1.6  # of the correction; a mechanism as soft as the spring leaves half of it
+WINDOW_MM, WINDOWS = 0.3, 2  # load and speed are judged per window of correction; two in a row are no coincidence
+AGREES, AGREES_TOO_WELL = 0.4, 1.6  # share of the correction; a mechanism as soft as the spring leaves half
 TENSION_S = 0.1  # low-pass of the tension
 
 
 class StrokeHold:
-    """The latch and its position loop. ``watch`` every tick, then ``correct``; ``follow`` where the stroke moves.
+    """The latch and its position loop. Call ``watch`` every tick, then ``correct``; ``follow`` while the stroke moves.
 
     ``error_mm``: stroke from the latch, 0 while nothing is latched. ``left``: this tick the stroke left the latch by
-    `SAID_MM`; ``creeps``: this tick the correction was found to be needed for good. Both are true once per excursion.
-    ``doubt_mm``: way by which the correction moved the load, by what the tension or the drive's speed says, while the
-    position says that the stroke stood still: then the position lies.
+    `SAID_MM`; ``creeps``: the correction has now been needed for `CREEP_S`. Both are true once per excursion.
+    ``doubt_mm``: distance the correction moved the load by tension or by the drive's speed, while the position shows no
+    motion; then the position is wrong.
     """
 
     def __init__(self, settings: RigSettings) -> None:
@@ -55,11 +55,11 @@ class StrokeHold:
         self._forget()
 
     def found_stiffness(self, n_mm: float) -> None:
-        """What the rope's stiffness is, in N/mm, by the check of signs; the rig file's may be far from it."""
+        """Take the rope's stiffness in N/mm as the sign check found it; the rig file's may be far from it."""
         self._stiffness = n_mm
 
     def follow(self) -> None:
-        """The stroke moves on purpose, or its motion is acknowledged: latch it anew once it is to be kept."""
+        """The stroke moves on purpose, or its motion is acknowledged: the next ``watch`` latches it anew."""
         if self._settles_ns is not None:
             self._forget()
 
@@ -76,10 +76,10 @@ class StrokeHold:
         self._tight = False
 
     def watch(self, t_ns: int, snapshot: Snapshot, command_mm_s: float) -> None:
-        """One tick in which the stroke is to be kept; ``command_mm_s`` is what was last commanded.
+        """One tick of a mode that keeps the stroke; ``command_mm_s`` is the last command.
 
-        A stroke that still moves is latched where it comes to rest, within what a stop may take: a stop ends without
-        being pulled back, and a drive that does not stop does not take the latch along.
+        A moving stroke is latched where it comes to rest, within the distance a stop may take: so a stop is not pulled
+        back, and a drive that does not stop does not take the latch along.
         """
         self.left = False
         stroke_mm = snapshot.stroke_mm
@@ -98,14 +98,14 @@ class StrokeHold:
         self._doubted |= abs(snapshot.contradiction_mm) > CONTRADICTION_MM
 
     def correct(self, snapshot: Snapshot, ticks: int, *, powered: bool) -> float:
-        """Speed in mm/s that brings the stroke back to the latch, 0 where its position is not known or not believed.
+        """Speed in mm/s that brings the stroke back to the latch; 0 where its position is unknown or doubted.
 
-        Bounded by `AUTHORITY_MM_S`; the law's limits come after it.
+        It is bounded by `AUTHORITY_MM_S`; the law's limits follow.
 
         Args:
             snapshot: of this tick.
             ticks: since the last call.
-            powered: the drive is on and is to stay on.
+            powered: the drive is on and stays on.
         """
         known = math.isfinite(self.reference_mm) and snapshot.drive_age_ns <= self._stale_ns and not self._doubted
         self.creeps = False
@@ -128,11 +128,11 @@ class StrokeHold:
 
     @property
     def creep_mm_s(self) -> float:
-        """Speed at which the drive creeps when it is told 0, as far as the correction has found it."""
+        """Speed at which the drive creeps when commanded 0 mm/s, as the correction has found it."""
         return self._integral_mm_s
 
     def _begin(self, t_ns: int, stroke_mm: float, speed_mm_s: float, command_mm_s: float) -> None:
-        """Where the stop may end, and when it is over; faster than the law's limit is nothing that it has to stop."""
+        """Set the range in which the stop may end, and its time; the speeds are bounded by the law's limit."""
         lowest = max(-self._speed_max, min(0.0, speed_mm_s, command_mm_s))
         highest = min(self._speed_max, max(0.0, speed_mm_s, command_mm_s))
         fastest = max(-lowest, highest)
@@ -146,9 +146,9 @@ class StrokeHold:
 
     # -- does the correction hold the load, or move it? ---------------------------------------------------------
     def _question(self, snapshot: Snapshot, passed_s: float) -> None:
-        """A drive that creeps is corrected, and load and reported speed rest; after a position that drifts, they move.
+        """Doubt the position if the correction moves the load: against creep, load and reported speed stay at rest.
 
-        Without load only the reported speed can tell: nothing hangs on the rope then.
+        On a slack rope only the reported speed can show it.
         """
         tight = snapshot.tension_n >= self._slack_n and not snapshot.cell_quality
         if tight is not self._tight:

@@ -1,4 +1,4 @@
-"""The tension law: what speed to command, from what the filter says.
+"""The tension law: from the filter's estimate to the speed command.
 
 State feedback with integral action about a disturbance feed-forward,
 
@@ -6,7 +6,7 @@ State feedback with integral action about a disturbance feed-forward,
 
 with T, v, w predicted to the instant at which ``u`` acts (delay compensation), r the slope of the set-point ramp.
 The operator's target is the vertical component, so the rope's set-point is ``target / (cos theta_x cos theta_y)``.
-Every command passes the same limits: speed, acceleration, and the stroke that is left to stop in.
+Every command passes the same limits: speed, acceleration, and the stroke left for stopping.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from dataclasses import dataclass
 from rigctl.config.settings import RigSettings
 from rigctl.ipc.record import Flag
 
-SETTLED_FRACTION = 0.005  # of the target: tensioning is over within this error
+SETTLED_FRACTION = 0.005  # of the target: tensioning ends within this error
 RAMP_EASE_S = 0.25  # a ramp takes this long to reach its slope and to leave it
 INTEGRAL_STRETCH_MM = 0.05
-"""The integral takes in no more error than this as stretch: a jolt is the feedback's affair, and leaves no tail."""
-PAY_OUT_SPARE_MM = 1.0  # rope paid out beyond the last of the stretch, so that slack is slack
+"""Largest error in the integral, as stretch: the feedback corrects a jolt, and the integral leaves no tail of it."""
+PAY_OUT_SPARE_MM = 1.0  # rope paid out beyond the last stretch, so that the rope is surely slack
 _SPEED, _STROKE = Flag.LIMITED_SPEED.value, Flag.LIMITED_STROKE.value  # as numbers: an IntFlag's | costs 1 us
 _ACCELERATION = Flag.LIMITED_ACCELERATION.value
 
 
 @dataclass(frozen=True)
 class Gains:
-    """Feedback gains; the design computes them, only numbers cross to the loop."""
+    """Feedback gains, computed by the design; only numbers cross to the loop."""
 
     k_tension: float  # mm/s per N
     k_speed: float  # 1
@@ -36,13 +36,13 @@ class Gains:
 
     @property
     def in_order(self) -> tuple[float, float, float]:
-        """As they cross to the loop."""
+        """The gains in the order in which they cross to the loop."""
         return self.k_tension, self.k_speed, self.k_integral
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the law acts on: tension N, drive speed and disturbance speed mm/s, measured stroke mm."""
+    """Input of the law: tension N, drive speed and disturbance speed mm/s, measured stroke mm."""
 
     tension_n: float
     speed_mm_s: float
@@ -51,7 +51,7 @@ class Estimate:
 
 
 class TensionLaw:
-    """Holds the little state there is: integral, set-point on its ramp, last command."""
+    """The law and its state: integral, set-point on its ramp, last command."""
 
     def __init__(self, settings: RigSettings, gains: Gains) -> None:
         tension = settings.tension
@@ -79,11 +79,11 @@ class TensionLaw:
         self.limits = 0  # bits, see rigctl.ipc.record.Flag
         self._slack_stroke_mm: float | None = None
         self._tight = False
-        self.rope_lost = False  # tension was there in this TENSIONING, and is gone
+        self.rope_lost = False  # this TENSIONING had tension and has lost it
 
-    # -- entering a mode: bumpless, because nothing but the set-point's start changes ---------------------------
+    # -- entering a mode: bumpless, because only the start of the set-point changes -----------------------------
     def start_ramp(self, vertical_n: float, speed_mm_s: float) -> None:
-        """Begin a ramp at the tension there is now, with the slope the cylinder's speed gives it."""
+        """Begin a ramp at the present tension, with the slope of the cylinder's speed."""
         self.setpoint_n = max(vertical_n, 0.0)
         self._slope_n_s = self._slope_of(speed_mm_s)
         self.integral_mm_s = self._error_n = self._speed_error_mm_s = 0.0
@@ -95,9 +95,9 @@ class TensionLaw:
         self.start_ramp(vertical_n, speed_mm_s)
 
     def change_gains(self, gains: Gains) -> None:
-        """Act by other gains from the next tick on, without a bump.
+        """Use other gains from the next tick on, bumpless.
 
-        The integral takes over what feedback of the last tick's errors gains or loses by it.
+        The integral takes over the change of the feedback of the last tick's errors.
         """
         before = self._gains
         self.integral_mm_s += (before.k_tension - gains.k_tension) * self._error_n
@@ -105,19 +105,19 @@ class TensionLaw:
         self._gains = gains
 
     def follow_speed(self, speed_mm_s: float) -> None:
-        """Take over from a drive that was moving by itself, or not at all."""
+        """Set the last command to the speed of a drive that moved by itself, or not at all."""
         self.command_mm_s = max(-self._speed_max, min(self._speed_max, speed_mm_s))
 
     # -- one tick in a mode -------------------------------------------------------------------------------------
     def hold(self, estimate: Estimate, correction_mm_s: float = 0.0) -> float:
-        """Stroke held: the correction of `rigctl.control.stroke_hold`, reached at the acceleration limit."""
+        """Hold the stroke: the correction of `rigctl.control.stroke_hold`, reached at the acceleration limit."""
         self.integral_mm_s = self._error_n = self._speed_error_mm_s = 0.0
         return self.limited(correction_mm_s, estimate.stroke_mm)
 
     def tensioning(self, estimate: Estimate, cosine: float, probe_mm_s: float = 0.0) -> float:
         """Take up slack at a fixed speed, then follow a ramp to the target.
 
-        ``probe_mm_s``: if not 0, move a tight rope at this speed instead; the ramp begins anew where that ends.
+        ``probe_mm_s``: if not 0, move a tight rope at this speed instead; the ramp begins again where the move ends.
         """
         self._tight |= estimate.tension_n > 2.0 * self._slack_n
         self.rope_lost = self._tight and estimate.tension_n < self._slack_n
@@ -161,7 +161,7 @@ class TensionLaw:
     def _ramp_towards(self, target_n: float) -> float:
         """Move the set-point one tick along its ramp, easing in and out; returns its slope in N/s."""
         left = target_n - self.setpoint_n
-        # Three quarters of the easing for the way out: the discrete steps then never run past the target.
+        # Easing out at three quarters of the deceleration keeps the discrete steps from passing the target.
         fastest = min(self._ramp_n_s, math.sqrt(1.5 * self._ramp_n_s2 * abs(left)))
         wanted = math.copysign(fastest, left)
         change = self._ramp_n_s2 * self._dt
@@ -190,7 +190,7 @@ class TensionLaw:
         return command
 
     def limited(self, wanted: float, stroke_mm: float) -> float:
-        """Apply the stroke, speed and acceleration limits; a non-finite demand is a demand to stop."""
+        """Apply the stroke, speed and acceleration limits; a non-finite demand means stop."""
         limits = 0
         command = wanted if math.isfinite(wanted) else 0.0
         up = min(self._speed_max, math.sqrt(self._braking * max(0.0, self._stroke_max - stroke_mm)))

@@ -1,7 +1,7 @@
-"""What commissioning has the loop do: one object per trial, shown every tick, bounded in time, stroke and force.
+"""Trials of commissioning: one object each, called every tick, bounded in time, stroke and force.
 
-``see`` returns None while the trial goes on, then its refusal (NONE: it is done). It commands nothing by itself:
-``wanted_mm_s`` passes the law's limits on its way to the drive, and whatever ends the trial ends the motion.
+``see`` returns None while the trial goes on, then its refusal (NONE: done). A trial commands nothing by itself:
+``wanted_mm_s`` passes the law's limits on its way to the drive, and the end of the trial ends the motion.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from rigctl.control.safety import Snapshot
 from rigctl.ipc.correction import tare_limit_n
 
 AVERAGED_S = 1.0
-FEWEST_SAMPLES = 10  # of a slow cell, for its mean to mean anything
+FEWEST_SAMPLES = 10  # of a slow cell, for a meaningful mean
 STILL_MM_S = 0.1
 SPREAD_NOISES = 5.0
-SPREAD_RANGE = 1e-3  # of the cell's range: a known weight that has stopped swinging reads steadier than this
+SPREAD_RANGE = 1e-3  # of the cell's range: the reading of a known weight at rest varies less
 
-STEP_MM, STEP_N = 0.75, 10.0  # stroke of a step, and what it may add to the tension
+STEP_MM, STEP_N = 0.75, 10.0  # largest stroke of a step, and largest tension it adds
 STRAY_MM, STRAY_N = 0.25, 15.0
-FEELER_MM, FEELER_GROWTH = 0.005, 4.0  # stroke of the first step, and the most by which the next may be longer
+FEELER_MM, FEELER_GROWTH = 0.005, 4.0  # stroke of the first step; largest growth to the next
 FEELERS = 4
-UNFELT_N = 4.0 * STEP_N  # by the rig file's stiffness, while the cell shows nothing: it may be stuck
-LEG_S, SHORTEST_LEG_S, SLOWEST_MM_S = 0.25, 0.05, 0.1  # a step lasts; shorter where the stroke is, to stay above this
+UNFELT_N = 4.0 * STEP_N  # bound by the rig file's stiffness while the cell, perhaps stuck, shows no change
+LEG_S, SHORTEST_LEG_S, SLOWEST_MM_S = 0.25, 0.05, 0.1  # longest, shortest time of a step; least speed
 REST_S = 0.15  # for the drive to settle
-QUIET_S = 0.5  # at rest before the first step: what there is then is noise
-PAIRS = 7  # with what goes before: within the 10 s of records that any rig file keeps
+QUIET_S = 0.5  # at rest before the first step, to measure the noise
+PAIRS = 7  # the whole trial fits into the 10 s of records that any rig file keeps
 DITHER = 0.02  # each pair is shorter than the one before, so that rounding in the drive's position averages out
 
 
@@ -37,31 +37,31 @@ class Trial(Protocol):
     """A trial under way; ``value`` and ``spread`` go into its answer."""
 
     moves: bool
-    """It moves the stroke on purpose."""
+    """The trial moves the stroke on purpose."""
 
     @property
     def wanted_mm_s(self) -> float:
-        """Speed it asks for now."""
+        """Speed wanted now."""
 
     @property
     def value(self) -> float:
-        """What it has found."""
+        """Result of the trial."""
 
     @property
     def spread(self) -> float:
-        """How much that varied."""
+        """Spread of the result."""
 
     def see(self, inbox: Inbox, snapshot: Snapshot) -> Refusal | None:
         """One tick."""
 
 
 class Average:
-    """Mean and rms of what the cell reads (before zero and scale) in N, over `AVERAGED_S`, at standstill."""
+    """Mean and rms of the cell's reading (before zero and scale) in N, over `AVERAGED_S`, at standstill."""
 
     moves = False
 
     def __init__(self, settings: RigSettings, *, largest_n: float = math.inf) -> None:
-        """``largest_n``: no sample may be larger."""
+        """``largest_n``: largest sample allowed."""
         self._largest_n = largest_n
         self._left = round(AVERAGED_S * settings.loop.rate_hz)
         self._stale_ns = settings.safety.stale_ms * 1_000_000
@@ -73,19 +73,19 @@ class Average:
 
     @property
     def value(self) -> float:
-        """Mean in N; NaN of nothing."""
+        """Mean in N; NaN without samples."""
         return self._first + self._sum / self.samples if self.samples else math.nan
 
     @property
     def spread(self) -> float:
-        """Rms about the mean in N; NaN of nothing."""
+        """Rms about the mean in N; NaN without samples."""
         if not self.samples:
             return math.nan
         mean = self._sum / self.samples
         return math.sqrt(max(0.0, self._squares / self.samples - mean * mean))
 
     def see(self, inbox: Inbox, snapshot: Snapshot) -> Refusal | None:
-        """Take the tick's sample, if there is one."""
+        """Take this tick's sample, if one came."""
         if snapshot.cell_quality or snapshot.cell_age_ns > self._stale_ns:
             return Refusal.NO_SAMPLES
         if abs(inbox.speed_mm_s) > STILL_MM_S:
@@ -95,7 +95,7 @@ class Average:
                 return Refusal.LOADED
             if not self.samples:
                 self._first = inbox.reading_n
-            beyond = inbox.reading_n - self._first  # sums of small numbers keep their digits
+            beyond = inbox.reading_n - self._first  # sums of small numbers lose no digits
             self.samples += 1
             self._sum += beyond
             self._squares += beyond * beyond
@@ -108,11 +108,11 @@ class Average:
 
 
 class Excitation:
-    """Small steps of speed, up and down by the same stroke: it ends where it began.
+    """Small steps of speed, up and down by the same stroke, so that the stroke ends where it began.
 
-    What comes of it is for `rigctl.commission.identification` to say. The rig file's stiffness is not believed: feelers
-    go first, each longer than the one before, and what the tension gained in one bounds the stroke of the next. Ended
-    should tension or stroke stray all the same.
+    `rigctl.commission.identification` evaluates the records. The rig file's stiffness is not believed: short steps go
+    first, each longer than the one before, and the tension gained in one bounds the stroke of the next. The trial ends
+    if tension or stroke leave their bounds all the same.
     """
 
     moves = True
@@ -139,7 +139,7 @@ class Excitation:
 
     @property
     def value(self) -> float:
-        """How long it has taken, in s."""
+        """Time taken, in s."""
         return self._ticks / self._rate
 
     def see(self, inbox: Inbox, _snapshot: Snapshot) -> Refusal | None:
@@ -163,10 +163,10 @@ class Excitation:
         return None
 
     def _next_step(self) -> None:
-        """Up, or down again; each pair as far as the one before allows."""
+        """Step up, or down again; the pair before bounds the stroke."""
         settled_n = self._settled_n / max(1, self._settled)
         self._settled_n, self._settled = 0.0, 0
-        if self._steps % 2:  # it is up: the next goes down
+        if self._steps % 2:  # the stroke is up, so the next step goes down
             gained_n = abs(settled_n - self._rest_n)
             self._felt = gained_n > self._noise_n
             self._stiffest_n_mm = (gained_n + self._noise_n) / self._stroke_mm
@@ -190,7 +190,7 @@ class Excitation:
 
 
 def begin(verb: Verb, settings: RigSettings, inbox: Inbox) -> Trial:
-    """The trial a command asks for."""
+    """The trial of a command."""
     if verb is Verb.IDENTIFY:
         return Excitation(settings, inbox)
     if verb is Verb.TARE:

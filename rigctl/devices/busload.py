@@ -1,4 +1,4 @@
-"""Worst-case load of the CAN bus by what a rig file asks for."""
+"""Worst-case load of the CAN bus with the frames of a rig file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LIMIT = 0.8
 
 @dataclass(frozen=True)
 class Traffic:
-    """One kind of frame: data bytes and how many per second."""
+    """One kind of frame: data bytes and frames per second."""
 
     name: str
     size: int
@@ -23,12 +23,12 @@ class Traffic:
 
     @property
     def bit_s(self) -> float:
-        """Bits per second, every frame stuffed as badly as can be."""
+        """Bits per second, with the most stuffing possible in every frame."""
         return od.frame_bits(self.size) * self.rate_hz
 
 
 def traffic(settings: RigSettings, process_data: ProcessData | None = None) -> list[Traffic]:
-    """Cyclic frames of the rig, both ways. ``process_data``: as read back; None: as the rig file asks for it."""
+    """Cyclic frames of the rig, both ways. ``process_data``: as read back; None: as the rig file has it."""
     rate = float(settings.loop.rate_hz)
     size = {name: layout.size for name, layout in (process_data or wanted(settings)).frames.items()}
     plain = settings.plain_messages
@@ -54,7 +54,7 @@ def traffic(settings: RigSettings, process_data: ProcessData | None = None) -> l
 
 
 def _plain(name: str, message: PlainMessage, settings: RigSettings) -> Traffic:
-    """A frame by DBC: at its cycle time, or at the loop's rate when the DBC gives none."""
+    """A frame of a DBC file: at its cycle time, or at the loop's rate where the DBC file has none."""
     return Traffic(f"{name} ({message.name})", message.size, message.rate_hz(settings.loop.rate_hz))
 
 

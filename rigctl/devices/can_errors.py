@@ -38,7 +38,7 @@ _PROTOCOL = {
 
 
 def details(data: bytes | bytearray) -> int:
-    """What an error frame's data say beside its class: controller byte, protocol byte above it."""
+    """Details in an error frame's data: controller byte, with the protocol byte above it."""
     padded = data.ljust(3, b"\0")
     return padded[1] | padded[2] << 8
 
@@ -49,7 +49,7 @@ def is_grave(classes: int) -> bool:
 
 
 def in_words(classes: int, found: int) -> str:
-    """An error frame's class bits and `details`, the gravest first; bits without a word as numbers."""
+    """An error frame's class bits and `details`, the gravest first; bits without a name as numbers."""
     words = _words(_CLASSES, classes & BUS_OFF)
     if classes & CONTROLLER:
         words += _words(_CONTROLLER, found & 0xFF)

@@ -1,7 +1,7 @@
 """Process data of the devices: payload bytes <-> engineering units. No I/O; one precompiled struct each.
 
-Each function here compiles the layout that a device has (`rigctl.devices.process_data`). A decoder returns the values
-and why they are not good (``Quality`` bits, 0 good); a payload of the wrong length is a ``ValueError``. The EDS files
+Each function here compiles the layout of a device (`rigctl.devices.process_data`). A decoder returns the values and
+their quality (``Quality`` bits, 0 good); a payload of the wrong length is a ``ValueError``. The EDS files
 and `canopen`'s own PDO decoder are the oracle in the tests.
 """
 
@@ -66,7 +66,7 @@ def encoder_decoder(layout: PdoLayout, counts_per_turn: int) -> Callable[[Data],
 
 
 def drive_decoder(layout: PdoLayout, units: DriveUnits) -> Callable[[Data], tuple[int, float, float]]:
-    """Statusword, stroke in mm and speed in mm/s (CiA 402: 0x6041, 0x6064, 0x2044); NaN where speed is not in it."""
+    """Statusword, stroke in mm and speed in mm/s (CiA 402: 0x6041, 0x6064, 0x2044); NaN without a speed."""
     split = (od.VELOCITY_ACTUAL_16, 0) not in layout.objects
     speed = () if split else ((od.VELOCITY_ACTUAL_16, 0),)
     read, unit_mm = layout.reader((od.STATUSWORD, 0), (od.POSITION_ACTUAL, 0), *speed), units.position_mm
@@ -83,7 +83,7 @@ def drive_decoder(layout: PdoLayout, units: DriveUnits) -> Callable[[Data], tupl
 
 
 def drive_speed_decoder(layout: PdoLayout, units: DriveUnits) -> Callable[[Data], float]:
-    """Speed in mm/s, of a drive that sends it by itself (CiA 402: 0x606C, or 0x2044)."""
+    """Speed in mm/s, of a drive that sends it in a frame of its own (CiA 402: 0x606C, or 0x2044)."""
     wide = (od.VELOCITY_ACTUAL, 0)
     narrow = wide not in layout.objects
     read = layout.reader((od.VELOCITY_ACTUAL_16, 0) if narrow else wide)
@@ -92,7 +92,7 @@ def drive_speed_decoder(layout: PdoLayout, units: DriveUnits) -> Callable[[Data]
 
 
 def drive_status_decoder(layout: PdoLayout) -> Callable[[Data], tuple[float, float, int]]:
-    """Motor current by the rated one, drive temperature in deg C (NaN: none), digital inputs (0x6078, 0x60FD)."""
+    """Motor current over rated current, drive temperature in deg C (NaN: none), digital inputs (0x6078, 0x60FD)."""
     known = ((od.CURRENT_ACTUAL, 0), (od.DIGITAL_INPUTS, 0))
     heat = [each for each in layout.objects if each not in known]
     read = layout.reader(known[0], *heat, known[1])
@@ -114,7 +114,7 @@ def inputs_decoder(layout: PdoLayout) -> Callable[[Data], int]:
 def command_encoder(layout: PdoLayout, drive: DriveUnits) -> Callable[[int, float], bytes]:
     """Payload of the command PDO (CiA 402: 0x6040, 0x60FF; 0x6060 where a fixed mapping has it).
 
-    A speed that is not finite, or does not fit, leaves as zero: nothing else may reach an actuator.
+    A speed that is not finite or does not fit is sent as zero, because no such number may reach the actuator.
     """
     pack, unit_mm_s = layout.codec.pack, drive.speed_mm_s
     known = ((od.CONTROLWORD, 0), (od.TARGET_VELOCITY, 0), (od.MODE_OF_OPERATION, 0))

@@ -1,6 +1,6 @@
 """Plain frames -> engineering units, compiled once from a message's layout; no I/O, and no cantools in the loop.
 
-Same interface as `rigctl.devices.codecs`: a decoder returns the values and why they are not good (``Quality`` bits, 0
+Same interface as `rigctl.devices.codecs`: a decoder returns the values and their quality (``Quality`` bits, 0
 good); a payload of the wrong length is a ``ValueError``. cantools is the oracle in the tests.
 """
 
@@ -22,7 +22,7 @@ _INTEGER_CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
 
 
 def tension_decoder(message: PlainMessage) -> Callable[[Data], tuple[float, int]]:
-    """Decoder of the tension along the rope in N, and quality; NaN stands for what is no number."""
+    """Decoder of the tension along the rope in N, and quality; NaN if the raw value is no number."""
     size = message.size
     tension, valid = reader(message.signals["tension"], size), _valid_reader(message)
     is_finite, nan = math.isfinite, math.nan
@@ -39,7 +39,7 @@ def tension_decoder(message: PlainMessage) -> Callable[[Data], tuple[float, int]
 
 
 def inclination_decoder(message: PlainMessage) -> Callable[[Data], tuple[float, float, int]]:
-    """Decoder of tangential and normal rope angle in rad, and quality; NaN stands for what is no number."""
+    """Decoder of tangential and normal rope angle in rad, and quality; NaN if a raw value is no number."""
     size = message.size
     tangential, normal = (reader(message.signals[name], size) for name in ("tangential", "normal"))
     valid = _valid_reader(message)
@@ -59,14 +59,14 @@ def inclination_decoder(message: PlainMessage) -> Callable[[Data], tuple[float, 
 def reader(signal: PlainSignal, size: int) -> Reader:
     """Function from a payload of ``size`` bytes to the signal's value, ``raw * scale + offset`` (N, rad).
 
-    A float signal may give NaN or an infinity; what to make of it is the caller's.
+    A float signal may give NaN or an infinity; the caller handles these.
     """
     raw, scale, offset = _raw_reader(signal, size), signal.scale, signal.offset
     return lambda data: raw(data) * scale + offset
 
 
 def _valid_reader(message: PlainMessage) -> Callable[[Data], bool] | None:
-    """Whether the device says that it can measure: its signal is a number and not 0."""
+    """Reader of the device's validity signal: a number other than 0 means valid."""
     if "valid" not in message.signals:
         return None
     value = reader(message.signals["valid"], message.size)
@@ -95,7 +95,7 @@ def _raw_reader(signal: PlainSignal, size: int) -> Reader:
 
 
 def _aligned_reader(signal: PlainSignal, size: int, code: str) -> Reader:
-    """Whole bytes of a width that struct knows."""
+    """Reader of whole bytes of a width that struct supports."""
     shift = signal.shift(size)
     place = size - (shift + signal.length) // 8 if signal.big_endian else shift // 8
     if not (signal.signed or signal.floating):

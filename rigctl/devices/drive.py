@@ -1,4 +1,4 @@
-"""Walking the cylinder drive through the CiA 402 power states: pure tables."""
+"""Controlwords that lead the cylinder drive through the CiA 402 power states: pure tables."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from rigctl.devices.objects import Controlword, DriveState
 
 
 class Power(IntEnum):
-    """What is wanted of the drive."""
+    """State wanted of the drive."""
 
     OFF = 0  # stopped, brake closed, no power
     ON = 1  # operation enabled
     RESET = 2  # leave the drive's fault state, then off
     QUICK_STOP = 3  # stop on the drive's own ramp, then off
-    CUT = 4  # off at once, whether it stands or not: the brake is the last resort
+    CUT = 4  # off at once, even in motion: the brake is the last resort
 
 
 _TO_ON: dict[DriveState, Controlword] = {
@@ -22,14 +22,14 @@ _TO_ON: dict[DriveState, Controlword] = {
     DriveState.READY_TO_SWITCH_ON: Controlword.SWITCH_ON,
     DriveState.SWITCHED_ON: Controlword.ENABLE_OPERATION,
     DriveState.OPERATION_ENABLED: Controlword.ENABLE_OPERATION,
-    DriveState.QUICK_STOP_ACTIVE: Controlword.QUICK_STOP,  # it may still move: nothing cuts its stop short
+    DriveState.QUICK_STOP_ACTIVE: Controlword.QUICK_STOP,  # it may still move, so its stop must not be cut short
 }
 _TO_OFF: dict[DriveState, Controlword] = {
     DriveState.SWITCHED_ON: Controlword.SHUTDOWN,
     DriveState.OPERATION_ENABLED: Controlword.SHUTDOWN,
     DriveState.READY_TO_SWITCH_ON: Controlword.SHUTDOWN,
     DriveState.SWITCH_ON_DISABLED: Controlword.SHUTDOWN,
-    DriveState.QUICK_STOP_ACTIVE: Controlword.QUICK_STOP,  # it goes off by itself (0x605A), once it stands
+    DriveState.QUICK_STOP_ACTIVE: Controlword.QUICK_STOP,  # it goes off by itself at standstill (0x605A)
 }
 
 
@@ -39,7 +39,7 @@ _STOPPABLE = frozenset({DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTI
 def next_controlword(state: DriveState, power: Power, last: int) -> Controlword:
     """Command that takes the drive one step towards ``power``; ``last`` is the controlword sent before.
 
-    A fault reset is a rising edge of bit 7, so it alternates with a plain command while the fault stands.
+    A fault reset is a rising edge of bit 7, so it alternates with a plain command while the fault lasts.
     """
     if power is Power.RESET and state is DriveState.FAULT:
         return Controlword.DISABLE_VOLTAGE if last == Controlword.FAULT_RESET else Controlword.FAULT_RESET
@@ -48,4 +48,4 @@ def next_controlword(state: DriveState, power: Power, last: int) -> Controlword:
     if power is Power.QUICK_STOP and state in _STOPPABLE:
         return Controlword.QUICK_STOP
     steps = _TO_ON if power is Power.ON else _TO_OFF
-    return steps.get(state, Controlword.SHUTDOWN)  # a state that is not understood may hide a motor that turns
+    return steps.get(state, Controlword.SHUTDOWN)  # in an unknown state the motor may turn

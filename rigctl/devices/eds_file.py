@@ -1,4 +1,4 @@
-"""EDS files (CiA 306), read once before anything is started: what cannot be understood is a matter of the files."""
+"""EDS files (CiA 306), checked before any process starts, so that a bad file is reported as such."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def check(settings: RigSettings) -> None:
     """Read the EDS file of every CANopen device.
 
     Raises:
-        EdsError: the first that cannot be read or understood.
+        EdsError: the first file that cannot be read or parsed.
     """
-    logging.getLogger("canopen.objectdictionary").setLevel(logging.ERROR)  # what is refused is said here
+    logging.getLogger("canopen.objectdictionary").setLevel(logging.ERROR)  # EdsError reports the same
     for device, node in settings.canopen_nodes.items():
         path = settings.file(getattr(settings, device).eds)
         try:
@@ -31,7 +31,7 @@ def check(settings: RigSettings) -> None:
             found = canopen.import_od(str(path), node)
         except OSError as error:
             raise EdsError(f"{path}: cannot be read: {error.strerror}") from None
-        except Exception as error:  # noqa: BLE001 - canopen's parser lets out whatever its libraries raise
+        except Exception as error:  # noqa: BLE001 - canopen's parser passes on all exceptions of its libraries
             what = printable(" ".join(f"{type(error).__name__}: {error}".split()))[:300]
             raise EdsError(f"{path}: no EDS file ({what}), expected one as in CiA 306") from None
         if not len(found):

@@ -28,7 +28,7 @@ CLASSES = {
     0xF0: "additional functions",
     0xFF: "device specific",
 }
-"""Upper byte of the error code; one that is not listed belongs to the class of its first digit."""
+"""By upper byte of the error code; a code not listed has the class of its first digit."""
 CODES = {
     0x8110: "CAN overrun",
     0x8120: "CAN error passive",
@@ -48,7 +48,7 @@ _SPECIFIC = 0xFF
 
 
 def stands(code: int, register: int) -> bool:
-    """An error is there: a code 0x00xx tells that one is reset, and the register whether others remain."""
+    """Whether an error is active: a code 0x00xx resets one, and the register shows whether others remain."""
     return bool(code >> 8 or register)
 
 

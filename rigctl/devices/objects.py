@@ -1,7 +1,7 @@
 """CANopen objects the rig speaks, in one place: COB-IDs, object indices, units and PDO layouts.
 
 Both ends read this table: the control process compiles its codecs from it, the simulated nodes map their PDOs by
-it, and the tests hold both against the EDS files.
+it, and the tests compare both with the EDS files.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from rigctl.config.canopen import *
 # -- CiA 301: objects -------------------------------------------------------------------------------------------
 DEVICE_TYPE = 0x1000
 ERROR_REGISTER = 0x1001
-DEVICE_HEARTBEAT_MS = 100  # what we set as every device's 0x1017
+DEVICE_HEARTBEAT_MS = 100  # our value of every device's 0x1017
 CONSUMER_HEARTBEAT = 0x1016  # :01 = node id << 16 | time in ms
 PRODUCER_HEARTBEAT = 0x1017
 IDENTITY = 0x1018
@@ -61,7 +61,7 @@ SLOPE_RESOLUTION = 0x6000  # in 0.001 deg
 SLOPE_LONG = 0x6010  # INTEGER16, tangential angle of the rope
 SLOPE_LATERAL = 0x6020  # INTEGER16, normal angle of the rope
 SLOPE_RESOLUTION_MDEG = 10
-SLOPE_INVALID = -0x8000  # both slopes while the sensor cannot measure
+SLOPE_INVALID = -0x8000  # value of both slopes while the sensor cannot measure
 
 # -- CiA 406: rail encoder --------------------------------------------------------------------------------------
 DEVICE_TYPE_406 = 0x00010196  # absolute rotary encoder, single turn, profile 406
@@ -75,9 +75,9 @@ DIGITAL_INPUTS_FITTED = 1 << 16  # of the device type
 INPUTS_8 = 0x6000  # :01 on, UNSIGNED8: eight digital inputs each
 INPUT_POLARITY_8 = 0x6002  # :01 on, UNSIGNED8: 1 = the input is inverted
 INPUT_EVENTS = 0x6005  # BOOLEAN: a change of an input sends the TPDO
-INPUT_EVENT_MASK_8 = 0x6006  # :01 on, UNSIGNED8: of these inputs
+INPUT_EVENT_MASK_8 = 0x6006  # :01 on, UNSIGNED8: 1 = a change of this input counts
 EVERY_INPUT_8 = 0xFF
-EVENT_DRIVEN = 255  # transmission type: by the device profile, here on a change and by the event timer
+EVENT_DRIVEN = 255  # transmission type of the device profile: here on a change and by the event timer
 
 # -- CiA 402: cylinder drive ------------------------------------------------------------------------------------
 DEVICE_TYPE_402 = 0x00020192  # servo drive of profile 402
@@ -117,7 +117,7 @@ DRIVE_OBEYS_BY = frozenset(
     {(MODE_OF_OPERATION, 0), (MODE_DISPLAY, 0), (SI_UNIT_POSITION, 0), (SI_UNIT_VELOCITY, 0), (0x60B1, 0),
      *((RPDO1_COMMUNICATION, sub) for sub in (1, 2)), *((RPDO1_MAPPING, sub) for sub in (0, 1, 2))}
 )  # fmt: skip
-"""Objects without which the drive does not do what it is commanded (0x60B1: velocity offset)."""
+"""Objects without which the drive does not follow commands (0x60B1: velocity offset)."""
 
 MM_PER_POSITION_UNIT = 1e-3
 MM_S_PER_VELOCITY_UNIT = 1e-3
@@ -158,9 +158,9 @@ DRIVE_STATE_MASK = 0x6F
 _WIDE_STATES = frozenset({DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED,
                           DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT})  # fmt: skip
 STATUS_WARNING = 0x0080
-STATUS_REMOTE = 0x0200  # bit 9: the controlword is obeyed; off while a panel or a service tool has the drive
-STATUS_INTERNAL_LIMIT = 0x0800  # bit 11: a limit of the drive's own acts on what it is told
-STATUS_FOLLOWS = 0x1000  # bit 12 in CSV, OPERATION ENABLED: the target velocity is followed
+STATUS_REMOTE = 0x0200  # bit 9: the drive takes the controlword; off while a panel or service tool controls it
+STATUS_INTERNAL_LIMIT = 0x0800  # bit 11: a limit inside the drive acts on our command
+STATUS_FOLLOWS = 0x1000  # bit 12 in CSV, OPERATION ENABLED: the drive follows the target velocity
 
 
 def drive_state(statusword: int) -> DriveState:
@@ -176,7 +176,7 @@ def _state_of(narrow: int) -> DriveState:
 
 
 _STATES = tuple(map(_state_of, range(DRIVE_STATE_MASK + 1)))
-"""For every statusword under the mask: the loop asks three times a tick."""
+"""State of every statusword under the mask, as a table: the loop needs it three times a tick."""
 
 
 class EmcyCode(IntEnum):
@@ -187,15 +187,15 @@ class EmcyCode(IntEnum):
     HEARTBEAT_LOST = 0x8130
     RPDO_TIMEOUT = 0x8250
     SENSOR_INVALID = 0x5010
-    EXTERNAL = 0x9000  # the drive's: its emergency stop input has been opened
+    EXTERNAL = 0x9000  # of the drive: its emergency stop input has opened
 
 
 # -- simulator node: not a device of the rig --------------------------------------------------------------------
 SIM_MOTION_START = 0x2000  # UNSIGNED8: 1 starts the move of the rig file's demo section
 SIM_MOTION_STATE = 0x2001  # UNSIGNED8: 1 while the mechanism moves
 SIM_E_STOP = 0x2002  # UNSIGNED8: 1 = the emergency stop is pressed: both of its contacts open
-SIM_IO_E_STOP = 0x2003  # UNSIGNED8: 1 = the contact that the I/O node sees is open
-SIM_TOOL_UM_S = 0x2004  # INTEGER32, um/s: a service tool has the drive enabled and moves it; 0 = it is withdrawn
+SIM_IO_E_STOP = 0x2003  # UNSIGNED8: 1 = the I/O node's contact is open
+SIM_TOOL_UM_S = 0x2004  # INTEGER32, um/s: a service tool enables the drive and moves it; 0 = no tool
 SIM_TRUE_VERTICAL_MN = 0x2100  # INTEGER32, mN: the plant's true vertical tension
 SIM_TRUE_STROKE_UM = 0x2101  # INTEGER32, um
 
@@ -214,12 +214,12 @@ class PdoLayout:
 
     @property
     def transmitted(self) -> bool:
-        """The device sends it: a TPDO."""
+        """Whether the device sends it, as a TPDO."""
         return self.cob_base % PDO_SPACING == TPDO1_BASE % PDO_SPACING
 
     @property
     def place(self) -> int:
-        """0 for the first PDO of its kind: 0x1800, 0x1A00, 0x1400 and 0x1600 are followed by those of the next."""
+        """Index of the PDO among its kind, from 0; it is added to 0x1800, 0x1A00, 0x1400 and 0x1600."""
         return (self.cob_base - (TPDO1_BASE if self.transmitted else RPDO1_BASE)) // PDO_SPACING
 
     @property
@@ -249,17 +249,17 @@ class PdoLayout:
 
     @property
     def objects(self) -> tuple[tuple[int, int], ...]:
-        """Index and sub-index of the values in it, in its order; what is padding is none."""
+        """Index and sub-index of the values in it, in order, without padding."""
         return tuple((index, sub) for index, sub, code in self.fields if not code.endswith(_PADDING))
 
     def as_mapped(self, entries: Iterable[int]) -> PdoLayout:
-        """This PDO as a device has it: in the order of its mapping ``entries``, with what else is in it as padding.
+        """This PDO in the order of a device's mapping ``entries``, with other objects as padding.
 
-        An RPDO must have nothing else in it but gaps (objects 0001 to 0007) and the mode of operation, whose value we
-        know: a controller does not write what it was not asked for.
+        An RPDO may have no other objects but gaps (0001 to 0007) and the mode of operation, whose value we know: the
+        controller must not write any other object.
 
         Raises:
-            ValueError: what is missing, or cannot be read or written.
+            ValueError: it names the object that is missing, or cannot be read or written.
         """
         codes = {(index, sub): code for index, sub, code in self.fields}
         if not self.transmitted:

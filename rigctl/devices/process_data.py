@@ -1,7 +1,7 @@
-"""The process data in use: which PDO carries what, in which order, and the drive's units.
+"""The process data in use: the objects of each PDO, in order, and the drive's units.
 
-What the rig file asks for is `wanted`; what the devices have, as start-up read it back, is in its report, in
-``control.json`` and so in every recording. The control process compiles its codecs from the latter.
+`wanted` gives the rig file's. Start-up's report, ``control.json`` and so every recording have the devices', as read
+back; the control process compiles its codecs from these.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DRIVE_SPEED, DRIVE_STATUS = "cylinder_speed", "cylinder_status"
 
 @dataclass(frozen=True)
 class DriveUnits:
-    """What one unit is of position (mm; 0x6064), speed (mm/s; 0x606C, 0x60FF) and ramp (mm/s2; 0x6085)."""
+    """Size of one unit of position (mm; 0x6064), speed (mm/s; 0x606C, 0x60FF) and ramp (mm/s2; 0x6085)."""
 
     position_mm: float = od.MM_PER_POSITION_UNIT
     speed_mm_s: float = od.MM_S_PER_VELOCITY_UNIT
@@ -47,16 +47,16 @@ class ProcessData:
 
     @staticmethod
     def of_json(document: object) -> ProcessData:
-        """What `as_json` has made.
+        """Process data from `as_json`.
 
         Raises:
-            msgspec.ValidationError: it is something else.
+            msgspec.ValidationError: the document has another shape.
         """
         return msgspec.convert(document, ProcessData)
 
 
 def wanted(settings: RigSettings) -> ProcessData:
-    """What the rig file asks for; the units are those of a drive in micrometres unless it says otherwise."""
+    """Process data by the rig file; the drive's unit is the micrometre unless the file gives another."""
     cylinder, nodes = settings.cylinder, settings.canopen_nodes
     sections = {"tension_cell": od.CELL_TPDO, "inclinometer": od.SLOPE_TPDO, "rail_encoder": od.ENCODER_TPDO}
     frames = {name: layout for name, layout in sections.items() if name in nodes}
@@ -77,7 +77,7 @@ def wanted(settings: RigSettings) -> ProcessData:
 
 
 def in_increments(settings: RigSettings, per_mm: float | None) -> DriveUnits:
-    """Units of a drive with so many increments of position per mm; those in micrometres where that is not known."""
+    """Units of a drive with ``per_mm`` increments of position per mm; micrometres where that is None."""
     if per_mm is None:
         return DriveUnits()
     cylinder = settings.cylinder

@@ -1,4 +1,4 @@
-"""A CANopen device under configuration, by SDO: what is written is read back, and errors name device and object."""
+"""A CANopen device under configuration by SDO: every write is read back, and errors name device and object."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from rigctl.config.settings import RigSettings
 from rigctl.devices import objects as od
 from rigctl.devices.sdo import Watched
 
-logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it logs, an error here says, with the device
-_MOST_SEGMENTS = 4  # no object read here is longer than one
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # our errors say the same, with the device
+_MOST_SEGMENTS = 4  # no object read here needs more than one
 _ASK_AGAIN_S = 0.05
-_MOST_ENTRIES = 64  # a count beyond it is of a multiplexed PDO, which carries no process data of ours
-_GARBLED = (struct.error, canopen.ObjectDictionaryError)  # canopen's, at frames too short and values of no such size
+_MOST_ENTRIES = 64  # a larger count marks a multiplexed PDO, which we do not use
+_GARBLED = (struct.error, canopen.ObjectDictionaryError)  # canopen raises these on short frames and wrong sizes
 
 
 class StartupError(RuntimeError):
-    """The rig is not what the rig file says, or does not answer; ``str()`` is one line."""
+    """The rig differs from the rig file, or does not answer; ``str()`` is one line."""
 
 
 class SilentError(StartupError):
@@ -46,7 +46,7 @@ class Device:
 
 @dataclass(frozen=True)
 class StopSetting:
-    """One setting of the drive's own stop: what was written, and what was read back; ``why`` where that failed."""
+    """One setting of the drive's own stop: value written, value read back, and ``why`` where that failed."""
 
     name: str
     object: str
@@ -64,7 +64,7 @@ class RemoteNode:
     """One device under configuration, with errors that name it."""
 
     def __init__(self, network: canopen.Network, settings: RigSettings, section: str, name: str) -> None:
-        """``section``: the device's, in the rig file."""
+        """``section``: the device's section in the rig file."""
         device = getattr(settings, section)
         self.name, self.id = name, int(device.node)
         self._section, self._device = section, device
@@ -75,7 +75,7 @@ class RemoteNode:
 
     @property
     def verified(self) -> list[Watched]:
-        """Every object that was read back as it must be, with its last value: what the loop goes on watching."""
+        """Every object read back with the right value, which the loop then keeps watching."""
         return list(self._verified.values())
 
     def where(self, index: int, sub: int) -> str:
@@ -87,7 +87,7 @@ class RemoteNode:
         return entry[sub] if hasattr(entry, "__getitem__") and not hasattr(entry, "raw") else entry
 
     def has(self, index: int, sub: int = 0) -> bool:
-        """An object that is optional in its profile is in its EDS file."""
+        """Whether an object that is optional in its profile is in the device's EDS file."""
         try:
             self._variable(index, sub)
         except KeyError:
@@ -111,7 +111,7 @@ class RemoteNode:
             raise StartupError(f"{self.where(index, sub)}: not in its EDS file") from None
 
     def _upload(self, variable: Any) -> int:
-        """An object's value; canopen's own way would go on for as long as a device sends segments."""
+        """An object's value; canopen's own upload has no bound on the segments a device sends."""
         data = b""
         with self.remote.sdo.open(variable.od.index, variable.od.subindex, "rb", buffering=0) as stream:
             for _ in range(_MOST_SEGMENTS):
@@ -135,7 +135,7 @@ class RemoteNode:
         return self.expect(value, index, sub) if verify else value
 
     def expect(self, value: int, index: int, sub: int = 0) -> int:
-        """An object must hold ``value``."""
+        """Check that an object holds ``value``."""
         found = self.read(index, sub)
         if found != value:
             raise StartupError(f"{self.where(index, sub)}: found {found:#x}, expected {value:#x}")
@@ -143,7 +143,7 @@ class RemoteNode:
         return found
 
     def watch(self, value: int, index: int, sub: int = 0, name: str = "") -> None:
-        """An object must keep ``value`` while the loop runs."""
+        """Have the loop check that an object keeps ``value``."""
         entry = self._variable(index, sub).od
         size = max(1, len(entry) // 8)  # a BOOLEAN has 1 bit
         self._verified.pop((index, sub), None)
@@ -153,7 +153,7 @@ class RemoteNode:
         )  # fmt: skip
 
     def enforce(self, name: str, wanted: int, index: int, sub: int) -> StopSetting:
-        """Write a setting and read it back; a drive that refuses it, or keeps another, is no error here."""
+        """Write a setting and read it back; a refusal or another value is no error here but in the result."""
         what = f"0x{index:04X}:{sub:02X}" if sub else f"0x{index:04X}"
         try:
             variable = self._variable(index, sub)
@@ -187,10 +187,10 @@ class RemoteNode:
         return SilentError(f"{self.name} (node {self.id}) stopped answering on {self._channel}")
 
     def await_boot(self, until_s: float, say: Callable[[str], None]) -> None:
-        """Wait until it answers, at most until ``until_s`` (time.monotonic).
+        """Wait until the device answers, at most until ``until_s`` (time.monotonic).
 
         Raises:
-            StartupError: it does not, or what it answers is no SDO answer.
+            StartupError: it does not answer, or its answer is no SDO answer.
         """
         waited = False
         while True:
@@ -203,14 +203,14 @@ class RemoteNode:
                 if not waited:
                     say(f"waiting for {self.name} (node {self.id}), for {left_s:.0f} s more at most (can.boot_wait_s)")
                     waited = True
-                time.sleep(min(left_s, _ASK_AGAIN_S))  # it may answer at once, and wrongly
+                time.sleep(min(left_s, _ASK_AGAIN_S))  # a wrong answer may come at once
             else:
                 break
         if waited:
-            self.remote.nmt.state = "PRE-OPERATIONAL"  # it has not heard the first
+            self.remote.nmt.state = "PRE-OPERATIONAL"  # a device that has just booted missed the first command
 
     def identity(self, profile: int) -> Device:
-        """Identity, of a device of this CiA profile."""
+        """Identity of the device, which must be of this CiA profile."""
         device_type = self.read(od.DEVICE_TYPE)
         if device_type & 0xFFFF != profile & 0xFFFF:
             raise StartupError(
@@ -229,13 +229,13 @@ class RemoteNode:
     def map_pdo(
         self, layout: od.PdoLayout, transmission: int, timers: Mapping[int, int] = MappingProxyType({})
     ) -> od.PdoLayout:
-        """Map ``layout`` onto its PDO and switch that on; what is there already is not written. The layout in use.
+        """Map ``layout`` onto its PDO and enable it; values already right are not written. Returns the layout in use.
 
-        CiA 301 order: disable, clear, write, count, enable. Bit 30 of the COB-ID stays as it is: a device without RTR
-        refuses another. A mapping that is fixed is used as it is, if it has all that is needed.
+        CiA 301 order: disable, clear, write, count, enable. Bit 30 of the COB-ID stays unchanged, because a device
+        without RTR refuses another. A fixed mapping is used if it has all objects of ``layout``.
 
         Args:
-            layout: what is needed.
+            layout: the objects needed.
             transmission: type, sub-index 2.
             timers: inhibit time and event timer of one that is not driven by SYNC, by sub-index.
         """
@@ -252,7 +252,7 @@ class RemoteNode:
             if mapped != layout.mapping:
                 layout = self._remap(layout, mapped)
             self.write(cob_id, communication, 1)
-        for sub, value in {1: cob_id, **parameters}.items():  # also what was so already
+        for sub, value in {1: cob_id, **parameters}.items():  # also values that were right already
             self.watch(value, communication, sub)
         for sub, value in enumerate((len(layout.mapping), *layout.mapping)):
             self.watch(value, layout.mapping_object, sub)
@@ -263,11 +263,11 @@ class RemoteNode:
         return tuple(self.read(index, sub) for sub in range(1, count + 1)) if count <= _MOST_ENTRIES else ()
 
     def _remap(self, layout: od.PdoLayout, mapped: tuple[int, ...]) -> od.PdoLayout:
-        """Write the mapping of a PDO that is switched off; the layout in use."""
+        """Write the mapping of a PDO that is switched off; returns the layout in use."""
         index = layout.mapping_object
         try:
             self._variable(index, 0).raw = 0
-        except canopen.SdoAbortedError as error:  # it is fixed
+        except canopen.SdoAbortedError as error:  # the mapping is fixed
             try:
                 return layout.as_mapped(mapped)
             except ValueError as missing:

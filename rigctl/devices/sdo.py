@@ -1,4 +1,4 @@
-"""SDO frames of CiA 301 as the loop needs them: asking for an object, reading the answer, naming what others send."""
+"""SDO frames of CiA 301 for the loop: request of an object, its answer, and words for other masters' frames."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from rigctl.config.settings import RigSettings
 
 SIZE = 8
-READS_HZ, FEWEST_TICKS = 100, 4  # the loop asks so often at most, and not before so many ticks have passed
+READS_HZ, FEWEST_TICKS = 100, 4  # largest rate of the loop's requests, and least ticks between two
 _MULTIPLEXER = struct.Struct("<HB")
 _REQUEST = struct.Struct("<BHB4x")
 _VALUE = struct.Struct("<I")
 _SPECIFIER = 0xE0
 _UPLOAD, _DOWNLOAD, _ABORT, _BLOCK_UPLOAD, _BLOCK_DOWNLOAD = 0x40, 0x20, 0x80, 0xA0, 0xC0
-_UPLOADED, _DOWNLOADED = 0x40, 0x60  # the server's
+_UPLOADED, _DOWNLOADED = 0x40, 0x60  # of the server
 _EXPEDITED, _SIZED = 0x02, 0x01
-_BLOCK_INITIATE = 0x01  # lowest bit of the sub-command: 0 begins a block transfer
+_BLOCK_INITIATE = 0x01  # bit 0 of the sub-command: 0 begins a block transfer
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Watched:
     """One object of a device that must keep the value that start-up has read back.
 
     ``size`` is in bytes, by the device's EDS; ``wanted`` is the value's bit pattern; ``timeout_ms`` is how long the
-    device may take to answer; ``obeys``: without it the drive does not do what it is commanded.
+    device may take to answer; ``obeys``: the drive does not follow commands without it.
     """
 
     node: int
@@ -45,7 +45,7 @@ class Watched:
 
 @dataclass(frozen=True)
 class Answer:
-    """An upload's answer: an object's bit pattern, or the abort code instead of it; not ``expedited``: it goes on."""
+    """An upload's answer: an object's bit pattern or the abort code; more frames follow if not ``expedited``."""
 
     value: int = 0
     abort: int = 0
@@ -53,7 +53,7 @@ class Answer:
 
 
 def every_ticks(settings: RigSettings) -> int:
-    """Ticks of the loop from one request to the next: what bounds their bus load."""
+    """Ticks of the loop from one request to the next, which bounds the requests' bus load."""
     return max(FEWEST_TICKS, math.ceil(settings.loop.rate_hz / READS_HZ))
 
 
@@ -63,19 +63,19 @@ def place(node: int, index: int, sub: int) -> str:
 
 
 def upload_request(index: int, sub: int) -> bytes:
-    """Initiate upload, CiA 301: what an object holds."""
+    """Initiate upload (CiA 301): request an object's value."""
     return _REQUEST.pack(_UPLOAD, index, sub)
 
 
 def answered(data: bytes | bytearray) -> tuple[int, int] | None:
-    """Index and sub-index of an answer to an upload request, an abort included; None: it is no such answer."""
+    """Index and sub-index of an answer to an upload request, or of an abort; None for another frame."""
     if len(data) != SIZE or data[0] & _SPECIFIER not in (_UPLOADED, _ABORT):
         return None
     return _MULTIPLEXER.unpack_from(data, 1)
 
 
 def upload_answer(data: bytes | bytearray, size: int) -> Answer:
-    """What such an answer says of an object of ``size`` bytes."""
+    """Content of such an answer, for an object of ``size`` bytes."""
     (value,) = _VALUE.unpack_from(data, 4)
     if data[0] & _SPECIFIER == _ABORT:
         return Answer(abort=value or 1)
@@ -90,7 +90,7 @@ def _used(data: bytes | bytearray, size: int) -> int:
 
 
 def multiplexer(data: bytes | bytearray) -> tuple[int, int] | None:
-    """Index and sub-index that an SDO frame of a client or a server names; None for one that goes on a transfer."""
+    """Index and sub-index in an SDO frame of a client or a server; None for a later frame of a transfer."""
     if len(data) != SIZE:
         return None
     specifier = data[0] & _SPECIFIER
@@ -100,7 +100,7 @@ def multiplexer(data: bytes | bytearray) -> tuple[int, int] | None:
 
 
 def foreign_request(node: int, data: bytes | bytearray) -> str:
-    """What another master asks of a device, in words: ``writes node 4 0x6007:00 = 0``."""
+    """Another master's request to a device, in words: ``writes node 4 0x6007:00 = 0``."""
     where = multiplexer(data)
     if where is None:
         return f"goes on an SDO transfer with node {node}"
@@ -113,7 +113,7 @@ def foreign_request(node: int, data: bytes | bytearray) -> str:
 
 
 def foreign_answer(node: int, data: bytes | bytearray) -> str:
-    """Whom a device answers that we have not asked, in words."""
+    """A device's answer to a request that was not ours, in words."""
     if len(data) == SIZE and data[0] & _SPECIFIER in (_UPLOADED, _DOWNLOADED, _ABORT):
         index, sub = _MULTIPLEXER.unpack_from(data, 1)
         return f"is answered by {place(node, index, sub)}"

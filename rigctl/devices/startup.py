@@ -1,7 +1,7 @@
 """Bringing the CANopen devices up, before the loop runs: identity, units, PDO mapping, and the drive's own stop.
 
-Uses the `canopen` library over the loop's bus. Every value written is read back; what does not agree ends the start
-with one line that names device, object, found and expected.
+Uses the `canopen` library over the loop's bus. Every value written is read back; a difference ends the start with
+one line that names device, object, found and expected.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ __all__ = ["DEVICE_HEARTBEAT_MS", "Device", "StartupError", "bring_up", "refuse_
 
 _LISTENED_HEARTBEATS = 2.5
 _INHIBIT_UNITS_PER_MS = 10
-_SAME_SCALE = 1e-6  # relative: two ways of saying the same scale differ by their rounding at most
+_SAME_SCALE = 1e-6  # relative: two values of the same scale differ by rounding at most
 _METRE, _PER_SECOND = 0x01, 0x03  # CiA 303-2
 _FINEST, _COARSEST = -9, -5  # powers of ten of a metre: 1 nm to 10 um
 _DEVICES = {
@@ -50,7 +50,7 @@ _DEVICES = {
 
 @dataclass(frozen=True)
 class PlainDevice:
-    """A device with plain frames: nothing of it can be read back, so this is what the rig file says of it."""
+    """A device with plain frames, as the rig file describes it: nothing can be read back."""
 
     name: str
     dbc: str
@@ -60,7 +60,7 @@ class PlainDevice:
 
 @dataclass(frozen=True)
 class Report:
-    """What start-up found; ``supervision`` holds the drive's own stop settings as read back.
+    """Result of start-up; ``supervision`` holds the drive's own stop settings as read back.
 
     ``watched``: every object that was verified, the drive's first, for `rigctl.control.readback`.
     """
@@ -87,10 +87,10 @@ class Report:
 
 
 def refuse_rival(bus: can.BusABC, settings: RigSettings) -> None:
-    """Listen before speaking: another controller's SYNC or heartbeat on the bus ends the start.
+    """Listen before sending: another controller's SYNC or heartbeat on the bus ends the start.
 
     Raises:
-        StartupError: there is one, or the interface is down.
+        StartupError: there is another controller, or the interface is down.
     """
     ours = (od.SYNC_COB, od.HEARTBEAT_BASE + settings.can.controller_node)
     until = time.monotonic() + settings.can.heartbeat_ms * 1e-3 * _LISTENED_HEARTBEATS
@@ -111,9 +111,9 @@ def refuse_rival(bus: can.BusABC, settings: RigSettings) -> None:
 def bring_up(bus: can.BusABC, settings: RigSettings, say: Callable[[str], None] = lambda _line: None) -> Report:
     """Configure the CANopen devices and start them; the drive stays off, its brake closed.
 
-    ``say``: told, in one line each, what it waits for.
+    ``say``: called with one line for each wait.
 
-    Devices with plain frames have nothing to configure: whether they send is seen by the loop's preflight.
+    Devices with plain frames need no configuration; the loop's preflight checks that they send.
 
     Raises:
         StartupError: one line.
@@ -175,7 +175,7 @@ def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[s
 
 
 def _check_load(settings: RigSettings, process_data: ProcessData) -> None:
-    """A mapping that is fixed may have longer frames than the rig file asks for."""
+    """Check the bus load again: a fixed mapping may have longer frames than the rig file's."""
     load = busload.bus_load(settings, process_data)
     if load is not None and load > busload.LIMIT:
         raise StartupError(
@@ -185,10 +185,10 @@ def _check_load(settings: RigSettings, process_data: ProcessData) -> None:
 
 
 def _units(drive: RemoteNode, settings: RigSettings) -> DriveUnits:
-    """The drive's units: by the rig file, by its feed constant, or by its SI units; where two say it, they agree.
+    """The drive's units by the rig file, by its feed constant, or by its SI units; two sources must agree.
 
     Raises:
-        StartupError: it is not known what a unit is, or two of them disagree.
+        StartupError: the units are unknown, or two sources disagree.
     """
     cylinder = settings.cylinder
     per_mm, source = cylinder.increments_per_mm, "cylinder.increments_per_mm"
@@ -236,7 +236,7 @@ def _ratio(drive: RemoteNode, index: int) -> float:
 
 
 def _si_unit_mm(drive: RemoteNode, index: int, denominator: int) -> float:
-    """What one unit is in mm (or mm/s), by a unit object of CiA 303-2: prefix, numerator, denominator."""
+    """Size of one unit in mm (or mm/s) by a unit object of CiA 303-2: prefix, numerator, denominator."""
     found = drive.read(index)
     prefix = (found >> 24 ^ 0x80) - 0x80
     if found & 0xFFFFFF != _METRE << 16 | denominator << 8 or not _FINEST <= prefix <= _COARSEST:
@@ -250,9 +250,9 @@ def _si_unit_mm(drive: RemoteNode, index: int, denominator: int) -> float:
 
 
 def _check_encoder(encoder: RemoteNode, settings: RigSettings, layout: od.PdoLayout) -> od.PdoLayout:
-    """One turn is what the rig file says, and the position begins again at the end of a turn, not within one."""
+    """Check that one turn has the rig file's counts, and that the position wraps at the end of a turn, not within."""
     rail = settings.rail_encoder
-    assert rail is not None  # there is no node without it
+    assert rail is not None  # the node exists only with this section
     encoder.expect(rail.counts_per_turn, od.ENCODER_COUNTS_PER_TURN)
     total = encoder.read(od.ENCODER_TOTAL_RANGE)
     if total == 0 or total % rail.counts_per_turn:
@@ -264,7 +264,7 @@ def _check_encoder(encoder: RemoteNode, settings: RigSettings, layout: od.PdoLay
 
 
 def _ask_for_inputs(node: RemoteNode, io: IoSettings, layout: od.PdoLayout) -> od.PdoLayout:
-    """The emergency stop's input by the node's own events and timer: inverted by nobody, kept back by no mask."""
+    """Have the node send the emergency stop's input on events and by its timer, not inverted and not masked."""
     device_type = node.read(od.DEVICE_TYPE)
     if not device_type & od.DIGITAL_INPUTS_FITTED:
         raise StartupError(f"{node.where(od.DEVICE_TYPE, 0)}: found {device_type:#x}, expected one with digital inputs")
@@ -292,9 +292,9 @@ def _plain_devices(settings: RigSettings) -> list[PlainDevice]:
 
 
 def _ask_for_status(drive: RemoteNode, settings: RigSettings, layout: od.PdoLayout) -> od.PdoLayout:
-    """Motor current, temperature and inputs by the drive's second TPDO; its unit of current is the rated one."""
+    """Have the drive send motor current, temperature and inputs in its second TPDO; current is per rated current."""
     rated_a = settings.cylinder.rated_current_a
-    assert rated_a is not None  # the settings need it where they ask for the status
+    assert rated_a is not None  # the settings require it with a status rate
     drive.expect(round(rated_a / od.A_PER_RATED_CURRENT_UNIT), od.MOTOR_RATED_CURRENT)
     return drive.map_pdo(layout, settings.status_divisor)
 
@@ -302,8 +302,8 @@ def _ask_for_status(drive: RemoteNode, settings: RigSettings, layout: od.PdoLayo
 def _supervise(drive: RemoteNode, settings: RigSettings, units: DriveUnits) -> tuple[StopSetting, ...]:
     """Make the drive stop by itself when we go silent, and read every such setting back.
 
-    One that the drive does not take ends no start: the rig can be looked at, and arming says what is wrong. A velocity
-    offset left in the drive by its commissioning tool would move the stroke while the loop commands 0.
+    A setting that the drive refuses does not end the start: the rig can be inspected, and arming reports the setting.
+    A velocity offset left in the drive by its commissioning tool would move the stroke while the loop commands 0.
     """
     cylinder = settings.cylinder
     deceleration = round(cylinder.stop_deceleration_mm_s2 / units.ramp_mm_s2)
@@ -323,10 +323,10 @@ def _supervise(drive: RemoteNode, settings: RigSettings, units: DriveUnits) -> t
 
 
 def release(bus: can.BusABC, settings: RigSettings) -> None:
-    """Before a daemon ends: the drive, off with its brake closed, need not wait for us any more.
+    """End the drive's supervision of heartbeat and commands before a daemon ends; the drive is off, its brake closed.
 
-    Without this it would miss our heartbeat and meet the next daemon with a fault. Best effort: a drive that does not
-    answer keeps its supervision, which is the safe side.
+    Without this the drive would miss our heartbeat and be in fault at the next start. Best effort: a drive that does
+    not answer keeps its supervision, which is safe.
     """
     network = canopen.Network(bus)
     network.NOTIFIER_CYCLE = 0.01

@@ -1,4 +1,4 @@
-"""From what the tension cell reads to tension: a zero and a scale, both bounded, both on record in the ledger."""
+"""From the cell's reading to tension: a zero and a scale, both bounded and on record in the ledger."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
 
-SCALE_BOUND = 0.02  # a cell further out than this wants repair, not a factor
+SCALE_BOUND = 0.02  # a cell with a larger error needs repair, not a factor
 
 
 @dataclass(frozen=True)
 class Correction:
-    """``tension = (reading - zero_n) * scale``; ``overdue``: no valid calibration, and none waived, so no arming."""
+    """``tension = (reading - zero_n) * scale``; ``overdue``: no valid calibration and no waiver, which bars arming."""
 
     zero_n: float = 0.0
     scale: float = 1.0
@@ -23,7 +23,7 @@ class Correction:
         return (reading_n - self.zero_n) * self.scale
 
     def fits(self, settings: RigSettings) -> bool:
-        """Within the bounds: a correction can shift what is seen a little, never hide a load or a lost rope."""
+        """Within the bounds: a correction may shift the tension a little, never hide a load or a lost rope."""
         limit = tare_limit_n(settings)
         return (
             math.isfinite(self.zero_n + self.scale)

@@ -1,7 +1,8 @@
 """The ledger: every tare, calibration check and identification of one rig, in a JSON file that only grows.
 
-Written by the gateway alone, at once or not at all (new file, fsync, rename), and read by whoever starts. The last
-entry that says so gives zero and scale; the last calibration check says until when the cell may be believed.
+Only the gateway writes it, whole or not at all (new file, fsync, rename); supervisor and gateway read it at their
+start. The last entry with zero and scale gives these; the last calibration check gives the date until which the cell
+is believed.
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ class LedgerError(RuntimeError):
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One thing that was done: what, when, by whom, what held before and holds after, and the figures behind it.
+    """One entry: action, time, operator, correction before and after, and the figures behind it.
 
-    ``after`` holds ``zero_n`` and ``scale`` where they are in force from then on; ``passed`` is None for what is no
-    check. ``settings`` is a digest of the settings it was done with.
+    ``after`` holds ``zero_n`` and ``scale`` where they are in force from then on; ``passed`` is None for an entry
+    that is no check. ``settings`` is the digest of the settings then in use.
     """
 
     what: str
@@ -59,7 +60,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Standing:
-    """What the ledger says now. ``due`` and ``tared`` are ISO 8601 UTC, None without a check that passed, or a tare."""
+    """The ledger's values now. ``due`` and ``tared``: ISO 8601 UTC, None without a passed check or without a tare."""
 
     zero_n: float = 0.0
     scale: float = 1.0
@@ -70,14 +71,14 @@ class Standing:
 
     @property
     def correction(self) -> Correction:
-        """What the loop is told."""
+        """The correction for the loop."""
         return Correction(self.zero_n, self.scale, self.overdue and self.waiver is None)
 
 
 def in_force(runtime: Runtime, before: Standing | None = None) -> Standing:
-    """What supervisor or gateway last put in force; the plain cell before that.
+    """The values that supervisor or gateway last put in force; before that, the uncorrected cell.
 
-    ``before``: what holds on where the file cannot be believed; without it the plain cell, which is not armed with.
+    ``before``: kept if the file is invalid; without it the uncorrected cell, which does not arm.
     """
     try:
         return msgspec.convert(runtime.read_json(IN_FORCE), Standing)
@@ -86,7 +87,7 @@ def in_force(runtime: Runtime, before: Standing | None = None) -> Standing:
 
 
 def utc(wall_ns: int) -> str:
-    """A moment on the wall clock as the ledger writes it."""
+    """A wall-clock time in the ledger's format."""
     return f"{datetime.fromtimestamp(wall_ns // 1_000_000_000, UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 
@@ -101,14 +102,14 @@ def entry(
     figures: dict[str, Any],
     passed: bool | None = None,
 ) -> Entry:
-    """An entry as of now."""
+    """An entry with the present time."""
     return Entry(
         what, utc(wall_ns), operator, settings.rig, __version__, digest(settings), before, after, figures, passed
     )
 
 
 def digest(settings: RigSettings) -> str:
-    """SHA-256 of the settings, without where the file stands."""
+    """SHA-256 of the settings, without the file's folder."""
     plain = settings.model_dump(mode="json", exclude={"directory"})
     return hashlib.sha256(msgspec.json.encode(plain, order="sorted")).hexdigest()
 
@@ -143,7 +144,7 @@ def read(settings: RigSettings) -> list[Entry]:
 
 
 def _check(path: pathlib.Path, number: int, item: Entry, settings: RigSettings) -> None:
-    """Refuse an entry that would give the loop a zero or scale out of bounds, or a date that is none."""
+    """Refuse an entry with a zero or scale out of bounds, or an invalid date."""
     try:
         moment(item.when)
     except ValueError:
@@ -164,7 +165,7 @@ def append(settings: RigSettings, new: Entry) -> list[Entry]:
     """Write one more entry; returns all.
 
     Raises:
-        LedgerError: it could not be written; the file is as it was.
+        LedgerError: the entry could not be written; the file is unchanged.
     """
     path = settings.ledger
     if path is None:
@@ -188,7 +189,7 @@ def append(settings: RigSettings, new: Entry) -> list[Entry]:
 
 
 def sync_folder(folder: pathlib.Path) -> None:
-    """Without this the new name may be lost with the power."""
+    """Write a folder to disk: without this a power cut may lose a new name in it."""
     fd = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(fd)
@@ -197,7 +198,7 @@ def sync_folder(folder: pathlib.Path) -> None:
 
 
 def standing(settings: RigSettings, entries: Sequence[Entry], wall_ns: int) -> Standing:
-    """What holds at ``wall_ns``: the newest zero and scale, and until when the newest check holds, if it passed."""
+    """Values at ``wall_ns``: the newest zero and scale, and the due date of the newest check if it passed."""
     if settings.calibration is None:
         return Standing()
     zero_n, scale, due = 0.0, 1.0, None
@@ -207,14 +208,14 @@ def standing(settings: RigSettings, entries: Sequence[Entry], wall_ns: int) -> S
             zero_n, scale = zero, factor
         if item.passed is not None:
             done = moment(item.when)
-            credible = item.passed and done <= now + CLOCKS_DIFFER  # a check of tomorrow would hold for too long
+            credible = item.passed and done <= now + CLOCKS_DIFFER  # a check dated in the future would hold too long
             due = done + timedelta(days=settings.calibration.due_days) if credible else None
     shown = f"{due:%Y-%m-%dT%H:%M:%SZ}" if due is not None else None
     return Standing(zero_n, scale, shown, due is None or due <= now, settings.calibration.waiver, _tared(entries))
 
 
 def _tared(entries: Sequence[Entry]) -> str | None:
-    """When the tare that holds was made; one that was withdrawn does not."""
+    """Time of the tare in force; a withdrawn tare is not."""
     withdrawn = {item.figures.get("withdraws") for item in entries if item.what == "tare withdrawn"}
     return next((item.when for item in reversed(entries) if item.what == "tare" and item.when not in withdrawn), None)
 
@@ -223,7 +224,7 @@ def moment(when: str) -> datetime:
     """A date of the ledger, with its time zone.
 
     Raises:
-        ValueError: it is none.
+        ValueError: the text is no date.
     """
     found = datetime.fromisoformat(when)
     if found.tzinfo is None:

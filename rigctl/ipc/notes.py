@@ -16,12 +16,12 @@ class Note(IntEnum):
     """Kind of a note."""
 
     LEASE_TAKEN = 1
-    LEASE_TAKEN_OVER = 2  # other: from whom
+    LEASE_TAKEN_OVER = 2  # other: the operator who had the lease
     LEASE_RETURNED = 3
     LEASE_LAPSED = 4
-    HOLD_WITHOUT_LEASE = 5  # other: who holds the lease
-    LEASE_NOT_BELIEVED = 6  # what the runtime folder says of a lease is none
-    TOO_MANY_COMMANDS = 65  # reason: how many of the operator's were refused, and in what time
+    HOLD_WITHOUT_LEASE = 5  # other: the holder of the lease
+    LEASE_NOT_BELIEVED = 6  # lease.json is invalid
+    TOO_MANY_COMMANDS = 65  # reason: number of the operator's refused commands, and the time span
 
 
 def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str]:
@@ -47,7 +47,7 @@ def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str
 
 
 def note_message(note: np.void, wall_offset_ns: int) -> tuple[str, dict[str, Any]]:
-    """Severity, and a note as the JSON object subscribers get."""
+    """Severity, and the note as a JSON object for subscribers."""
     operator, other, reason = (bytes(note[name]).decode(errors="replace") for name in ("operator", "other", "reason"))
     number, t_ns = int(note["kind"]), int(note["t_ns"])
     name, severity, text = str(number), "warning", f"note {number} {operator} {other} {reason}".rstrip()
@@ -62,17 +62,17 @@ def note_message(note: np.void, wall_offset_ns: int) -> tuple[str, dict[str, Any
 
 
 class RequestLog:
-    """The commands asked for and what was answered, for the audit log. One thread writes it."""
+    """Commands received and their answers, for the audit log. One thread writes it."""
 
     def __init__(self, writer: RingWriter) -> None:
         self._writer = writer
 
     def given(self, t_ns: int, id_: int, verb: str, operator: str, holder: str, value: float) -> None:
-        """A command that the loop has been given."""
+        """A command passed on to the loop."""
         self._write(t_ns, False, id_, verb, value, operator, holder, {})
 
     def answered(self, t_ns: int, id_: int, holder: str, message: dict[str, Any], entry: str = "") -> None:
-        """An answer as it went out; ``id_``: 0 where the loop was not asked. ``entry``: hash of the ledger's entry."""
+        """An answer as sent; ``id_``: 0 for a command the loop did not get. ``entry``: hash of the ledger's entry."""
         value = message.get("value")
         number = math.nan if value is None else float(value)
         verb, operator = str(message["verb"]), str(message["operator"])

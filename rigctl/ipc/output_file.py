@@ -1,4 +1,4 @@
-"""Files a command writes: refused before the work is done that would fill them."""
+"""Output files of commands, checked before the work whose result they take."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ class OutputError(ValueError):
 
 
 def check(option: str, file: pathlib.Path) -> None:
-    """Try whether ``file`` could be written, and leave everything as it was.
+    """Check that ``file`` can be written, without a change.
 
     Raises:
-        OutputError: it could not.
+        OutputError: it cannot be written.
     """
     try:
         if file.exists() and not file.is_file() and not file.is_dir():
             if not os.access(file, os.W_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-            return  # a pipe that is opened and closed has told its reader that this was all
+            return  # opening and closing a pipe would end its reader's input
         new = not file.exists()
         file.open("ab").close()
         if new:
-            file.resolve().unlink()  # of a link the file it names, not the link
+            file.resolve().unlink()  # the target of a link, not the link
     except OSError as error:
         raise OutputError(file, error, option) from None
 
@@ -48,15 +48,15 @@ def write(file: pathlib.Path, text: str) -> None:
 
 
 def replace(file: pathlib.Path, text: str) -> None:
-    """Write a text at once or not at all: who reads meanwhile finds the old one, whole.
+    """Write a text whole or not at all; until then a reader finds the old file.
 
     Raises:
-        OutputError: it cannot be written; what was there stays.
+        OutputError: it cannot be written; the old file stays.
     """
     with writing(file):
-        place = file.resolve()  # of a link the file it names, not the link
+        place = file.resolve()  # the target of a link, not the link
         if place.exists() and not place.is_file():
-            file.write_text(text, encoding="utf-8")  # a pipe, a device
+            file.write_text(text, encoding="utf-8")  # a pipe or a device cannot be replaced
             return
         part = place.with_name(f".{place.name}.{os.getpid()}.part")
         try:

@@ -1,4 +1,4 @@
-"""What one tick leaves behind, and the other slots that cross between processes, as tables of fields.
+"""The record of a tick and the other slots that cross between processes, as tables of fields.
 
 Each table gives the packed struct the loop writes, the numpy dtype readers see, and the schema subscribers get.
 All slots are little-endian and packed, and begin with the ring's sequence number.
@@ -26,19 +26,19 @@ class Field:
 
 @dataclass(frozen=True)
 class Slot:
-    """A slot's fields without the leading ``seq``, and what is derived from them."""
+    """A slot's fields without the leading ``seq``, and the layouts derived from them."""
 
     name: str
     fields: tuple[Field, ...]
 
     @property
     def layout(self) -> struct.Struct:
-        """Struct of the fields without ``seq``: what a ``RingWriter`` takes."""
+        """Struct of the fields without ``seq``, for a ``RingWriter``."""
         return struct.Struct("<" + "".join(field.code for field in self.fields))
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Packed dtype with ``seq``: what a ``RingReader`` takes, and the wire format of a fast block."""
+        """Packed dtype with ``seq``, for a ``RingReader``; also the wire format of a fast block."""
         kinds = {"d": "<f8", "q": "<i8", "Q": "<u8", "I": "<u4", "H": "<u2", "B": "u1"}
         return np.dtype(
             [("seq", "<u8"), *((field.name, kinds.get(field.code) or f"S{field.code[:-1]}") for field in self.fields)]
@@ -46,7 +46,7 @@ class Slot:
 
 
 NEVER_AGE_NS = 1 << 60
-"""An age beyond this says that there has been no sample; messages and exports have null in its place."""
+"""A larger age means that no sample has come yet; messages and exports have null in its place."""
 
 
 class Quality(IntFlag):
@@ -59,7 +59,7 @@ class Quality(IntFlag):
 
 
 class Flag(IntFlag):
-    """Things true of a tick."""
+    """States of a tick."""
 
     LIMITED_SPEED = 1
     LIMITED_ACCELERATION = 2
@@ -67,7 +67,7 @@ class Flag(IntFlag):
     ARMING = 16
     DRIVE_ENABLED = 32
     STOPPING = 64
-    STROKE_UNCONFIRMED = 4096  # the drive's position is not believed to be where the stroke is, see control.homed
+    STROKE_UNCONFIRMED = 4096  # the drive's position is not confirmed as the stroke, see control.homed
 
 
 _AGE = "age of that sample; null before the first one (in a record: above 2^60)"
@@ -188,7 +188,7 @@ HOLD = Slot(
     ),
 )
 
-HOLD_ID = 1 << 62  # set in the id of every hold: no command's id, which is a time of CLOCK_MONOTONIC, comes near it
+HOLD_ID = 1 << 62  # set in the id of every hold; ids of commands are CLOCK_MONOTONIC times, far below it
 
 REPLY = Slot(
     "reply",
@@ -257,7 +257,7 @@ FRAME = Slot(
 
 
 class FrameFlag(IntFlag):
-    """What kind of frame it is, in the upper bits of ``can_id`` as in Linux's ``struct can_frame``."""
+    """Kind of a frame, in the upper bits of ``can_id`` as in Linux's ``struct can_frame``."""
 
     ERROR = 1 << 29
     REMOTE = 1 << 30

@@ -2,7 +2,7 @@
 
 A ring is a file in a memory-backed directory, mapped by every process. Slots are fixed little-endian structs that
 begin with their own sequence number (from 1). The writer stores the payload, then the slot's number, then the head;
-a reader copies and then looks at the head again, so that a slot overwritten under it is counted as lost, never
+a reader copies and then reads the head again, so that a slot overwritten meanwhile is counted as lost, never
 returned torn. (Stores become visible in program order on x86-64; on other machines the check on the slot's number
 still refuses a torn slot, one poll later.)
 """
@@ -33,8 +33,8 @@ class RingError(ValueError):
 def create(path: pathlib.Path, dtype: np.dtype[Any], capacity: int, *, reserve: bool = False) -> None:
     """Make an empty ring of ``capacity`` slots of ``dtype``, whose first field is ``seq`` (u64).
 
-    ``reserve``: take its memory now. A file without it is taken page by page as it is written, and a memory-backed
-    disk that is full by then ends the writer with SIGBUS.
+    ``reserve``: allocate its memory now. Without it pages are allocated as they are written, and a memory-backed disk
+    that is full by then ends the writer with SIGBUS.
 
     Raises:
         OSError: there is no room, or the folder is gone.
@@ -54,10 +54,10 @@ def create(path: pathlib.Path, dtype: np.dtype[Any], capacity: int, *, reserve: 
 
 
 def identity(path: pathlib.Path) -> tuple[int, bytes]:
-    """What a ring keeps from the moment it is made: its inode, and its header but for the head.
+    """The parts of a ring that never change: its inode, and its header without the head.
 
     Raises:
-        OSError: it is not there, or cannot be read.
+        OSError: the ring does not exist or cannot be read.
     """
     fd = os.open(path, _FLAGS | os.O_RDONLY)
     try:
@@ -92,7 +92,7 @@ class RingWriter:
         self._slot_size = layout.size + 8
         self._memory, self._capacity = _map(path, self._slot_size, writable=True)
         (self.head,) = _HEAD.unpack_from(self._memory, _HEAD_OFFSET)
-        # One aligned store: pack_into clears the bytes first, and a reader must never find a head of 0 in between.
+        # One aligned store, because pack_into clears the bytes first and a reader would find a head of 0 in between.
         self._head_word = memoryview(self._memory)[_HEAD_OFFSET : _HEAD_OFFSET + _HEAD.size].cast("Q")
 
     def write(self, *values: Any) -> int:
@@ -114,7 +114,7 @@ class RingWriter:
 
 
 class RingReader:
-    """A reader with its own cursor; ``lost`` counts the slots that were overwritten before it came."""
+    """A reader with its own cursor; ``lost`` counts the slots overwritten before they were read."""
 
     def __init__(self, path: pathlib.Path, dtype: np.dtype[Any], *, from_start: bool = False) -> None:
         """``from_start``: begin with the oldest slot still held, else with the next one written."""
@@ -150,12 +150,12 @@ class RingReader:
         return slots
 
     def seek(self, t_ns: int) -> None:
-        """Move the cursor before the first slot still held that is not older; the ring's times must not fall."""
+        """Move the cursor before the first slot held not older than ``t_ns``; the ring's times must not fall."""
         low, high = self._oldest(self.head), self.head + 1
         while low < high:
             middle = (low + high) // 2
             slot = self._slots[middle % self._capacity]
-            if slot["seq"] != middle or slot["t_ns"] < t_ns:  # one that is overwritten meanwhile was older
+            if slot["seq"] != middle or slot["t_ns"] < t_ns:  # a slot overwritten meanwhile was older
                 low = middle + 1
             else:
                 high = middle
@@ -173,5 +173,5 @@ class RingReader:
         return None
 
     def close(self) -> None:
-        """Forget the mapping (it ends with the last array that refers to it)."""
+        """Release the mapping; it ends with the last array that refers to it."""
         del self._slots

@@ -1,15 +1,15 @@
-"""The running daemon's folder in memory: rings, the resolved configuration, and the lock that makes it the only one.
+"""The running daemon's folder in memory: rings, the resolved configuration, and the lock against a second daemon.
 
 ``/dev/shm/rigctl-<rig>/``: ``records events frames commands holds replies notes desk supervision`` (rings),
-``hold.sock`` (where HOLD is taken from this computer's operators), ``active.json`` (what runs), ``recorder.json`` (what
-the recorder has kept),
-``control.json`` (what the control process read back), ``calibration.json`` (the cell's zero, scale and due date in
-force), ``stroke.json`` (the stroke last known when the control process started), ``lease.json`` (who may command),
-``gateway.*`` (the gateway's own), ``lock`` (held by the supervisor, with its pid in it).
+``hold.sock`` (takes HOLD from this computer's operators), ``active.json`` (settings, version and design of the run),
+``recorder.json`` (files written by the recorder), ``control.json`` (settings read back by the control process),
+``calibration.json`` (the cell's zero, scale and due date in force), ``stroke.json`` (the last known stroke at the start
+of the control process), ``lease.json`` (holder of the lease), ``gateway.*`` (the gateway's own), ``lock`` (held by the
+supervisor, with its pid in it).
 
-Anyone may make a folder of this name in ``/dev/shm``. A daemon uses one that is its user's own and closed to others
-(0700), follows no link in it, and makes its files anew (0600). What other processes read in it has the shape of
-``SHAPES``, or is not believed.
+Anyone may make a folder of this name in ``/dev/shm``. A daemon uses only a folder that its user owns and that is closed
+to others (0700), follows no link in it, and makes its files anew (0600). A file that other processes read has a shape
+in ``SHAPES``; a file of another shape is not believed.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from rigctl.ipc.ring import RingReader, RingWriter, create, identity
 ACTIVE = "active.json"
 RECORDED = "recorder.json"
 BASE = pathlib.Path("/dev/shm")
-"""Where the folders of all daemons of this computer are."""
+"""Parent of the folders of all daemons of this computer."""
 _LONGEST_LOCK, _LARGEST_PID = 20, 1 << 22
 _SMALL_RING = 4096
 _NOTES = 1024
@@ -100,7 +100,7 @@ class _Recorded(msgspec.Struct):
 
 
 SHAPES: dict[str, Any] = {ACTIVE: _Active, "control.json": _Control, RECORDED: _Recorded}
-"""What the processes of a daemon rely on in each other's files; whoever reads another file judges it by itself."""
+"""Shapes of the files that the daemon's processes share; the readers of other files check these themselves."""
 
 
 class FolderError(RuntimeError):
@@ -112,16 +112,16 @@ class AlreadyRunningError(RuntimeError):
 
 
 def frames_held(settings: RigSettings) -> int:
-    """Frames a bus that is full all the time carries while the records' ring fills."""
+    """Frames a fully loaded bus carries while the ring of records fills."""
     rate_hz = (settings.can.bitrate_bit_s or _FASTEST_BIT_S) // _SHORTEST_FRAME_BITS
     return rate_hz * settings.telemetry.history_s
 
 
 def recorded() -> list[dict[str, Any]]:
-    """What the recorders of this machine's daemons say; that of one which has ended is left out."""
+    """recorder.json of every daemon that runs on this computer."""
     found = []
     for folder in sorted(BASE.glob("rigctl-*")):
-        with contextlib.suppress(OSError, msgspec.MsgspecError):  # another user's, or going away
+        with contextlib.suppress(OSError, msgspec.MsgspecError):  # another user's, or just being deleted
             runtime = Runtime(folder)
             runs = pathlib.Path(f"/proc/{runtime.read_json(ACTIVE).get('pid', 0)}").exists()
             if runs and (told := runtime.read_json(RECORDED)):
@@ -130,10 +130,10 @@ def recorded() -> list[dict[str, Any]]:
 
 
 def daemons(base: pathlib.Path = BASE) -> list[tuple[str, int]]:
-    """Rig and process of every daemon that runs on this computer, by the pid in its lock."""
+    """Rig and pid of every daemon that runs on this computer, by the pid in its lock."""
     found = []
     for lock in sorted(base.glob("rigctl-*/lock")):
-        with contextlib.suppress(OSError, ValueError):  # going away, or not written yet
+        with contextlib.suppress(OSError, ValueError):  # just being deleted, or not written yet
             pid = int(input_file.read(lock, largest=_LONGEST_LOCK))
             if 0 < pid < _LARGEST_PID and _alive(pid):
                 found.append((lock.parent.name.removeprefix("rigctl-"), pid))
@@ -141,7 +141,7 @@ def daemons(base: pathlib.Path = BASE) -> list[tuple[str, int]]:
 
 
 def is_free(rig: str, base: pathlib.Path = BASE) -> bool:
-    """Whether a daemon of this name could be started by this user: none runs, and the folder is nobody else's."""
+    """Whether this user could start a daemon of this name: none runs, and no other user owns the folder."""
     try:
         found = (base / f"rigctl-{rig}").lstat()
     except OSError:
@@ -172,18 +172,18 @@ class Runtime:
         self._claimed = -1  # descriptor of the folder
         self._rings: dict[pathlib.Path, tuple[int, bytes]] = {}  # inode and header of each
         self.cleared: list[str] = []
-        """What was found in the folder in place of a file, and has been taken away; for the operator."""
+        """Links, pipes and folders that stood in place of files and were removed, for the operator."""
 
     @classmethod
     def of(cls, rig: str) -> Runtime:
-        """Where the daemon of ``rig`` keeps its folder."""
+        """The folder of the daemon of ``rig``."""
         return cls(BASE / f"rigctl-{rig}")
 
     def claim(self) -> int:
         """Become the only daemon of this rig; returns the lock's file descriptor, held until the process ends.
 
         Raises:
-            AlreadyRunningError: naming the process that holds it.
+            AlreadyRunningError: it names the process that holds the lock.
             FolderError: the folder cannot be made, or is not this user's alone.
         """
         folder = self._open_own()
@@ -211,7 +211,7 @@ class Runtime:
         return fd
 
     def _open_own(self) -> int:
-        """The folder's descriptor. One that anyone else could have written in is not used."""
+        """The folder's descriptor; a folder that another user could write to is refused."""
         try:
             with contextlib.suppress(FileExistsError):
                 self.directory.mkdir(mode=0o700)
@@ -245,7 +245,7 @@ class Runtime:
         return os.open(_LOCK, flags, 0o600, dir_fd=folder)
 
     def _sweep(self, folder: int) -> None:
-        """Take away what is neither a file nor a socket of this user: links, pipes, folders; a file is made anew."""
+        """Remove what is neither a file nor a socket of this user: links, pipes, folders. Files are made anew later."""
         for name in [entry.name for entry in os.scandir(folder)]:
             found = os.stat(name, dir_fd=folder, follow_symlinks=False)
             plain = stat.S_ISSOCK(found.st_mode) or (stat.S_ISREG(found.st_mode) and found.st_nlink == 1)
@@ -261,16 +261,16 @@ class Runtime:
             os.unlink(name, dir_fd=folder)
 
     def lost(self) -> str:
-        """Why the folder is no longer the one that was claimed, in words; empty while it is.
+        """Reason why the folder is no longer the one claimed, in words; empty while it is.
 
-        A log-out may delete the folders of a user in ``/dev/shm`` (``RemoveIPC`` in logind.conf).
+        A log-out may delete a user's folders in ``/dev/shm`` (``RemoveIPC`` in logind.conf).
         """
         try:
             found = self.directory.lstat()
         except FileNotFoundError:
             return "it has been deleted"
         except OSError:
-            return ""  # a lack of descriptors or memory says nothing of the folder
+            return ""  # a lack of descriptors or memory does not show that the folder is lost
         if not os.path.samestat(found, os.fstat(self._claimed)):
             return "it has been replaced by another"
         if found.st_uid != os.geteuid() or found.st_mode & 0o077:
@@ -287,7 +287,7 @@ class Runtime:
         return ""
 
     def make_rings(self, settings: RigSettings, *, reserve: bool = False) -> None:
-        """Fresh, empty rings. ``reserve``: of memory that is there, so that no writer finds it full later.
+        """Make fresh, empty rings. ``reserve``: allocate their memory now, so that no writer finds it full later.
 
         Raises:
             OSError: there is no room.
@@ -308,9 +308,9 @@ class Runtime:
         self._rings = {path: identity(path) for path in sizes}
 
     def remove(self) -> None:
-        """Take the folder away; readers that still map a ring keep it until they let go.
+        """Delete the folder; readers that still map a ring keep it until they release it.
 
-        A folder that was put in the place of the one that was claimed is another daemon's, and left alone.
+        A folder made in place of the claimed one belongs to another daemon and is left alone.
         """
         try:
             folder = self._claimed if self._claimed >= 0 else os.open(self.directory, _FOLDER_FLAGS)
@@ -350,7 +350,7 @@ class Runtime:
 
     @property
     def hold_socket(self) -> pathlib.Path:
-        """Where the hold service takes HOLD from processes of this computer."""
+        """Socket on which the hold service takes HOLD from processes of this computer."""
         return self.directory / "hold.sock"
 
     @property
@@ -380,12 +380,12 @@ class Runtime:
 
     @property
     def gateway_cursor(self) -> pathlib.Path:
-        """How far the gateway has published, for the one that follows it."""
+        """Position up to which the gateway has published, for the next gateway."""
         return self.directory / "gateway.cursor"
 
     @property
     def gateway_socket(self) -> pathlib.Path:
-        """Where the gateway's command session reaches its router."""
+        """Socket between the gateway's command session and its router."""
         return self.directory / "gateway.sock"
 
     def record_reader(self, *, from_start: bool = False) -> RingReader:
@@ -413,11 +413,11 @@ class Runtime:
         return RingReader(self.replies, record.REPLY.dtype, from_start=from_start)
 
     def request_reader(self) -> RingReader:
-        """A reader of the commands the gateway was asked for, from the oldest still held."""
+        """A reader of the commands the gateway received, from the oldest still held."""
         return RingReader(self.requests, record.REQUEST.dtype, from_start=True)
 
     def supervision_reader(self) -> RingReader:
-        """A reader of what the supervisor did, from the oldest still held."""
+        """A reader of the supervisor's notes, from the oldest still held."""
         return RingReader(self.supervision, record.NOTE.dtype, from_start=True)
 
     def frame_reader(self) -> RingReader:
@@ -449,11 +449,11 @@ class Runtime:
         return RingWriter(self.notes, record.NOTE.layout)
 
     def request_writer(self) -> RingWriter:
-        """The writer of the commands asked for (gateway)."""
+        """The writer of the commands received (gateway)."""
         return RingWriter(self.requests, record.REQUEST.layout)
 
     def supervision_writer(self) -> RingWriter:
-        """The writer of what is done about the processes (supervisor)."""
+        """The writer of the supervisor's notes (supervisor)."""
         return RingWriter(self.supervision, record.NOTE.layout)
 
     def frame_writer(self) -> RingWriter:
@@ -489,7 +489,7 @@ class Runtime:
 
         Raises:
             OSError: it cannot be read, or is no file.
-            msgspec.MsgspecError: it is not what was written, no JSON object, or not of the shape in ``SHAPES``.
+            msgspec.MsgspecError: its checksum is wrong, it is no JSON object, or has another shape than in ``SHAPES``.
         """
         try:
             data, _, seal = input_file.read(self.directory / name).rstrip(b"\n").rpartition(b"\n")
@@ -503,7 +503,7 @@ class Runtime:
         return value
 
     def known(self, name: str) -> dict[str, Any]:
-        """As `read_json`; empty where it cannot be read or believed: what is put on record goes on without it."""
+        """As `read_json`, but empty where the file is unreadable or invalid, so that recording goes on without it."""
         with contextlib.suppress(OSError, msgspec.MsgspecError):
             return self.read_json(name)
         return {}

@@ -1,4 +1,4 @@
-"""What the supervisor did, for the audit log: a ring of ``NOTE`` slots it alone writes."""
+"""The supervisor's notes for the audit log: a ring of ``NOTE`` slots that only the supervisor writes."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ class Doing(IntEnum):
 
     DAEMON_STARTED = 1
     DAEMON_DESIGNED = 2  # reason: the verdict on gains and margins
-    DAEMON_REFUSED = 3  # reason: why it does not run
-    DAEMON_STOPPED = 4  # reason: how it was left
+    DAEMON_REFUSED = 3  # reason: cause of the refusal
+    DAEMON_STOPPED = 4  # reason: state of the rig at the end
     PROCESS_STARTED = 5  # reason: its process id
-    PROCESS_ENDED = 6  # reason: how, and when it comes back
-    FOLDER_LOST = 60  # reason: what became of the runtime folder
+    PROCESS_ENDED = 6  # reason: how it ended, and when it restarts
+    FOLDER_LOST = 60  # reason: how the runtime folder was lost
 
 
 OVER = frozenset({Doing.DAEMON_REFUSED, Doing.DAEMON_STOPPED})
-"""After these there is nothing left to be recorded."""
+"""The last notes of a run: nothing is recorded after them."""
 
 
 class Supervision:
-    """The supervisor's pen."""
+    """Writer of the supervisor's notes."""
 
     def __init__(self, writer: RingWriter) -> None:
         self._writer = writer
 
     def note(self, t_ns: int, kind: Doing, *, process: str = "", reason: str = "") -> None:
-        """One thing that was done."""
+        """Write one note."""
         self._writer.write(t_ns, int(kind), b"", process.encode(), reason.encode()[:480])
 
 

@@ -1,7 +1,7 @@
-"""Told to end by a signal, without a lock.
+"""The request by a signal to end, without a lock.
 
-``threading.Event`` will not do: a handler runs in the main thread, and one that sets the event that very thread is
-waiting on, or is just setting, waits for a lock that is its own. A gateway that hung like this kept its port.
+``threading.Event`` does not work here: a handler runs in the main thread, and if that thread is just waiting on the
+event or setting it, the handler waits for a lock that its own thread holds. A gateway that hung so kept its port.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from collections.abc import Callable
 from types import FrameType
 
 ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-"""Signals that end a process in order: told to, Ctrl-C, its terminal has gone."""
+"""Signals that end a process in order: a request to end, Ctrl-C, loss of its terminal."""
 
 
 def heeded(*numbers: signal.Signals) -> list[signal.Signals]:
-    """Those of them to act on: not a SIGHUP that this process was started to ignore, as ``nohup`` does."""
+    """The signals to act on: all but a SIGHUP that this process was started to ignore, as by ``nohup``."""
     return [n for n in numbers if n is not signal.SIGHUP or signal.getsignal(n) is not signal.SIG_IGN]
 
 
 def on_signals(handler: Callable[[int, FrameType | None], object], *numbers: signal.Signals) -> None:
-    """Have ``handler`` called on those that are `heeded`."""
+    """Call ``handler`` on those of ``numbers`` that are `heeded`."""
     for number in heeded(*numbers):
         signal.signal(number, handler)
 
@@ -29,7 +29,7 @@ class Termination:
     """Whether a signal has asked the process to end."""
 
     def __init__(self, *numbers: signal.Signals) -> None:
-        """``numbers``: signals that ask for it, from now on."""
+        """``numbers``: signals that ask the process to end."""
         self.requested = False
         on_signals(self._on_signal, *numbers)
 
