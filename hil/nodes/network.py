@@ -1,4 +1,4 @@
-"""canopen's network on the rig's own wire: frames go straight to a port, and nothing starts a thread."""
+"""canopen's network on the rig's own wire: frames go straight to a port, and no thread is started."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class RigNetwork(canopen.Network):  # type: ignore[misc]
         return NoTask()
 
     def receive(self, frame: bytes) -> None:
-        """Dispatch one frame; extended, remote and error frames are no business of these devices."""
+        """Dispatch one frame; these devices ignore extended, remote and error frames."""
         if len(frame) != FRAME_SIZE:
             return
         can_id, size, data = FRAME.unpack(frame)

@@ -20,7 +20,7 @@ Address = tuple[int, int]
 
 
 class TransmitPdo:
-    """A TPDO; ``frame()`` at each SYNC gives the frame that is due, or None; ``now()`` is for those no SYNC drives.
+    """A TPDO; ``frame()`` at each SYNC gives the frame that is due, or None; ``now()`` serves event-driven TPDOs.
 
     Args:
         device: ``canopen.LocalNode`` whose 0x1800 + n and 0x1A00 + n are compiled.
@@ -58,7 +58,7 @@ class TransmitPdo:
 
 
 class ReceivePdo:
-    """An RPDO: its COB-ID, whether it waits for SYNC, and the way from data to the mapped objects."""
+    """An RPDO: its COB-ID, whether it waits for SYNC, and the decoding of its data into the mapped objects."""
 
     __slots__ = ("_sinks", "_unpack", "cob_id", "size", "synchronous", "valid")
 
