@@ -189,7 +189,7 @@ class Lockstep:
         """Run until the loop is in ``mode``.
 
         Raises:
-        TimeoutError: the loop did not reach the mode.
+            TimeoutError: the loop did not reach the mode.
         """
         for _ in range(round(limit_s * self.settings.loop.rate_hz)):
             if self.loop.machine.mode is mode:

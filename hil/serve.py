@@ -40,7 +40,7 @@ COMPILING_S = 1.0
 
 
 class ServeError(Exception):
-    """The rig cannot be served; ``str()`` is one line or one per finding. ``exit_code``: 2 for settings, 1 for the bus."""
+    """The rig cannot be served: ``str()`` is one line or one per finding, ``exit_code`` 2 (settings) or 1 (bus)."""
 
     def __init__(self, message: str, exit_code: int) -> None:
         super().__init__(message)

@@ -43,7 +43,7 @@ class InclinationMeasurement:
         """Tangential and normal angle as last measured; None beyond the range."""
 
     def advance(self, t_ns: int) -> bool:
-        """Filter up to the plant's time; measure if due at the sensor's own time ``t_ns``, and return whether it was."""
+        """Filter up to the plant's time; measure if due at the sensor's time ``t_ns``; returns whether it measured."""
         self._follow()
         if (t_ns - self._start_ns) * self._rate_hz < self._samples * 1_000_000_000:
             return False
