@@ -26,7 +26,7 @@ class Motor:
         self.temperature_c = drive.ambient_c
 
     def advance(self, t_ns: int, force_n: float, speed_mm_s: float) -> None:
-        """Carry ``force_n`` at ``speed_mm_s`` up to ``t_ns``; friction adds current going up and saves it going down."""
+        """Carry ``force_n`` at ``speed_mm_s`` up to ``t_ns``; friction adds current going up, saves it going down."""
         drive = self._drive
         friction_n = math.copysign(drive.friction_n, speed_mm_s) if speed_mm_s else 0.0
         self.current_a = (force_n + friction_n) / drive.force_n_a

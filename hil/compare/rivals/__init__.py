@@ -1,4 +1,4 @@
-"""The laws that are compared: what each is called, how it is tuned, and how it is made."""
+"""The compared laws: their names, tuning rules and constructors."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Controller(NamedTuple):
     name: str
     title: str
     rule: str
-    """By what it is tuned, and after whom."""
+    """The tuning rule and its author."""
     make: Callable[[RigSettings], Feedback] | None
-    """None where nothing is to be made: the cylinder locked, or our own law."""
+    """None where there is nothing to make: the cylinder locked, or our own law."""
 
     def law(self, settings: RigSettings, gains: Gains, inbox: Inbox) -> TensionLaw:
         """The law as `rigctl.control.loop.Loop` asks for one."""

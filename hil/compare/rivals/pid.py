@@ -55,7 +55,7 @@ class PidFeedForward(Feedback):
         self._tension_n += self._share * (sample.tension_n - self._tension_n)
         self._pid.setpoint = sample.setpoint_n
         speed_mm_s = self._pid(self._tension_n, dt=self._dt)
-        assert speed_mm_s is not None  # it is in automatic mode
+        assert speed_mm_s is not None  # simple-pid is in automatic mode
         growth_mm_s = (self._stretch(sample) - self._stretch_mm) / STRETCH_LAG_S
         self._stretch_mm += growth_mm_s * self._dt
         return speed_mm_s - growth_mm_s
