@@ -44,7 +44,7 @@ class BusLink:
         self._bus: can.BusABC | None = can.Bus(**self._address)
 
     def poll(self, timeout_s: float) -> None:
-        """Wait at most ``timeout_s`` for a frame, then take in what is there."""
+        """Wait at most ``timeout_s`` for a frame, then receive all waiting frames."""
         bus = self._bus
         if bus is None:
             time.sleep(timeout_s)

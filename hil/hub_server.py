@@ -74,7 +74,7 @@ class HubServer:
         return self._epoll.fileno()
 
     def poll(self, timeout_s: float) -> None:
-        """Wait at most ``timeout_s`` for traffic, then take in what is there: one turn for every client."""
+        """Wait at most ``timeout_s`` for traffic, then receive it: one turn for every client."""
         for fd, _ in self._epoll.poll(timeout_s):
             client = self._clients.get(fd)
             if client is not None:

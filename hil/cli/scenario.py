@@ -22,7 +22,7 @@ STANDARD_OUTPUT = pathlib.Path("-")
 
 
 def run(file: pathlib.Path, json: pathlib.Path | None, picture: pathlib.Path | None) -> int:
-    """Play the scenario of ``file``, print its figures, write the files asked for; 1 if the rig tripped, else 0.
+    """Play the scenario of ``file``, print its figures, write the requested files; 1 if the rig tripped, else 0.
 
     Args:
         file: scenario file.
