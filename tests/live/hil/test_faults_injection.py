@@ -1,4 +1,4 @@
-"""The handles faults are put in by do what they say, and nothing when nobody uses them."""
+"""The injectors of faults have their stated effect, and none while unused."""
 
 from __future__ import annotations
 
