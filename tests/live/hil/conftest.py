@@ -45,7 +45,7 @@ def channel(rig_file: pathlib.Path) -> str:
 def start() -> Iterator[Start]:
     """Starts ``python -m ARGUMENTS`` with its output piped; processes that still run at the end are killed."""
     running: list[subprocess.Popen[str]] = []
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and so would its children
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and passes that on
 
     def start(*arguments: object) -> subprocess.Popen[str]:
         command = [sys.executable, "-m", *map(str, arguments)]
