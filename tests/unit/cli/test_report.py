@@ -1,4 +1,4 @@
-"""``rigctl report``: verdict, exit codes, what it refuses, and the same page for the same data."""
+"""``rigctl report``: verdict, exit codes, refusals, and the same page for the same data."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def constant(newtons: float) -> Any:
 
 
 def report(in_process: Command, file: pathlib.Path, *more: object) -> tuple[int, dict[str, Any], str]:
-    """Exit code, figures, complaint."""
+    """Exit code, figures, standard error."""
     done = in_process("rigctl", "report", file, "--json", *more)
     return done.returncode, json.loads(done.stdout) if done.stdout else {}, done.stderr
 

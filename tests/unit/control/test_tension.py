@@ -60,7 +60,7 @@ def test_a_change_of_gains_leaves_the_command_as_it_is_whatever_the_errors_are()
     subject = law()
     subject.start_ramp(300.0, 0.0)
     estimate = at(300.4, speed=0.7, disturbance=0.3)
-    for _ in range(2000):  # the acceleration limit is behind us
+    for _ in range(2000):  # the acceleration limit no longer acts
         before = subject.compensating(estimate, 1.0)
     integrated = GAINS.k_integral * 0.4 * DT
     subject.change_gains(Gains(k_tension=4.0, k_speed=0.1, k_integral=0.5))

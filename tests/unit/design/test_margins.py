@@ -35,7 +35,7 @@ def test_second_order_loop_has_the_textbook_sensitivity_and_phase_margin(rig: Ri
     settings = rig(loop={"rate_hz": 4000}, plant={"cylinder_lag_s": tau, "command_delay_s": 0.0})
     gain = 1.0 / (4.0 * zeta**2 * tau * settings.plant.stiffness_n_mm)
     model = filter_model(settings)
-    # The integral and the disturbance's estimate get a little feedback (1e-3 rad/s), or they would drift unseen.
+    # The integral and the disturbance's estimate get a little feedback (1e-3 rad/s), or they would drift.
     trusting = np.array([[1.0, 0.0], [0.0, 1.0], [1e-3, 0.0]])
     law = controller(model, Gains(gain, 0.0, 1e-3 * gain), trusting)
     plant = plant_family.member(settings, None)
@@ -91,7 +91,7 @@ def test_both_places_agree_with_python_control(rig: Rig, k_m: float | None, dela
 
 
 def _at_input(settings: RigSettings, gains: Gains, plant: Member) -> Any:
-    """Loop at the plant's input, put together by python-control from the state spaces."""
+    """Loop at the plant's input, built with python-control from the state spaces."""
     model = filter_model(settings)
     law = controller(model, gains, filter_gain(model))
     out = control.ss(law.a, law.b, law.c[None, :], np.zeros((1, 2)), model.period_s)

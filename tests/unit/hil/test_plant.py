@@ -61,7 +61,7 @@ def test_a_command_counts_after_its_delay() -> None:
 
 
 def test_commands_on_the_way_are_not_overtaken() -> None:
-    """Each acts for as long as it stood, a delay later."""
+    """Each command acts for as long as it was in force, one delay later."""
     plant = build()
     plant.set_drive(10.0, braked=False)
     plant.advance(MS)

@@ -1,4 +1,4 @@
-"""A process told to end ends, however often and whenever it is told."""
+"""A process that gets a termination signal ends, however often and at whatever time the signal comes."""
 
 from __future__ import annotations
 
