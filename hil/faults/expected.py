@@ -62,7 +62,7 @@ EITHER: Expected = dict.fromkeys(ARMED, Reaction.EITHER) | {Mode.DISARMED: React
 SENSOR_MS = 20.0
 """From the first sample beyond a limit to the safe command, for sensors and bus."""
 DRIVE_MS = 120.0
-"""The same where a fault of the drive has to be told from its lag: its speed, over 100 ms, and a tick or two."""
+"""The same where a fault of the drive must differ from its lag: its speed, over 100 ms, and a tick or two."""
 NO_HEARTBEAT_MS = 610.0
 """Five periods of 100 ms without a device's heartbeat, up to one since the last heartbeat, and a tick or two."""
 ACCURACY_N = 9.0

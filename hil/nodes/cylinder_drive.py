@@ -35,7 +35,7 @@ HOME_MM = 1.0
 
 @dataclass(frozen=True)
 class ServiceTool:
-    """A commissioning tool at the drive's own port, which enables the drive whatever the bus commands.
+    """A commissioning tool at the drive's own port, which enables the drive independently of the bus.
 
     ``deaf``: the drive meanwhile ignores even quick stop and disable voltage from the bus. ``shows_remote``: its
     statusword does not show the tool (bits 9 and 12 stay on).
@@ -286,7 +286,7 @@ class CylinderDrive(Node):
         self._error_code = 0
         return True
 
-    # -- what it reports ---------------------------------------------------------------------------------------
+    # -- reports -----------------------------------------------------------------------------------------------
 
     def _statusword(self) -> int:
         """Bit 9: the controlword is obeyed; 12: in CSV the target velocity is followed; 11: a limit acts on it."""

@@ -132,7 +132,7 @@ class Node:
         """The time on the device's clock."""
         return self.clock.local_ns(self.plant.t_ns)
 
-    # -- what a device does ------------------------------------------------------------------------------------
+    # -- hooks for subclasses ----------------------------------------------------------------------------------
 
     def on_sample(self) -> None:
         """Take a new measurement of the plant, before values are read."""

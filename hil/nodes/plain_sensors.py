@@ -23,10 +23,10 @@ class PlainSensor(abc.ABC):
     has a signal for that.
 
     Args:
+        send: puts a 16-byte frame on the bus.
         message: from the DBC file.
-        message: as the DBC file has it.
+        settings: for the loop's rate, at which a message without cycle time is sent.
         plant: the plant that is measured.
-        plant: what is measured.
         clock_ppm: gain of its clock on the rig's.
     """
 

@@ -96,7 +96,7 @@ def in_use(inputs: Any) -> int:
 
 @_jit
 def screw_error(p: Any, motor: float) -> float:
-    """Ripple: what the screw adds to the stroke within each turn."""
+    """Ripple: addition of the screw to the stroke within each turn."""
     return p.ripple * math.sin(2.0 * math.pi * motor / p.screw_lead) if p.ripple > 0.0 else 0.0
 
 

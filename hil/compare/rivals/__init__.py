@@ -29,7 +29,7 @@ class Controller(NamedTuple):
     """None where there is nothing to make: the cylinder locked, or our own law."""
 
     def law(self, settings: RigSettings, gains: Gains, inbox: Inbox) -> TensionLaw:
-        """The law as `rigctl.control.loop.Loop` asks for one."""
+        """The law in the form that `rigctl.control.loop.Loop` takes."""
         if self.make is None:
             return TensionLaw(settings, gains)
         return Rival(settings, gains, inbox, self.make(settings))

@@ -18,7 +18,7 @@ class DisturbanceObserver(Feedback):
     """SIMC-PI inside, and the disturbance observer of Ohnishi (1987; Sariyildiz, Oboe, Ohnishi, IEEE TIE 2020).
 
     ``d = Q (s (lag s + 1) / k T - e^(-delay s) u)`` with ``Q = (g / (s + g))^2``, subtracted from the PI's command:
-    the disturbance's speed as if it came in beside the command. The PI has SIMC's other parameter, ``tau_c``, so long
+    the disturbance's speed as if it were added to the command. The PI has SIMC's other parameter, ``tau_c``, so long
     that its crossover ``1 / (tau_c + theta)`` is a fifth of g; at ``tau_c = theta`` Ms would be 1.8.
     """
 

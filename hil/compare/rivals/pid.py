@@ -11,7 +11,7 @@ from hil.compare.rivals.feedback import Feedback, Model, Sample
 FILTER_RATIO = 3.0
 """Derivative time over filter time; 2 to 20 is usual (Astrom, Haegglund: Advanced PID Control, 2006, section 3.3)."""
 STRETCH_LAG_S = 0.1
-"""Low-pass of the stretch: one quantum of 0.01 deg at 0.7 deg of lag, 4 um, then asks for 0.04 mm/s."""
+"""Low-pass of the stretch: one quantum of 0.01 deg at 0.7 deg of lag, 4 um, then causes 0.04 mm/s."""
 
 
 class PidFeedForward(Feedback):

@@ -1,4 +1,4 @@
-"""A process that gets a termination signal ends, however often and at whatever time the signal comes."""
+"""A process ends on a termination signal, however often and whenever the signal comes."""
 
 from __future__ import annotations
 
