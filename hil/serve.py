@@ -48,7 +48,7 @@ class ServeError(Exception):
 
 
 class Line(Protocol):
-    """The rig's way to the bus: ``HubServer`` or ``BusLink``."""
+    """The rig's connection to the bus: ``HubServer`` or ``BusLink``."""
 
     received: int
     delivered: int
@@ -96,7 +96,7 @@ class Service:
 
     @property
     def ready(self) -> str:
-        """One line for the operator, once frames are answered."""
+        """One line for the operator, once the rig answers frames."""
         s = self._settings
         places = {name: str(node) for name, node in s.canopen_nodes.items()}
         places |= {name: f"0x{message.can_id:03X}" for name, message in s.plain_messages.items()}

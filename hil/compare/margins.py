@@ -75,7 +75,7 @@ def sensitivity(plant: Member, law: ComplexArray, z: ComplexArray) -> ComplexArr
 
 
 def response(feedback: Feedback, z: ComplexArray) -> ComplexArray:
-    """Command per tension (mm/s per N) and per speed (1), shape (2, len(z)); the tick before the command included."""
+    """Command per tension (mm/s per N) and per speed (1), shape (2, len(z)), with the tick before the command."""
     answers = np.array([_answer(feedback, *sample) for sample in (("tension_n", 0.0), ("speed_mm_s", 0.0), ("", 1.0))])
     kept = answers[:, -1:]  # the constant of an integral
     found = np.zeros((3, len(z)), np.complex128)

@@ -80,7 +80,7 @@ class Study(NamedTuple):
     """Ours, by scenario, with the cell's systematic errors, see `hil.compare.cell`; empty where ours is not run."""
 
     def verdicts(self) -> Iterator[Verdict]:
-        """Every limit of ours that can be judged: a ratio needs the passive run beside it."""
+        """Every limit of ours that can be judged: a ratio needs the passive run too."""
         for scenario in self.scenarios:
             ours, passive = (self.results.get((scenario.name, who)) for who in (OURS, PASSIVE))
             for quantity, most in scenario.limits:

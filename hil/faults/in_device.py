@@ -82,7 +82,7 @@ def stuck(address: Address) -> Injector:
 
 
 def says(address: Address, raw: int) -> Injector:
-    """An object that reads as this number."""
+    """An object that always reads as this number."""
 
     def inject(stand: Stand) -> None:
         _device(stand, address).distort(*address, lambda _: raw)

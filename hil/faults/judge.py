@@ -44,7 +44,7 @@ class Row:
     mode: str
     expected: str
     reaction: str
-    detection_ms: float | None  # from the fault to the first sample a limit calls bad
+    detection_ms: float | None  # from the fault to the first sample beyond a limit
     latency_ms: float | None  # from there to the safe command, or to the drive's own stop
     tension_min_n: float
     tension_max_n: float

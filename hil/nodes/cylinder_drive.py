@@ -141,7 +141,7 @@ class CylinderDrive(Node):
         super().on_sync()
 
     def advance(self, t_ns: int) -> None:
-        """Measure speed and current; let ramps and the brake go on to ``t_ns``."""
+        """Measure speed and current; advance ramps and the brake to ``t_ns``."""
         self._encoder.advance()
         self.control.advance(t_ns, self._encoder.speed_mm_s)
         self._drive()
@@ -301,7 +301,7 @@ class CylinderDrive(Node):
         return status
 
     def _inputs(self) -> int:
-        """Limit switches stand at the mechanical ends."""
+        """Bits of the digital inputs; the limit switches are at the mechanical ends."""
         p, x = self.plant.parameters[0], self.plant.state[0]
         bits = LOWER_LIMIT if x["motor"] <= p["stroke_low"] else 0
         bits |= UPPER_LIMIT if x["motor"] >= p["stroke_high"] else 0

@@ -24,12 +24,12 @@ class RigNetwork(canopen.Network):  # type: ignore[misc]
         self.send_frame = send
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Send one frame (canopen calls this for SDO answers)."""
+        """Send one frame (canopen calls this for SDO responses)."""
         flag = REMOTE_FLAG if remote else 0
         self.send_frame(FRAME.pack(can_id | flag, len(data), bytes(data)))
 
     def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> NoTask:  # noqa: ARG002
-        """Nothing: periodic frames are produced on the rig's time, see ``Node.supervise``."""
+        """Do nothing: periodic frames are produced on the rig's time, see ``Node.supervise``."""
         return NoTask()
 
     def receive(self, frame: bytes) -> None:

@@ -1,4 +1,4 @@
-"""What every simulated device shares: CiA 301 on top of canopen's ``LocalNode`` (its dictionary and SDO server)."""
+"""The common part of the simulated devices: CiA 301 on canopen's ``LocalNode`` (its dictionary and SDO server)."""
 
 from __future__ import annotations
 

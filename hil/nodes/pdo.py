@@ -52,7 +52,7 @@ class TransmitPdo:
         return self.now()
 
     def now(self) -> bytes:
-        """The frame with the values as they are."""
+        """The frame with the present values."""
         payload = self._pack(*[source() for source in self._sources])
         return FRAME.pack(self._cob_id, self._size, payload)
 
@@ -91,7 +91,7 @@ def check_mapping_write(device: Any, index: int, subindex: int, value: int) -> N
 def check_cob_id_write(device: Any, index: int, value: int, *, rtr: bool = True) -> None:
     """Refuse another identifier while the PDO is in use (bit 31 clear before and after).
 
-    A TPDO of a device without ``rtr`` has bit 30 set for good.
+    A TPDO of a device without ``rtr`` always has bit 30 set.
     """
     before = number(device, index, 1)
     if value & ~(INVALID_PDO | objects.PDO_NO_RTR) > STANDARD_MASK:

@@ -10,7 +10,7 @@ STANDSTILL_MM_S = 0.05
 
 
 class Phase(Enum):
-    """Who carries the load."""
+    """What carries the load."""
 
     BRAKED = auto()  # brake closed, motor off
     OPENING = auto()  # motor holds, brake opens

@@ -24,7 +24,7 @@ class Simulator(Node):
 
     Args:
         start_motion: starts the move; False when it cannot (one is under way, or there is none to start).
-        drive: whose emergency stop is pressed and released.
+        drive: drive whose emergency stop is pressed and released.
         io: I/O node that mirrors it, if one is fitted.
     """
 

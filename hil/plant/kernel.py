@@ -204,7 +204,7 @@ def step(  # noqa: PLR0912, PLR0915 - equation (15) in one piece; parts would ha
         nodes[i, 0] += half * nodes[i, 2]
         nodes[i, 1] += half * nodes[i, 3]
 
-    # what is prescribed there
+    # the prescribed motion there
     middle = t + half
     psi, omega, alpha = profile(inputs, MECHANISM, middle) if used & 1 << MECHANISM else _STILL
     high, high_rate, high_acceleration = profile(inputs, HEIGHT, middle) if used & 1 << HEIGHT else _STILL
@@ -314,7 +314,7 @@ def step(  # noqa: PLR0912, PLR0915 - equation (15) in one piece; parts would ha
                 impulse = half * was_tension / node
                 along -= (ex * (nodes[i, 2] + impulse * ex) + ey * (nodes[i, 3] + impulse * ey)) / (1.0 + decay)
         rate = along + cosine * drop_rate + stroke_rate
-        # implicit in the damping: rate answers to the last pass's tension by -mobility h / 2
+        # implicit in the damping: the last pass's tension changed the rate by -mobility h / 2 per newton
         tension = pull(p, stretch, rate + half * mobility * was_tension, drag)
 
         # forces of the rope on pulley (rail's frame) and payload (mechanism's frame): g of equation (15)

@@ -1,4 +1,4 @@
-"""Why a scenario is not played, or not to its end."""
+"""The reason why a scenario is not played, or not to its end."""
 
 from __future__ import annotations
 

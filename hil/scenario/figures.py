@@ -20,7 +20,7 @@ Values = dict[str, float | None]
 
 FALL = 0.05
 """A maximum is the first peak once the curve has fallen below it by this share of its whole rise: above the ripple of
-friction on the way up, below what the paper's moves give back (11 % at 0.25 deg/s, 82 % at 2 deg/s)."""
+friction on the way up, below the fall in the paper's moves (11 % at 0.25 deg/s, 82 % at 2 deg/s)."""
 
 
 @dataclass(frozen=True)

@@ -145,7 +145,7 @@ def test_what_is_not_seen_does_not_stand_still(settings: RigSettings, stroke: fl
 
 @pytest.fixture
 def loaded(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
-    """DISARMED, 300 N on the brake, with a brake test."""
+    """A rig DISARMED, 300 N on the brake, with a brake test."""
     tested = settings.model_copy(update={"cylinder": settings.cylinder.model_copy(update={"brake_test": True})})
     with lockstep(tested, gains) as subject:
         subject.rig.plant.preload(300.0)

@@ -130,7 +130,7 @@ def test_a_drive_that_is_not_asked_for_its_status_has_no_emergency_stop(settings
 
 
 def moving(rig: Lockstep) -> None:
-    """COMPENSATING, on its way to another target."""
+    """Bring the rig to COMPENSATING, on its way to another target."""
     assert rig.command(Verb.TARGET, 250.0) is Refusal.NONE
     rig.run(0.5)
     assert abs(rig.rig.truth.speed_mm_s) > 5.0

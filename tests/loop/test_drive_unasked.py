@@ -149,7 +149,7 @@ def test_the_simulated_drive_sets_its_bits_as_cia_402_says(rig: Lockstep, enter:
     assert bits() == (True, False, True)
     rig.rig.drive._set_mode(0)
     rig.run(0.003)
-    assert bits() == (True, False, False)  # in no mode the target velocity is not followed
+    assert bits() == (True, False, False)  # without a mode of operation the target velocity is not followed
     rig.rig.drive._set_mode(objects.CYCLIC_SYNCHRONOUS_VELOCITY)
     rig.run(0.003)
     assert rig.settings.simulation is not None

@@ -50,7 +50,7 @@ def found(rig: Lockstep, records: npt.NDArray[Any]) -> dict[str, Any]:
 
 @pytest.fixture
 def held(rig: Lockstep, enter: Enter) -> Iterator[Lockstep]:
-    """HOLD with 300 N on the rope."""
+    """A rig in HOLD with 300 N on the rope."""
     enter(Mode.COMPENSATING)
     assert rig.command(Verb.HOLD) is Refusal.NONE
     rig.run(1.0)

@@ -29,7 +29,7 @@ FAST = {0.55: 3.5, 2.0: 1.0, 8.0: 0.6}
 
 @pytest.fixture
 def held(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
-    """HOLD, 300 N on the rope."""
+    """A rig in HOLD, 300 N on the rope."""
     with lockstep(settings, gains) as rig:
         bring(rig, Mode.HOLD)
         yield rig

@@ -19,7 +19,7 @@ from rigctl.devices import busload, sdo
 from rigctl.devices import objects as od
 
 Enter = Callable[[Mode], None]
-WRITES = (  # those of the issue: index, sub-index, size
+WRITES = (  # objects of the drive's supervision: index, sub-index, size
     (od.CONSUMER_HEARTBEAT, 1, 4),
     (od.RPDO1_COMMUNICATION, 5, 2),
     (od.ABORT_CONNECTION_OPTION, 0, 2),

@@ -50,11 +50,11 @@ class _Instead(importlib.abc.MetaPathFinder, importlib.abc.InspectLoader):
         return importlib.util.spec_from_file_location(fullname, self._file, loader=self)
 
     def get_source(self, _fullname: str) -> str:
-        """The text."""
+        """The module's text."""
         return self._source
 
     def exec_module(self, module: ModuleType) -> None:
-        """Run the text."""
+        """Run the module's text."""
         exec(compile(self._source, str(self._file), "exec"), module.__dict__)
 
 

@@ -71,7 +71,7 @@ def test_the_papers_passive_case_has_the_papers_figures(tmp_path: pathlib.Path) 
     assert set(run) == {figure.name for figure in TRUTH_FIGURES}
     assert said["loop"] is None
     assert said["ended"] == {"mode": "LOCKED", "fault": "NONE", "tripped": False, "tripped_at_s": None}
-    # section 2: eta 0.31 %, lag 0.69 to 0.70 deg and its plateau below, normal +-0.07 deg; the paper's own texts differ
+    # section 2: eta 0.31 %, lag 0.69 to 0.70 deg, its plateau below, normal +-0.07 deg; the paper's texts differ
     assert run["eta_max_pct"] == pytest.approx(0.31, abs=0.05)
     assert run["tangential_peak_deg"] == pytest.approx(0.70, abs=0.08)
     assert 0.45 < plateau["tangential_mean_deg"] < 0.72

@@ -20,7 +20,7 @@ HELD_S = 0.1
 class Lqi(Feedback):
     """Weights by Bryson's rule (Bryson, Ho: Applied Optimal Control, 1975): 1 / (largest value accepted)^2.
 
-    Accepted are an error of 0.05 mm of stretch, that error for 0.1 s, and the speed limit as a command. With the
+    The accepted values are 0.05 mm of stretch, that error for 0.1 s, and the speed limit as a command. With the
     weights of our own law, which leaves disturbances to its feed-forward, LQI would be a tenth as good. In the filter a
     disturbance is white noise, as in the standard LQG problem: another speed in every tick, rms the speed limit.
     The measured error is integrated, so that the filter's model errors leave no bias.

@@ -18,8 +18,8 @@ class PidFeedForward(Feedback):
     """SIMC-PID (Skogestad 2003) for an integrating process with lag, series form, tightest ``tau_c = theta``.
 
     ``Kc = 1 / (k (tau_c + theta))``, ``tau_I = 4 (tau_c + theta)``, ``tau_D = lag``; the measurement is filtered, and
-    by the half rule half the filter counts as delay and half as lag. Fed forward is the rope's stretch in position
-    form, ``L (1 / cos theta - 1)``, low-passed, whose rate the cylinder gives way to.
+    by the half rule half the filter counts as delay and half as lag. The rope's stretch is fed forward in position
+    form, ``L (1 / cos theta - 1)``, low-passed; the cylinder follows its rate.
     """
 
     def __init__(self, model: Model, speed_max_mm_s: float, rope_length_mm: float) -> None:

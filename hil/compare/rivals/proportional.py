@@ -29,7 +29,7 @@ class Proportional(Feedback):
         self.gain = 0.5 * ultimate(model)[0]  # mm/s per N
 
     def start(self, _sample: Sample) -> None:
-        """Nothing is remembered."""
+        """See `Feedback`; the law has no memory."""
 
     def wanted(self, sample: Sample) -> float:
         """See `Feedback`."""

@@ -26,7 +26,7 @@ GAINS = design_and_check(RIG).gains
 
 @pytest.fixture
 def rig() -> Iterator[Lockstep]:
-    """In HOLD, 300 N on the rope."""
+    """A rig in HOLD, 300 N on the rope."""
     with lockstep(RIG, GAINS) as subject:
         stand.start(subject, Mode.HOLD, None)
         stand.enter(subject, Mode.HOLD)

@@ -105,7 +105,7 @@ def test_an_operator_commissions_the_rig(running: Running, tmp_path: pathlib.Pat
     # Loop and drive are not synchronised here, so a command falls anywhere in the drive's millisecond: an error of one
     # tick, which is what identification promises.
     assert found["plant.command_delay_s"] == pytest.approx(0.002, abs=0.001)
-    # The mean over one of the drive's own milliseconds, which may have ended one ago.
+    # The drive's speed is a mean over one of its own milliseconds, which may have ended a millisecond ago.
     assert found["age of the drive's speed"] == pytest.approx(0.0011, abs=0.0009)
     assert found["stiffness"] == pytest.approx(5.964, rel=0.01)
     assert found["tension_cell.noise_n"] == pytest.approx(0.03, rel=0.2)

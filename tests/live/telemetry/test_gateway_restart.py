@@ -22,7 +22,7 @@ def test_killed_gateway_costs_no_sample_and_no_event(own: Daemon) -> None:
         fast = FastReader(client)
         plain = client.session.declare_subscriber(client.keys.fast, zenoh.handlers.RingChannel(4096))
         events = client.follow(client.keys.event("*"), 1000)
-        # Long enough that the gateway has noted its listeners.
+        # Long enough that the gateway has recorded its listeners.
         until(lambda: list(fast.read()) and fast.count.blocks > 10, "the stream")
         seen = []
         for _ in range(3):

@@ -79,7 +79,7 @@ def test_nothing_stands_against_a_rig_in_order() -> None:
             Check.TARE,
             ["of 2026-05-01", "30 days", "rigctl tare"],
         ),
-        ({"standing": Standing(due=stamp(-9), tared=stamp(-3))}, Check.TARE, ["of 2026-06-04"]),  # not yet made
+        ({"standing": Standing(due=stamp(-9), tared=stamp(-3))}, Check.TARE, ["of 2026-06-04"]),  # in the future
         ({"active": {}}, Check.MARGINS, ["not known"]),
         ({"active": {"design": {"ms": 1}}}, Check.MARGINS, ["not known"]),
         ({"active": {"design": REFUSED}}, Check.MARGINS, ["Ms 1.9", "rigctl tune"]),

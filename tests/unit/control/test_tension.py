@@ -123,7 +123,7 @@ def test_the_setpoint_is_the_vertical_component() -> None:
     cosine = math.cos(math.radians(8.0))
     subject.compensating(at(300.0), cosine)
     assert subject.rope_setpoint_n == pytest.approx(300.0 / cosine)
-    assert subject.rope_setpoint_n / 300.0 - 1.0 == pytest.approx(0.0098, abs=1e-4)  # 1 % at 8 deg, domain.md
+    assert subject.rope_setpoint_n / 300.0 - 1.0 == pytest.approx(0.0098, abs=1e-4)  # 1 / cos 8 deg: 1 %
 
 
 def test_the_disturbance_is_fed_forward() -> None:

@@ -134,7 +134,7 @@ def test_every_margin_is_python_controls(
 
 @pytest.mark.parametrize("k_m", [None, 60.0, 6.0])
 def test_margins_are_where_stability_ends(rig: Rig, k_m: float | None) -> None:
-    # By eigenvalues, not by a frequency response: more delay than dm_ms, or more gain than gm_db, and it is unstable.
+    # By eigenvalues, not by a frequency response: more delay than dm_ms or more gain than gm_db is unstable.
     settings = rig()
     gains, model = design(settings), filter_model(settings)
     law = controller(model, gains, filter_gain(model))
@@ -168,7 +168,7 @@ def test_shipped_rigs_are_accepted_and_do_what_they_promise(name: str) -> None:
     assert len(found.margins) == 30
     assert found.ms_max <= 1.6
     assert found.performance is not None
-    # Issue 4: 0.04 % of 300 N for 10 mm at 0.1 Hz with 3 sigma of noise, 0.7 and 1.3 x locked, 0.5 mm/s at rest.
+    # Promise: 0.04 % of 300 N for 10 mm at 0.1 Hz with 3 sigma of noise, 0.7 and 1.3 x locked, 0.5 mm/s at rest.
     assert found.performance.vertical_error_n + 3 * found.performance.tension_noise_n < 0.12
     assert found.performance.sensitivity_3hz < 0.7
     assert found.performance.sensitivity_8hz < 1.3

@@ -20,7 +20,7 @@ MS = 1_000_000
 
 
 class Publisher:
-    """Keeps what is published."""
+    """Stores the published messages."""
 
     matching_status = True
 

@@ -243,4 +243,4 @@ def test_a_folder_that_is_not_there_is_one_clear_line(path: str) -> None:
 def test_closing_leaves_nothing_behind(path: str) -> None:
     HubServer(path, Hub()).close()
     assert list(pathlib.Path(path).parent.iterdir()) == []
-    HubServer(path, Hub()).close()  # and the path is free again
+    HubServer(path, Hub()).close()  # the path is free again

@@ -175,7 +175,7 @@ def test_robustness_is_that_of_the_published_rules_and_ours_is_the_most_robust()
     assert min(family, key=family.__getitem__) == OURS
     own = {name: r.ms for name, r in found.items() if r is not None}
     assert 1.5 < own["pi"] < 2.0  # Skogestad: 1.59 to 1.70 for his models; the half rule raises it
-    assert own["p"] > 3.0  # a gain margin of two beside a lag: the rule's known fault
+    assert own["p"] > 3.0  # a gain margin of two beside a lag: the known weakness of the rule
 
 
 class _Inbox:
