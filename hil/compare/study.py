@@ -105,7 +105,7 @@ def run(
         rig: with a ``simulation`` section.
         chosen: scenarios, in the table's order.
         laws: in the table's order.
-        done: called after each run with its length in seconds and its description.
+        done: called after each run and each robustness with its length in seconds and its description.
 
     Raises:
         ScenarioError: the rig cannot be simulated.
