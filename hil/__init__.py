@@ -1,1 +1,1 @@
-"""The simulated rig: plant, sensors, drive and bus, spoken to through CAN frames only."""
+"""The simulated rig: plant, sensors, drive and bus, reached through CAN frames only."""

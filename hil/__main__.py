@@ -17,7 +17,7 @@ from rigctl.ipc import output_file
 from rigctl.ipc.termination import on_signals
 
 _INTERRUPTED = 130
-"""What typer makes of Ctrl-C."""
+"""Exit code that typer gives Ctrl-C."""
 
 app = typer.Typer(
     add_completion=False,  # a shell completes the name of a program, and this one is a module
@@ -114,9 +114,9 @@ def _announce(text: str) -> None:
 
 
 def main() -> int:
-    """Run; every refusal is one line on stderr. Exit code 0 good, 1 the result is bad or no bus, 2 usage or files."""
+    """Run a command; each refusal is one line on stderr. Exit code 0 good, 1 bad result or no bus, 2 usage or files."""
     standard_output.guard()
-    on_signals(signal.default_int_handler, signal.SIGTERM, signal.SIGHUP)  # what was started is ended, as with Ctrl-C
+    on_signals(signal.default_int_handler, signal.SIGTERM, signal.SIGHUP)  # ends the child processes as Ctrl-C does
     if lacking := descriptors.shortage():
         sys.stderr.write(f"hil: {lacking}\n")
         return 1
@@ -145,7 +145,7 @@ def _run() -> int:
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("hil: interrupted\n")
         return 1
-    except OSError as error:  # a full or read-only disk, no memory, no folder for temporary files: nothing of ours
+    except OSError as error:  # a full or read-only disk, no memory, no temporary folder
         where = f"{error.filename}: " if error.filename is not None else ""
         sys.stderr.write(f"hil: {where}{error.strerror or error}\n")
         return 1

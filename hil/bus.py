@@ -1,4 +1,4 @@
-"""python-can's view of the simulated wire: ``rigsim`` over the hub's socket, and its twin in one process."""
+"""The simulated wire as python-can interfaces: ``rigsim`` over the hub's socket, and its twin within one process."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class RigSimBus(can.BusABC):
     Filters work as in the kernel: a refused frame is never seen and does not end a drain; error frames pass.
 
     Raises:
-        can.CanInitializationError: nobody serves the socket.
-        can.CanOperationError: the simulated rig has gone, or the send buffer is full.
+        can.CanInitializationError: no process serves the socket.
+        can.CanOperationError: the simulated rig has ended, or the send buffer is full.
     """
 
     def __init__(self, channel: str, can_filters: CanFilters | None = None, **kwargs: object) -> None:
@@ -96,7 +96,7 @@ class RigSimBus(can.BusABC):
 
 
 class InProcessBus(can.BusABC):
-    """The same wire within one process, for lockstep: what is sent has arrived when ``send`` returns.
+    """The same wire within one process, for lockstep: a frame has arrived when ``send`` returns.
 
     Receive stamps are the hub's time (s); ``recv`` may also block in a thread of its own, as canopen's notifier does.
     """
@@ -156,6 +156,6 @@ def _acceptance(filters: CanFilters) -> bytes:
 
 
 def _accepts(accepted: bytes, frame: bytes) -> bool:
-    """Standard frames by the table; error frames always; extended frames are left to python-can's own filter."""
+    """Standard frames pass by the table, error frames always; python-can itself filters extended frames."""
     can_id: int = FRAME.unpack(frame)[0]
     return bool(can_id & (ERROR_FLAG | EXTENDED_FLAG) or accepted[can_id & STANDARD_MASK])

@@ -1,4 +1,4 @@
-"""The rig on a bus that others own (SocketCAN, an adapter): any python-can interface, kept through its troubles."""
+"""The simulated rig on a real bus (SocketCAN, an adapter): any python-can interface, kept in use through its errors."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _VANISHED = frozenset({errno.ENODEV, errno.ENXIO, errno.EBADF, errno.EPIPE, errn
 class BusLink:
     """Frames to and from a python-can bus.
 
-    An interface that is down (ENETDOWN) or congested (ENOBUFS) loses what is sent meanwhile and works again once it
-    can; one that has vanished is opened anew. Frames lost and errors are counted.
+    Frames sent while the interface is down (ENETDOWN) or congested (ENOBUFS) are lost; an interface that has vanished
+    is opened again. Lost frames and errors are counted.
 
     Args:
         interface, channel, bitrate_bit_s: as in the rig file's ``can`` section.
@@ -32,7 +32,7 @@ class BusLink:
     """
 
     def __init__(self, interface: str, channel: str, bitrate_bit_s: int | None, receive: Receive) -> None:
-        logging.getLogger("can").setLevel(logging.CRITICAL)  # it would print what is raised as well
+        logging.getLogger("can").setLevel(logging.CRITICAL)  # python-can would also print the errors it raises
         self.received = 0
         self.delivered = 0
         self.lost = 0
@@ -44,7 +44,7 @@ class BusLink:
         self._bus: can.BusABC | None = can.Bus(**self._address)
 
     def poll(self, timeout_s: float) -> None:
-        """Wait at most ``timeout_s`` for a frame, then take in what is there."""
+        """Wait at most ``timeout_s`` for a frame, then receive all waiting frames."""
         bus = self._bus
         if bus is None:
             time.sleep(timeout_s)

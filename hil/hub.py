@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterable
 
 Receive = Callable[[bytes], None]
 Tap = Callable[["Port", bytes], Iterable[bytes]]
-"""What becomes of a frame somebody sends: the frames that go on the wire in its place."""
+"""Maps a frame that a port sends to the frames that go on the wire in its place."""
 
 
 class Port:
-    """One device's place on the wire."""
+    """One device's connection to the wire."""
 
     __slots__ = ("hub", "receive")
 
@@ -28,8 +28,8 @@ class Port:
 class Hub:
     """Ports of one process.
 
-    A frame sent from within a delivery queues behind it, so an answer never overtakes its question. Senders in
-    different threads take turns.
+    A frame sent during a delivery queues behind it, so a response never overtakes its request. Senders in different
+    threads take turns.
 
     Args:
         now_ns: time of the frame log and of in-process receive stamps; without it nothing is logged.
@@ -39,12 +39,12 @@ class Hub:
         self.now_ns = now_ns
         self.log: list[tuple[int, bytes]] = []
         self.tap: Tap | None = None
-        """A wire with a defect; an exception it raises meets the sender."""
+        """A defect of the wire; an exception it raises reaches the sender."""
         self._ports: tuple[Port, ...] = ()
         self._waiting: deque[tuple[Port, bytes]] = deque()
         self._delivering = False
         self.turn = threading.RLock()
-        """Held while frames are delivered: for what must not happen meanwhile."""
+        """Held while frames are delivered; code that must not run meanwhile takes it."""
 
     def attach(self, receive: Receive) -> Port:
         """A new port; ``receive`` gets each frame the others send, from now on."""
@@ -59,7 +59,7 @@ class Hub:
             self._ports = tuple(p for p in self._ports if p is not port)
 
     def send(self, sender: Port, frame: bytes) -> None:
-        """Deliver ``frame`` to all ports but ``sender``, after every frame sent before it, as far as a tap lets it."""
+        """Deliver ``frame`` to all other ports, after every frame sent before it, as far as a tap lets it."""
         if self.tap is None:
             self.put(sender, frame)
             return
@@ -68,7 +68,7 @@ class Hub:
                 self.put(sender, passed)
 
     def put(self, sender: Port, frame: bytes) -> None:
-        """The same, past the tap."""
+        """Deliver ``frame`` without the tap."""
         with self.turn:
             self._waiting.append((sender, frame))
             if self._delivering:

@@ -1,6 +1,6 @@
-"""The hub's door for other processes: a Unix SEQPACKET socket, one 16-byte frame per packet.
+"""The hub for other processes: a Unix SEQPACKET socket, one 16-byte frame per packet.
 
-Single-threaded and non-blocking. Whatever a client does (come, go, stall, send rubbish) costs that client alone.
+Single-threaded and non-blocking. A client that comes, goes, stalls or sends rubbish affects no other client.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hil.hub import Hub
 from hil.wire import FRAME_SIZE
 
 SEND_BUFFER_BYTES = 4 << 20
-"""Room per client in the kernel (about 768 bytes a frame): 0.4 s of a busy bus, where the system grants it."""
+"""Send buffer of a client in the kernel (about 768 bytes a frame): 0.4 s of a busy bus, where the system grants it."""
 
 FRAMES_PER_TURN = 64
 """Frames taken from one client before the others have their turn."""
@@ -74,7 +74,7 @@ class HubServer:
         return self._epoll.fileno()
 
     def poll(self, timeout_s: float) -> None:
-        """Wait at most ``timeout_s`` for traffic, then take in what is there: one turn for every client."""
+        """Wait at most ``timeout_s`` for traffic, then receive it: one turn for every client."""
         for fd, _ in self._epoll.poll(timeout_s):
             client = self._clients.get(fd)
             if client is not None:
@@ -85,7 +85,7 @@ class HubServer:
             self._dismiss(client)
 
     def close(self) -> None:
-        """Dismiss the clients and remove the socket file; closing again changes nothing."""
+        """Disconnect the clients and remove the socket file; closing again changes nothing."""
         if self._epoll.closed:
             return
         for client in list(self._clients.values()):
@@ -98,7 +98,7 @@ class HubServer:
     def _accept(self) -> None:
         try:
             connection, _ = self._listener.accept()
-        except OSError:  # the client has left already, or we are out of descriptors
+        except OSError:  # the client has left already, or no descriptor is free
             return
         connection.setblocking(False)
         _widen(connection)
@@ -163,18 +163,18 @@ class _Client:
         except BlockingIOError:
             self.lost += 1
             self._server.lost += 1
-        except OSError:  # EPIPE, ECONNRESET: dismissed at the end of this turn
+        except OSError:  # EPIPE, ECONNRESET: disconnected at the end of this turn
             self.gone = True
 
     def _hung_up(self) -> bool:
-        """Whether an empty packet was the end (a client may also send one of no bytes)."""
+        """Whether an empty packet is the end of the connection (a client may also send one of no bytes)."""
         probe = select.poll()
         probe.register(self._connection, select.POLLRDHUP)
         return bool(probe.poll(0))
 
 
 class _PathLock:
-    """Exclusive right to a socket path: a locked file beside it, which the kernel frees if we die."""
+    """Exclusive right to a socket path: a locked file beside it, which the kernel unlocks when the process dies."""
 
     def __init__(self, path: pathlib.Path) -> None:
         self._path = path.with_name(path.name + ".lock")
@@ -190,7 +190,7 @@ class _PathLock:
                 raise SocketRefusedError(f"{path}: another simulated rig is being served here") from None
             if self._is_current():
                 return
-            os.close(self._fd)  # its owner removed it between our open and our lock
+            os.close(self._fd)  # the owner removed the file between open and lock
 
     def release(self) -> None:
         self._path.unlink(missing_ok=True)
@@ -204,7 +204,7 @@ class _PathLock:
 
 
 def _listen(path: pathlib.Path) -> socket.socket:
-    """A listening socket at ``path``, in place of a dead one's file."""
+    """A listening socket at ``path``, which replaces the file of a dead server."""
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
     try:
         if path.exists() or path.is_symlink():
@@ -232,5 +232,5 @@ def _remove_stale(path: pathlib.Path) -> None:
 
 def _widen(connection: socket.socket) -> None:
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-    with contextlib.suppress(PermissionError):  # beyond the system's limit for those who may
+    with contextlib.suppress(PermissionError):  # exceeds the system's limit, but needs the privilege
         connection.setsockopt(socket.SOL_SOCKET, _SO_SNDBUFFORCE, SEND_BUFFER_BYTES)

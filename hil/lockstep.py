@@ -28,20 +28,20 @@ from rigctl.ipc.correction import Correction
 from rigctl.ipc.runtime_folder import Runtime
 
 START_NS = 1_000_000_000
-PASSING_NS, PASSING_S = 10_000_000, 0.001  # at a time, while start-up waits for devices; and a rest for its thread
+PASSING_NS, PASSING_S = 10_000_000, 0.001  # step while start-up waits for devices, and the pause of its thread
 WORK_NS = 100_000  # frames of a tick reach the rig this long after its grid point, as on the bus
 
 LIMIT_S = 3.0
-ARM_LIMIT_S = 25.0  # slow devices take up to 15 s to tell their settings; stop and brake test come after it
+ARM_LIMIT_S = 25.0  # slow devices take up to 15 s to send their settings; stop and brake test follow
 
 
 class SkippingClock(SimulatedClock):
-    """A simulated clock whose next tick can be made late: ``skip`` grid points are missed, then it is 0 again."""
+    """A simulated clock that can make the next tick late: ``skip`` grid points are missed, then ``skip`` is 0 again."""
 
     skip = 0
 
     def next_tick(self) -> tuple[int, int]:
-        """Run the world to the next grid point that is not missed."""
+        """Advance the world to the next grid point that is not missed."""
         missed, self.skip = self.skip, 0
         for _ in range(missed):
             super().next_tick()
@@ -49,7 +49,7 @@ class SkippingClock(SimulatedClock):
 
 
 class Lockstep:
-    """One tick at a time. Build it with `lockstep()`, which also takes its rings away."""
+    """The loop and the rig, one tick at a time. `lockstep()` builds it and removes its rings afterwards."""
 
     def __init__(
         self,
@@ -62,7 +62,7 @@ class Lockstep:
         correction: Correction | None = None,
         last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen
     ) -> None:
-        """``log``: keep every frame, with its time, in ``frames``. The rest: see `Loop`."""
+        """``log`` keeps every frame, with its time, in ``frames``. For the other arguments see `Loop`."""
         runtime.make_rings(settings)
         self.settings, self.runtime = settings, runtime
         self.rig_ns = START_NS
@@ -95,15 +95,15 @@ class Lockstep:
         )
         self._id = 0
         self.on_advance: Callable[[], None] | None = None
-        """Called whenever the rig has gone on by a period, whether the loop ticks then or misses it."""
-        self.reply: Any = None  # the last command's
+        """Called after every period of the rig, whether the loop ticks then or misses it."""
+        self.reply: Any = None  # to the last command
 
     def _to_rig(self, frame: bytes) -> None:
         self.rig.receive(frame)
 
     @contextlib.contextmanager
     def _time_passing(self) -> Iterator[None]:
-        """Let the rig's time pass while start-up waits for slow devices, as fast as this machine plays it."""
+        """Advance the rig as fast as this machine can while start-up waits for slow devices."""
         done = threading.Event()
 
         def pass_time() -> None:
@@ -154,7 +154,7 @@ class Lockstep:
         self._stranger.send(frame)
 
     def give(self, verb: Verb | Setting, value: float = 0.0, *, age_ns: int = 0) -> int:
-        """Put a command on the ring, to be read at the next tick; its id. Nobody waits for the answer."""
+        """Put a command on the ring for the next tick, without waiting for the reply; returns its id."""
         self._id += 1
         self._commands.write(self.clock.now() - age_ns, self._id, verb, value)
         return self._id
@@ -162,16 +162,16 @@ class Lockstep:
     def command(
         self, verb: Verb | Setting, value: float = 0.0, *, limit_s: float | None = None, age_ns: int = 0
     ) -> Refusal:
-        """Give a command, ``age_ns`` ago, through the command ring and run until it is answered.
+        """Give a command, stamped ``age_ns`` ago, through the command ring and run until the loop replies.
 
-        ``limit_s``: how long that may take, by default as long as the loop takes at most.
+        ``limit_s``: longest wait for the reply; by default ``ARM_LIMIT_S`` for ARM, else ``LIMIT_S``.
         """
         if limit_s is None:
             limit_s = ARM_LIMIT_S if verb is Verb.ARM else LIMIT_S
         return self._answer(repr(verb), self.give(verb, value, age_ns=age_ns), limit_s)
 
     def hold(self, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
-        """Give HOLD, ``age_ns`` ago, through its own ring and run until it is answered."""
+        """Give HOLD, stamped ``age_ns`` ago, through its own ring and run until the loop replies."""
         self._id += 1
         self._holds.write(self.clock.now() - age_ns, self._id, 0, 0, b"test")
         return self._answer("HOLD", self._id, limit_s)
@@ -189,7 +189,7 @@ class Lockstep:
         """Run until the loop is in ``mode``.
 
         Raises:
-            TimeoutError: it did not get there.
+            TimeoutError: the loop did not reach the mode.
         """
         for _ in range(round(limit_s * self.settings.loop.rate_hz)):
             if self.loop.machine.mode is mode:
@@ -208,7 +208,7 @@ def lockstep(
     correction: Correction | None = None,
     last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen
 ) -> Iterator[Lockstep]:
-    """A `Lockstep` whose rings are gone afterwards."""
+    """A `Lockstep` whose rings are removed afterwards."""
     with tempfile.TemporaryDirectory(prefix="rigctl-lockstep-", dir="/dev/shm") as folder:
         runtime = Runtime(pathlib.Path(folder))
         subject = Lockstep(

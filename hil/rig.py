@@ -1,4 +1,4 @@
-"""The simulated rig: plant and devices behind one port of the bus. It knows no clock, no socket and no thread."""
+"""The simulated rig: plant and devices behind one port of the bus. It has no clock, socket or thread."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ GRID_NS = 1_000_000
 
 
 class SimulatedRig:
-    """Lockstep and real time use it alike: ``advance``, then ``receive`` what has come, then ``supervise``.
+    """Lockstep and real time both call ``advance``, then ``receive`` for every frame, then ``supervise``.
 
     Args:
         settings: a rig file with a ``simulation`` section.
         start_ns: time at which the rig is switched on.
         send: puts a 16-byte frame on the bus; called from within all three.
         longest_silence_ns: most that one gap between ``supervise`` calls counts as silence of the controller; set it
-            where this process may be held up itself, so that its own pause is not blamed on the controller.
+            where this process itself may be paused, so that its own pause is not blamed on the controller.
         truth_log: receives the truth once per ``GRID_NS``.
 
     Raises:
@@ -54,7 +54,7 @@ class SimulatedRig:
     ) -> None:
         self.plant = Plant(settings, start_ns)
         simulation = settings.simulation
-        assert simulation is not None  # Plant has refused it
+        assert simulation is not None  # Plant raises without it
         self._demo = settings.demo
         self._grid_ns = start_ns
         self._supervised_ns = start_ns
@@ -84,7 +84,7 @@ class SimulatedRig:
         return self.plant.truth
 
     def advance(self, t_ns: int) -> None:
-        """Let the plant and the devices' own clocks go on to ``t_ns``."""
+        """Advance the plant and the devices' own clocks to ``t_ns``."""
         plant = self.plant
         while self._grid_ns + GRID_NS <= t_ns:
             self._grid_ns += GRID_NS
@@ -96,7 +96,7 @@ class SimulatedRig:
         plant.advance(t_ns)
 
     def supervise(self, t_ns: int) -> None:
-        """Send the heartbeats that are due and judge the controller's silence, once all frames are taken in."""
+        """Send the heartbeats that are due and check the controller's silence, after all frames have been received."""
         elapsed_ns = t_ns - self._supervised_ns
         self._supervised_ns = t_ns
         if self._longest_silence_ns is not None:

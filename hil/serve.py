@@ -27,20 +27,20 @@ from rigctl.ipc import output_file
 from rigctl.ipc.termination import ENDING, on_signals
 
 WAIT_S = 0.001
-"""Longest sleep: the rig's own clocks, heartbeats and time-outs go on at this pace without traffic."""
+"""Longest sleep; without traffic the rig's clocks, heartbeats and time-outs advance at this pace."""
 
 LONGEST_SILENCE_NS = 5_000_000
-"""A gap between two turns of our loop counts at most this much as silence of the controller."""
+"""A gap between two turns of the service's loop counts at most this much as silence of the controller."""
 
 
 PRIORITY_BELOW_LOOP = 10
 
 COMPILING_S = 1.0
-"""Making the rig takes longer than this only when its plant has to be compiled first."""
+"""Building the rig takes longer than this only when its plant has to be compiled first."""
 
 
 class ServeError(Exception):
-    """The rig cannot be served; ``str()`` is one line or one per finding, ``exit_code`` says whose fault it is."""
+    """The rig cannot be served: ``str()`` is one line or one per finding, ``exit_code`` 2 (settings) or 1 (bus)."""
 
     def __init__(self, message: str, exit_code: int) -> None:
         super().__init__(message)
@@ -48,7 +48,7 @@ class ServeError(Exception):
 
 
 class Line(Protocol):
-    """The rig's way to the bus: ``HubServer`` or ``BusLink``."""
+    """The rig's connection to the bus: ``HubServer`` or ``BusLink``."""
 
     received: int
     delivered: int
@@ -56,21 +56,21 @@ class Line(Protocol):
     malformed: int
 
     def poll(self, timeout_s: float) -> None:
-        """Wait for frames and hand over what has come."""
+        """Wait for frames and hand over those that have come."""
 
     def close(self) -> None:
         """Leave the bus."""
 
 
 class Service:
-    """A rig joined to its line.
+    """A simulated rig and its line to the bus.
 
     Args:
         settings: a rig file with a ``simulation`` section.
         truth: file for the truth log, or None.
 
     Raises:
-        ServeError: bad settings (2), or the bus is not there or taken (1).
+        ServeError: bad settings (2), or the bus is absent or in use (1).
     """
 
     def __init__(self, settings: RigSettings, truth: pathlib.Path | None = None) -> None:
@@ -96,7 +96,7 @@ class Service:
 
     @property
     def ready(self) -> str:
-        """One line for the operator, once frames are answered."""
+        """One line for the operator, once the rig answers frames."""
         s = self._settings
         places = {name: str(node) for name, node in s.canopen_nodes.items()}
         places |= {name: f"0x{message.can_id:03X}" for name, message in s.plain_messages.items()}
@@ -120,7 +120,7 @@ class Service:
         self._stopping = True
 
     def run(self) -> None:
-        """Serve until ``stop``. Every frame meets the plant at its own moment of arrival."""
+        """Serve until ``stop``. Each frame acts on the plant at its own time of arrival."""
         line, rig = self.line, self.rig
         while not self._stopping:
             line.poll(WAIT_S)
@@ -156,7 +156,7 @@ def serve(file: pathlib.Path, truth: pathlib.Path | None, announce: Callable[[st
     """Serve the rig of ``file`` until SIGTERM, SIGINT or SIGHUP.
 
     Raises:
-        ServeError: with what the operator should read, and the exit code.
+        ServeError: with the message for the operator and the exit code.
     """
     try:
         settings = config.load(file)
@@ -193,9 +193,9 @@ def _truth_log(file: pathlib.Path) -> TruthLog:
 
 
 def _prepare_process(settings: RigSettings) -> None:
-    """Real time as the loop has it, one rung below and on the other processors; refused settings are done without.
+    """Real-time settings as the loop's, one priority lower and on the other processors; refused settings are skipped.
 
-    A real rig never waits for the PC's scheduler: a simulated one that does would look like a broken bus.
+    A real rig never waits for the PC's scheduler; a simulated rig that waits looks like a broken bus.
     """
     others = os.sched_getaffinity(0) - {settings.loop.cpu}
     if others:

@@ -48,7 +48,7 @@ class TruthLog:
             self.flush()
 
     def flush(self) -> None:
-        """Write what is waiting."""
+        """Write the waiting records."""
         self._file.write(b"".join(self._waiting))
         self._waiting.clear()
 

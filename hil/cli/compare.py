@@ -1,4 +1,4 @@
-"""``python -m hil compare``: run the comparison, print it, and write what is asked for."""
+"""``python -m hil compare``: run the comparison, print it, and write the requested files."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ def run(
     *,
     quick: bool = False,
 ) -> int:
-    """Run the comparison, print it, write the files asked for.
+    """Run the comparison, print it, write the requested files.
 
     Args:
         rig_file: with the ``simulation`` section.
         only: scenarios to run; none = all.
         controllers: laws to run, the names separated by commas in each; none = all.
-        json: where the figures go.
-        folder: where the pictures go; made if absent.
+        json: file for the figures.
+        folder: folder for the plots; made if absent.
         quick: the scenarios of ``QUICK`` only, where ``only`` names none.
 
     Returns:
-        0 when it ran to its end; 1 when ours tripped or was unstable anywhere. A limit missed is in the table.
+        0 when it ran to its end; 1 when our law tripped or was unstable anywhere. A limit missed is in the table.
 
     Raises:
         ScenarioError: bad input, or a rig that cannot be simulated.

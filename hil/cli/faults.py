@@ -1,4 +1,4 @@
-"""``python -m hil faults``: play the catalogue, print it, and write what is asked for."""
+"""``python -m hil faults``: play the catalogue, print it, and write the requested files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Chosen:
 
 
 def run_kills(rig_file: pathlib.Path, count: int, json: pathlib.Path | None) -> int:
-    """Kill and stop processes of the real daemon ``count`` times; 0 when the load never noticed.
+    """Kill and stop processes of the real daemon ``count`` times; 0 when the load was never affected.
 
     Raises:
         ScenarioError: bad input, or the daemon does not come up or back.
@@ -48,7 +48,7 @@ def run_kills(rig_file: pathlib.Path, count: int, json: pathlib.Path | None) -> 
 
 
 def run_gateway(rig_file: pathlib.Path, count: int, json: pathlib.Path | None) -> int:
-    """Kill the gateway ``count`` times while COMPENSATING; 0 when nobody noticed. See `run_kills`."""
+    """Kill the gateway ``count`` times in COMPENSATING; 0 when loop and listeners were unaffected. See `run_kills`."""
     rig = simulated_rig(rig_file)
     check_outputs({"--json": json}, [rig_file])
     with progress("the gateway", count) as advance:
@@ -59,13 +59,13 @@ def run_gateway(rig_file: pathlib.Path, count: int, json: pathlib.Path | None) -
 
 
 def run(rig_file: pathlib.Path, only: Sequence[str], modes: Sequence[str], json: pathlib.Path | None) -> int:
-    """Play the rows asked for, print them, write the file asked for.
+    """Play the requested rows, print them, write the requested file.
 
     Args:
         rig_file: with the ``simulation`` section.
         only: ids of faults; none = all.
         modes: names of modes; none = all.
-        json: where the rows go.
+        json: file for the rows.
 
     Returns:
         0 when every row is as expected, else 1.
@@ -89,7 +89,7 @@ def choose(only: Sequence[str], modes: Sequence[str]) -> Chosen:
     """The rows of these faults in these modes.
 
     Raises:
-        ScenarioError: no such fault, no such mode, or no row at all.
+        ScenarioError: unknown fault or mode, or no row at all.
     """
     _known("--only", only, NAMES)
     _known("--mode", modes, [mode.name for mode in Mode])
@@ -104,7 +104,7 @@ def choose(only: Sequence[str], modes: Sequence[str]) -> Chosen:
 
 
 def document(rows: Sequence[Row]) -> dict[str, object]:
-    """What ``--json`` writes."""
+    """The content of the ``--json`` file."""
     return {"faults": [row.as_dict() for row in rows], "ok": all(row.ok for row in rows), "total": len(rows)}
 
 
@@ -114,7 +114,7 @@ def _write(file: pathlib.Path | None, found: Mapping[str, object]) -> None:
 
 
 def show_list() -> None:
-    """Print every fault, what it is, and what has to happen in which mode."""
+    """Print every fault, its description, and the expected reaction in each mode."""
     output.show_list([*CATALOGUE, *processes.CATALOGUE])
 
 

@@ -1,4 +1,4 @@
-"""``python -m hil paper``: run the study, print it, and write what is asked for."""
+"""``python -m hil paper``: run the study, print it, and write the requested files."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from rigctl.ipc import output_file
 
 
 def run(rig_file: pathlib.Path, json: pathlib.Path | None, folder: pathlib.Path | None) -> int:
-    """Run the study, print it, write the files asked for.
+    """Run the study, print it, write the requested files.
 
     Args:
         rig_file: with the ``simulation`` section; springs and moves are the study's own.
-        json: where the rows go.
-        folder: where a picture per figure goes; made if absent.
+        json: file for the rows.
+        folder: folder for one plot per figure; made if absent.
 
     Returns:
-        0 when every row agrees, or differs for a reason that is known and printed; else 1.
+        0 when every row agrees, or differs for a known reason, which is printed; else 1.
 
     Raises:
         ScenarioError: bad input, or a rig that cannot be simulated.

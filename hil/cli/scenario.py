@@ -22,12 +22,12 @@ STANDARD_OUTPUT = pathlib.Path("-")
 
 
 def run(file: pathlib.Path, json: pathlib.Path | None, picture: pathlib.Path | None) -> int:
-    """Play the scenario of ``file``, print its figures, write the files asked for; 1 if the rig tripped, else 0.
+    """Play the scenario of ``file``, print its figures, write the requested files; 1 if the rig tripped, else 0.
 
     Args:
         file: scenario file.
-        json: where the figures go; ``-`` prints them instead of the table.
-        picture: where the picture goes.
+        json: file for the figures; ``-`` prints them instead of the table.
+        picture: file for the plot.
 
     Raises:
         ScenarioError: bad input.
@@ -68,7 +68,7 @@ def _play(case: Case) -> Played:
 
 
 def check_outputs(outputs: dict[str, pathlib.Path | None], inputs: list[pathlib.Path]) -> None:
-    """Refuse before a long run what could not be written after it, or would be written over.
+    """Refuse, before a long run, outputs that could not be written after it or would overwrite an input.
 
     Args:
         outputs: files by option.
@@ -89,7 +89,7 @@ def check_outputs(outputs: dict[str, pathlib.Path | None], inputs: list[pathlib.
 
 
 def check_folder(option: str, folder: pathlib.Path | None, first: str) -> None:
-    """Make a folder for pictures, and refuse one that the picture ``first`` could not be written to."""
+    """Make a folder for plots, and refuse one that the plot ``first`` could not be written to."""
     if folder is None:
         return
     try:
@@ -100,7 +100,7 @@ def check_folder(option: str, folder: pathlib.Path | None, first: str) -> None:
 
 
 def simulated_rig(rig_file: pathlib.Path) -> RigSettings:
-    """A rig file that says what rig to simulate."""
+    """A rig file with a ``simulation`` section."""
     try:
         rig = config.load(rig_file)
     except config.ConfigError as error:

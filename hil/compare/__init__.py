@@ -1,1 +1,1 @@
-"""The tension law against its rivals: same plant, same frames, same limits, another feedback."""
+"""The tension law against its rivals: same plant, frames and limits, another feedback."""

@@ -1,7 +1,7 @@
-"""What each law costs in robustness and noise: its sensitivity peak over the family of plants our design answers for.
+"""Robustness and noise of each law: its sensitivity peak over the family of plants that our design has to hold.
 
-A rival is linear as long as no limit acts, so what it does is known from its answers to a single sample of tension and
-of speed. The loop is broken where ``rigctl.design.margins`` breaks it: at the plant's input and at the tension output.
+A rival is linear as long as no limit acts, so its responses to a single sample of tension and of speed describe it.
+The loop is broken where ``rigctl.design.margins`` breaks it: at the plant's input and at the tension output.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from rigctl.design.plant_family import Array, ComplexArray, Member, family, memb
 
 REST = Sample(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SMALL = 1e-3
-"""Of a sample, N or mm/s: far from any limit a law has of its own."""
+"""Size of a sample, N or mm/s: far from any limit of a law."""
 ANSWER_TICKS = 6000
-"""By then every law's answer to a single sample is over, but for what its integral keeps."""
+"""By then every law's response to a single sample is over, except for the constant of its integral."""
 LOOK_S = 2.0
 GROWN = 0.3
-"""A disturbance of one tick that has not died out to this share within ``LOOK_S`` never will."""
+"""A disturbance of one tick that has not died out to this share within ``LOOK_S`` counts as unstable."""
 FROM_HZ, POINTS, NEAR = 0.05, 700, np.linspace(0.9, 1.1, 41)
 
 
@@ -42,7 +42,7 @@ class Robustness(NamedTuple):
 
 
 def robustness(rig: RigSettings, controller: Controller) -> Robustness | None:
-    """Of one law tuned for the rig; None for the locked cylinder."""
+    """Robustness of one law tuned for the rig; None for the locked cylinder."""
     if controller.name == PASSIVE:
         return None
     plants = family(rig)
@@ -68,21 +68,21 @@ def robustness(rig: RigSettings, controller: Controller) -> Robustness | None:
 
 
 def sensitivity(plant: Member, law: ComplexArray, z: ComplexArray) -> ComplexArray:
-    """At the plant's input and at the tension, shape (2, len(z)); ``law`` as ``response`` gives it."""
+    """At the plant's input and at the tension, shape (2, len(z)); ``law`` is the result of ``response``."""
     tension, speed, _ = plant.response(z)
     at_input = 1.0 / (1.0 - law[0] * tension - law[1] * speed)
     return np.stack([at_input, at_input * (1.0 - law[1] * speed)])
 
 
 def response(feedback: Feedback, z: ComplexArray) -> ComplexArray:
-    """Command per tension (mm/s per N) and per speed (1), shape (2, len(z)); the tick before the command included."""
+    """Command per tension (mm/s per N) and per speed (1), shape (2, len(z)), with the tick before the command."""
     answers = np.array([_answer(feedback, *sample) for sample in (("tension_n", 0.0), ("speed_mm_s", 0.0), ("", 1.0))])
-    kept = answers[:, -1:]  # by an integral, for ever
+    kept = answers[:, -1:]  # the constant of an integral
     found = np.zeros((3, len(z)), np.complex128)
     for values in (answers - kept)[:, ::-1].T:  # Horner: the sum of answer(n) z^-n-1
         found = (found + values[:, None]) / z
     found += kept / (z - 1.0)
-    result: ComplexArray = found[:2] / (1.0 - found[2])  # what was sent comes back through the law's own model
+    result: ComplexArray = found[:2] / (1.0 - found[2])  # the sent command acts through the law's own model
     return result
 
 
@@ -100,9 +100,9 @@ def swing(plant: Member, feedback: Feedback, kick: Array) -> Array:
 
 
 def _answer(feedback: Feedback, signal: str, sent: float) -> Array:
-    """Commands wanted from a single sample on, or from a single command sent a tick before; no other is sent."""
+    """Commands wanted after a single sample, or after a single command sent a tick before; no other is sent."""
     feedback.start(REST)
-    feedback.wanted(REST)  # a difference needs a sample before
+    feedback.wanted(REST)  # a difference needs an earlier sample
     feedback.sent(SMALL * sent)
     samples = [REST] * ANSWER_TICKS
     if signal:

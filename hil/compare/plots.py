@@ -1,4 +1,4 @@
-"""The comparison's pictures: the largest error everywhere, and the error against time where it tells most."""
+"""The comparison's plots: the largest error everywhere, and the error against time in selected scenarios."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _TRACES: dict[str, tuple[str, tuple[float, float], tuple[float, float] | None]] 
     "shake_3hz": ("shake, 0.05 mm at 3 Hz", (4.0, 5.0), (-0.115, 0.115)),
     "paper_k6": ("paper move, k = 6 N/mm: the lag's peak", (2.0, 12.0), None),
 }
-"""By scenario: title, time shown in s, error shown in % (None: what the active laws need)."""
+"""By scenario: title, time shown in s, error shown in % (None: range of the active laws)."""
 
 
 def save(study: Study, folder: pathlib.Path) -> list[pathlib.Path]:
-    """Write the bar chart, and a picture of the traces that were run; returns their names.
+    """Write the bar chart, and a plot of the traces that were run; returns their names.
 
     Raises:
         OutputError: the folder cannot be written.
@@ -70,7 +70,7 @@ def _bars(study: Study, file: pathlib.Path) -> None:
                 axis.plot([most, most], [y - 0.46, y + 0.46], color="#d00000", linewidth=1.3, label="_")
     axis.plot([], [], color="#d00000", linewidth=1.3, label="limit of ours")
     axis.set_xscale("log")
-    axis.set_xlim(1e-3, 1.3 * axis.get_xlim()[1])  # where a bar ends must be seen
+    axis.set_xlim(1e-3, 1.3 * axis.get_xlim()[1])  # the end of a bar must be visible
     axis.set_yticks(places, [scenario.title for scenario in study.scenarios])
     axis.set_ylim(-0.6, rows - 0.4)
     axis.set_xlabel("largest error of the vertical force, %")
@@ -83,7 +83,7 @@ def _bars(study: Study, file: pathlib.Path) -> None:
 
 
 def _trace(study: Study, name: str, file: pathlib.Path) -> None:
-    """A panel per law, all with the same axes, the passive cylinder and ours behind."""
+    """A panel per law, all with the same axes, the locked cylinder and our law behind."""
     title, (from_s, to_s), span = _TRACES[name]
     laws = [c for c in study.controllers if c.name != PASSIVE] or list(study.controllers)
     columns = min(4, len(laws))
@@ -124,7 +124,7 @@ def _curve(study: Study, name: str, who: str, axis: Axes, *, faint: bool) -> Non
 
 
 def _range(study: Study, name: str, from_s: float, to_s: float) -> tuple[float, float]:
-    """What the active laws' errors need; the passive one's may leave the picture."""
+    """Range of the active laws' errors; that of the locked cylinder may leave the plot."""
     most = 0.0
     for controller in study.controllers:
         run = study.results[name, controller.name]

@@ -1,4 +1,4 @@
-"""What the laws are compared on: changes of the rig file, what is prescribed, what is looked at, and our limits."""
+"""The scenarios of the comparison: changes of the rig file, prescribed motion, windows, and our limits."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from hil.scenario.kinds import FloorTone, Heave, Jolt, LevelPoint, LevelTable, M
 from rigctl.config.settings import RigSettings
 
 STEADY_S = 2.0
-"""Figures are taken from here on: by then the mechanism has reached its speed, the gantry shakes in full."""
+"""Figures are taken from here on: the mechanism has reached its speed and the gantry shakes in full."""
 FADE_S = 2.0
-"""Of the vertical motion; a quicker one would ask for more than the speed limit."""
+"""Fade of the vertical motion; a shorter one would exceed the speed limit."""
 HEAVE_S = FADE_S + STEADY_S + 10.0
 EVENT_S = 1.0
-"""When a jolt or a change of mass comes; figures are taken from it on."""
+"""Time of a jolt or a change of mass; figures are taken from it on."""
 STIFFNESSES_N_MM = (6.0, 13.0, 20.0, 27.0, 34.0)
 SPEED_DEG_S, TURN_DEG = 0.5, 13.0
 MOVE_S = 15.0
-"""The lag's peak and one swing of the rope after it; with twice the friction it peaks at 8 s."""
+"""Covers the lag's peak and one swing of the rope after it; with twice the friction the peak is at 8 s."""
 LEVEL_MM = 1.5
 NO_SPRING_DESIGN = {"stretch_weight": 80.0, "integral_weight": 60.0}
-"""Our weights for a rig without a spring: a micrometre is a newton there, and its margins are waived anyhow."""
+"""Our weights for a rig without a spring: a micrometre is a newton there, and its margins are waived anyway."""
 QUICK = ("paper_k6", "paper_k34", "vertical", "shake_3hz", "jolt", "mechanism_60")
-"""A softest and a stiffest spring, each kind of disturbance, and a rig that is not what the design believes."""
+"""The softest and the stiffest spring, each kind of disturbance, and a rig that differs from the design's model."""
 
 Quantity = Literal["eta_true_max_pct", "eta_true_rms_pct", "settle_s", "eta_true_max_over_passive"]
 Changes = Mapping[str, Mapping[str, Any]]
 
 
 class Limit(NamedTuple):
-    """What our law has to keep to in a scenario."""
+    """A bound on our law in a scenario."""
 
     quantity: Quantity
     most: float
@@ -52,18 +52,18 @@ class Scenario(NamedTuple):
     seconds: float
     from_s: float
     plant: Mapping[str, Any]
-    """Laid over the rig file's ``plant``: loop and design know of it."""
+    """Laid over the rig file's ``plant``: known to loop and design."""
     simulation: Changes
-    """Laid over sections of ``simulation`` (a value of its own under ""): nothing but the plant knows of it."""
+    """Laid over sections of ``simulation`` (a value of its own under ""): known to the plant only."""
     limits: tuple[Limit, ...]
     event_s: float | None = None
-    """Settling is counted from here; None where nothing happens at once."""
+    """Settling is counted from here; None without a single event."""
     design: Mapping[str, Any] | None = None
-    """Laid over the rig file's ``design``: our weights where the rig is another one."""
+    """Laid over the rig file's ``design``: our weights where the rig is a different one."""
 
     def settings(self, rig: RigSettings, waiver: str) -> RigSettings:
         """The rig of this scenario; ``waiver`` lets a design run that misses ``design.ms_max``."""
-        assert rig.simulation is not None  # the command has refused it
+        assert rig.simulation is not None  # the command refuses a rig without it
         simulation = rig.simulation.model_copy(update=dict(self.simulation.get("", {})))
         sections = {
             name: getattr(simulation, name).model_copy(update=dict(changed))
@@ -80,7 +80,7 @@ class Scenario(NamedTuple):
 
 
 def scenarios(rig: RigSettings) -> tuple[Scenario, ...]:
-    """Every scenario, in the order of the table; ``rig`` for what is said as a multiple."""
+    """Every scenario, in the order of the table; ``rig`` gives the base of values stated as multiples."""
     assert rig.simulation is not None
     return (*_moves(), *_disturbances(), *_other_plants(rig))
 
@@ -117,7 +117,7 @@ def _moves() -> list[Scenario]:
 
 
 def _disturbances() -> list[Scenario]:
-    """What comes from outside, on the rig of the file."""
+    """External disturbances on the rig of the file."""
     heaving = heave(Heave(kind="sine", amplitude_mm=10.0, frequency_hz=0.1, fade_s=FADE_S), HEAVE_S)
     jolting = jolt(Jolt(kind="step", height_mm=1.0, rise_s=0.02, at_s=EVENT_S))
     lighter = mass_change(MassChange(change_kg=-1.0, at_s=EVENT_S))
@@ -169,7 +169,7 @@ def _shake(frequency_hz: float, most: float) -> Scenario:
 
 
 def _other_plants(rig: RigSettings) -> list[Scenario]:
-    """The paper's move on rigs that are not what loop and design believe."""
+    """The paper's move on rigs that differ from the model of loop and design."""
     limits = _error(0.08, 0.03)
     simulation = rig.simulation
     assert simulation is not None
@@ -189,5 +189,5 @@ def _other_plants(rig: RigSettings) -> list[Scenario]:
 
 
 def _stands_on(vertical_n_mm: float) -> Changes:
-    """A mechanism that gives way vertically, which the design takes for rigid."""
+    """A mechanism that is not rigid vertically, though the design assumes it is."""
     return {"mechanism": {"vertical_n_mm": vertical_n_mm}}

@@ -28,37 +28,37 @@ SETTLED_PCT = 0.1
 COMPENSATING, LOCKED, UNSTABLE = "COMPENSATING", "LOCKED", "UNSTABLE"
 TAIL_S = 0.25
 SWINGING = 0.5
-"""Standard deviation of the command over the last ``TAIL_S``, of the speed limit, above which a loop swings by itself:
-shake and noise together ask for 0.3 at most, a loop that swings between the limits has 0.6 to 1."""
+"""Share of the speed limit: a loop oscillates by itself if the command's standard deviation over the last ``TAIL_S``
+exceeds it. Shake and noise together cause 0.3 at most, oscillation between the limits 0.6 to 1."""
 TRACE_STEP = 5
-"""Of the truth every so many milliseconds are kept, to be drawn."""
+"""Every so many milliseconds of the truth, one sample is kept for the plots."""
 ROBUSTNESS_S = 2.5
-"""What one law's robustness costs, in seconds of simulated time, for the progress bar."""
+"""Cost of one law's robustness, in seconds of simulated time, for the progress bar."""
 _MOST_WORKERS = 4
 
 
 class Result(NamedTuple):
-    """One law in one scenario; None where it did not come to the end."""
+    """One law in one scenario; None where the run did not reach its end."""
 
     eta_max_pct: float | None
     eta_rms_pct: float | None
     speed_max_mm_s: float | None
     settle_s: float | None
-    """Also None where nothing happens at once, and where it does not settle."""
+    """Also None without a single event, and where the error does not settle."""
     ended: str
     """``COMPENSATING``, ``LOCKED``, ``UNSTABLE``, or how and when it tripped."""
     t_s: Floats
     eta_pct: Floats
-    """Signed, for the plots; both empty where the run's beginning was not reached."""
+    """Signed, for the plots; both empty where the run did not reach its beginning."""
 
     @property
     def whole(self) -> bool:
-        """Whether the run went to its end as it should."""
+        """Whether the run reached its end as it should."""
         return self.ended in (COMPENSATING, LOCKED)
 
 
 class Verdict(NamedTuple):
-    """One limit of ours."""
+    """One limit of ours, judged."""
 
     scenario: str
     quantity: Quantity
@@ -68,7 +68,7 @@ class Verdict(NamedTuple):
 
 
 class Study(NamedTuple):
-    """What was run and what came of it, by scenario and controller, in the table's order."""
+    """All results by scenario and controller, in the table's order."""
 
     rig: RigSettings
     scenarios: tuple[Scenario, ...]
@@ -80,7 +80,7 @@ class Study(NamedTuple):
     """Ours, by scenario, with the cell's systematic errors, see `hil.compare.cell`; empty where ours is not run."""
 
     def verdicts(self) -> Iterator[Verdict]:
-        """Every limit of ours that can be judged: a ratio needs the passive run beside it."""
+        """Every limit of ours that can be judged: a ratio needs the passive run too."""
         for scenario in self.scenarios:
             ours, passive = (self.results.get((scenario.name, who)) for who in (OURS, PASSIVE))
             for quantity, most in scenario.limits:
@@ -91,7 +91,7 @@ class Study(NamedTuple):
 
 
 def length_s(chosen: Sequence[Scenario], laws: Sequence[Controller]) -> float:
-    """Seconds of simulated time that ``run`` reports to its ``done`` for these, all together."""
+    """Seconds of simulated time that ``run`` reports to its ``done`` for these, in total."""
     played = len(laws) + any(law.name == OURS for law in laws)
     return sum(scenario.seconds for scenario in chosen) * played + ROBUSTNESS_S * len(laws)
 
@@ -99,18 +99,18 @@ def length_s(chosen: Sequence[Scenario], laws: Sequence[Controller]) -> float:
 def run(
     rig: RigSettings, chosen: Sequence[Scenario], laws: Sequence[Controller], done: Callable[[float, str], None]
 ) -> Study:
-    """Run every law in every scenario, ours with the cell's systematic errors too, and find each law's robustness.
+    """Run every law in every scenario, ours also with the cell's systematic errors, and find each law's robustness.
 
     Args:
         rig: with a ``simulation`` section.
         chosen: scenarios, in the table's order.
         laws: in the table's order.
-        done: called after each piece of work with its length in seconds and what it was.
+        done: called after each run and each robustness with its length in seconds and its description.
 
     Raises:
         ScenarioError: the rig cannot be simulated.
     """
-    # The long ones first, so that no processor is left with one at the end.
+    # Long runs first, so that no processor is left alone with one at the end.
     order = sorted(product(chosen, laws), key=lambda pair: -pair[0].seconds)
     with ProcessPoolExecutor(min(os.cpu_count() or 1, _MOST_WORKERS), multiprocessing.get_context("spawn")) as pool:
         runs = {(s.name, law.name): pool.submit(_one, rig, s.name, law.name) for s, law in order}

@@ -1,4 +1,4 @@
-"""The comparison in words and numbers: a matrix for people, figures by name for programs."""
+"""The comparison's results: a matrix for people, figures by name for programs."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _QUANTITIES: dict[str, tuple[str, _Value]] = {
     "settle": (f"Time until the error stays within {SETTLED_PCT:g} %, s", lambda result: result.settle_s),
 }
 _NO_PRIZE = "speed"
-"""A quiet cylinder is no merit of its own: the passive one would win."""
+"""A slow cylinder is no merit in itself: the locked one would win."""
 NAMED = 3
-"""Of those that did better, as many are named."""
+"""Most laws that are named among those that did better."""
 _NAMES = {
     "eta_true_max_pct": "max, %",
     "eta_true_rms_pct": "rms, %",
@@ -39,7 +39,7 @@ _TITLES = {controller.name: controller.title for controller in CONTROLLERS}
 
 
 def show(study: Study, console: Console) -> None:
-    """Print a matrix per quantity, how the laws are tuned, our limits, and where ours does not win."""
+    """Print a matrix per quantity, the tuning of the laws, our limits, and where our law does not win."""
     marks: dict[str, int] = {}
     for key, (title, value) in _QUANTITIES.items():
         rows = [s for s in study.scenarios if key != "settle" or s.event_s is not None]
@@ -131,7 +131,7 @@ def _robustness(found: Robustness | None) -> dict[str, float | None]:
 
 
 def _prices(study: Study) -> Table:
-    """What the figures above cost: how far each is from instability, and how it shakes the drive."""
+    """The price of the figures above: each law's distance from instability, and its noise in the command."""
     title = "Sensitivity peak Ms and the command's noise, linear, with the plant of the rig file"
     table = Table("law", title=title, title_justify="left", box=None, pad_edge=False)
     for column in ("Ms, this plant", "Ms, worst of the family", "noise, mm/s rms"):
@@ -166,7 +166,7 @@ def _cell(result: Result, value: float | None, best: float | None, marks: dict[s
 
 
 def _said(value: float) -> float:
-    """As printed: what does not show is no difference."""
+    """The value as printed: a difference that is not printed does not count."""
     return float(f"{value:.2g}") if value < 0.1 else float(f"{value:.3g}")
 
 
@@ -177,7 +177,7 @@ def _number(value: float) -> str:
 
 
 def _cell_errors(study: Study) -> Table:
-    """Ours as the law is, and as the cell lets it be."""
+    """Our law without and with the cell's errors."""
     title = "Ours without and with the cell's systematic errors, largest and rms error of the vertical force, %"
     table = Table("scenario", title=title, title_justify="left", box=None, pad_edge=False)
     for column in ("max", "max with", "rms", "rms with"):

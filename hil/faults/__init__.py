@@ -1,1 +1,1 @@
-"""The fault catalogue: what may fail, what has to happen then, and what does happen."""
+"""The fault catalogue: faults, the reactions expected in each mode, and their comparison with runs."""

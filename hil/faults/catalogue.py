@@ -1,8 +1,8 @@
-"""The catalogue: every fault as one row of a table, with what has to happen in every mode it can happen in.
+"""The catalogue: every fault as one row of a table, with the reaction expected in every mode it can occur in.
 
-What is expected follows from what carries the load, not from what the loop does: any loss of a sensor, of the bus or
-of a process ends with the stroke held, latched; a drive that disobeys loses its power, its brake holds; what a healthy
-rig has to live with is ridden through within a bound on the true tension.
+The expectation follows from what carries the load, not from the loop's code: any loss of a sensor, of the bus or of
+a process ends with the stroke held, latched; a drive that disobeys loses its power and its brake holds; disturbances
+of a healthy rig are ridden through within a bound on the true tension.
 """
 
 from __future__ import annotations
@@ -18,5 +18,5 @@ CATALOGUE = (
     *SENSOR_CELL, *SENSOR_SLOPE, *IO, *RAIL_ENCODER, *DRIVE_FEEDBACK, *BUS, *SUPERVISION, *DRIVE, *CREEP, *PLANT,
     *CONTROLLER,
 )  # fmt: skip
-"""What simulated time can show; `hil.faults.processes` has the faults of real processes."""
+"""Faults that simulated time can show; `hil.faults.processes` has the faults of real processes."""
 BY_ID = {fault.id: fault for fault in CATALOGUE}

@@ -1,4 +1,4 @@
-"""What may be expected of a rig in which something fails, and what a fault's row in the catalogue says."""
+"""The reactions that a fault may be expected to cause, and the fields of a fault's row in the catalogue."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from rigctl.control.modes import Mode
 
 
 class Reaction(StrEnum):
-    """What the rig does about a fault; the first eight may be expected of it, the rest is only ever found."""
+    """The rig's reaction to a fault; the first eight may be expected, the others are only observed."""
 
     RIDDEN = "ridden through"  # no reaction: the mode goes on
     HELD = "held"  # FAULT latched, stroke held
     EITHER = "held or ridden through"
-    DRIVE_OFF = "drive off"  # FAULT latched and the drive's power taken away: a held drive would not stand still
-    DRIVE_STOPS = "drive stops"  # nobody commands it any more: it stops and closes its brake by itself
+    DRIVE_OFF = "drive off"  # FAULT latched and the drive's power removed: a held drive would not stand still
+    DRIVE_STOPS = "drive stops"  # without commands the drive stops and closes its brake by itself
     REFUSED = "arm refused"
-    LATCHED = "latched"  # FAULT from DISARMED: the brake holds, or should
+    LATCHED = "latched"  # FAULT from DISARMED: the brake holds, or should hold
     KEPT = "kept"  # FAULT stays latched, the stroke held
     ARMED = "arm accepted"
     MOVES = "latched, still moving"
@@ -35,61 +35,61 @@ MOVING = (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
 
 Expected = Mapping[Mode, Reaction]
 RIDE: Expected = dict.fromkeys(EVERY, Reaction.RIDDEN) | {Mode.FAULT: Reaction.KEPT}
-"""It must not matter."""
+"""The fault must have no effect."""
 HOLD: Expected = dict.fromkeys(ARMED, Reaction.HELD) | {
     Mode.DISARMED: Reaction.REFUSED,
     Mode.FAULT: Reaction.KEPT,
 }
-"""Any loss ends with the stroke held, latched; nobody arms a rig that has it."""
+"""Any loss ends with the stroke held, latched; a rig that has it cannot be armed."""
 PASSING: Expected = {**HOLD, Mode.DISARMED: Reaction.RIDDEN}
-"""As ``HOLD``, but over by the time somebody arms, or not to be seen by a rig at rest."""
+"""As ``HOLD``, but over before the rig is armed, or invisible on a rig at rest."""
 LOST: Expected = PASSING
-"""The load itself has gone: the drive must not run after it."""
+"""The load itself is lost: the drive must not run after it."""
 FROM_START: Expected = {Mode.TENSIONING: Reaction.HELD}
-"""There before the rig is armed for the first time, and seen when the rope gets tight."""
+"""Present before the rig is armed for the first time, and detected when the rope gets tight."""
 WHEN_MOVING: Expected = {**RIDE, **dict.fromkeys(MOVING, Reaction.HELD)}
-"""Only shows, and only matters, where the stroke should move."""
+"""Visible, and harmful, only where the stroke should move."""
 POWER_OFF: Expected = dict.fromkeys((*ARMED, Mode.FAULT), Reaction.DRIVE_OFF)
-"""A drive that does not do as it is told: to hold it takes away its power, then its brake holds."""
+"""A drive that disobeys is held by taking its power away; then its brake holds."""
 
 PRESSED: Expected = {**POWER_OFF, Mode.DISARMED: Reaction.LATCHED}
-"""The emergency stop, told by software: quick stop, then the brake; latched from everywhere."""
+"""The emergency stop, reported to the software: quick stop, then the brake; latched from every mode."""
 DRIVE_STOPS: Expected = dict.fromkeys((*ARMED, Mode.FAULT), Reaction.DRIVE_STOPS) | {Mode.DISARMED: Reaction.RIDDEN}
-"""Nobody commands the drive."""
+"""The drive receives no commands."""
 EITHER: Expected = dict.fromkeys(ARMED, Reaction.EITHER) | {Mode.DISARMED: Reaction.RIDDEN, Mode.FAULT: Reaction.KEPT}
-"""Whether it is too bad to go on is the rig's choice; the bound on the tension is not."""
+"""The rig may go on or stop; the bound on the tension holds either way."""
 
 SENSOR_MS = 20.0
-"""From the first sample called bad to the safe command, sensors and bus."""
+"""From the first sample beyond a limit to the safe command, for sensors and bus."""
 DRIVE_MS = 120.0
-"""The same where a drive has to be told from its own lag: its speed, over 100 ms, and a tick or two."""
+"""The same where a fault of the drive must differ from its lag: its speed, over 100 ms, and a tick or two."""
 NO_HEARTBEAT_MS = 610.0
-"""Five periods of 100 ms without a device's heartbeat, up to one since the last that came, and a tick or two."""
+"""Five periods of 100 ms without a device's heartbeat, up to one since the last heartbeat, and a tick or two."""
 ACCURACY_N = 9.0
-"""3 % of 300 N: what a hanging load may have from a fault it is carried through."""
+"""3 % of 300 N: the tension error a hanging load may have from a fault that is ridden through."""
 
 
 @dataclass(frozen=True)
 class Around:
-    """What the rig is like, and what it is doing, when the fault comes; the run without the fault has it too."""
+    """State of the rig, and its motion, when the fault comes; the run without the fault has it too."""
 
     change: tuple[tuple[str, float | Settings], ...] = ()
     """Settings, or a whole section, by dotted key."""
     motion: Callable[[], Mapping[int, Track]] | None = None
-    """What is prescribed to the plant from the moment of the fault on."""
+    """Motion of the plant from the moment of the fault on."""
     preload_n: float | None = None
-    """Tension the mode is entered with, where it is not the usual."""
+    """Tension on entering the mode, where it is not the usual one."""
 
 
 @dataclass(frozen=True)
 class InjectedFault:
     """One fault of the catalogue.
 
-    ``band_n`` is how far the true tension may be from what it would be without the fault, up to the reaction, and from
-    there on from what it was then; ``held_mm`` how far the true stroke may be from what it would be without the fault,
-    in the modes that keep it (DISARMED, HOLD, FAULT), from the fault's beginning on; ``within_ms`` the time from the
-    fault's beginning to the reaction, where physics give one; ``latency_ms`` the time from the first sample that a
-    limit of the rig calls bad.
+    ``band_n`` bounds the distance of the true tension from its value without the fault, up to the reaction, and from
+    there on from that value at the reaction. ``held_mm`` bounds the distance of the true stroke from its value without
+    the fault, in the modes that keep it (DISARMED, HOLD, FAULT), from the fault's beginning on. ``within_ms`` is the
+    time from the fault's beginning to the reaction, where physics give one, ``latency_ms`` that from the first sample
+    beyond a limit of the rig.
     """
 
     id: str
@@ -104,12 +104,12 @@ class InjectedFault:
     within_ms: float = math.inf
     latency_ms: float = SENSOR_MS
     carried: bool = True
-    from_start: bool = False  # there since power was switched on; the mode is entered with it
-    counter: str = ""  # field of the record that must have counted it
+    from_start: bool = False  # present since power-on; the mode is entered with it
+    counter: str = ""  # field of the record that must have counted the fault
     around: Around = field(default_factory=Around)
     why: str = ""
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """Where it can happen."""
+        """Modes in which the fault can occur."""
         return tuple(mode for mode in EVERY if mode in self.expected)

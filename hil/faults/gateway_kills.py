@@ -1,4 +1,4 @@
-"""The gateway killed again and again while COMPENSATING: the loop must not notice, no listener may lose a record."""
+"""The gateway killed repeatedly in COMPENSATING: the loop must be unaffected, and no listener may lose a record."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from rigctl.control.modes import Mode
 from rigctl.ipc.ring import RingReader
 
 QUIET_S = 15.0
-"""Without kills, before and after: as many ticks as a percentile of one in a thousand needs."""
+"""Time without kills, before and after: enough ticks for the 99.9th percentile."""
 BETWEEN_S = 0.5
 BACK_S = 30.0
 CHANGE = 0.2
-"""What the lateness may differ by, with kills from without ..."""
+"""Share by which the lateness with kills may exceed that without ..."""
 FLOOR_US = 5.0
-"""... or this much, where it is next to nothing."""
+"""... or this much, where that is small."""
 Ints = npt.NDArray[np.int64]
 
 
@@ -38,12 +38,12 @@ class Figures:
     killed_p999_us: float
     skipped: int
     records: int
-    lost: int  # records a listener has missed for good
+    lost: int  # records that a listener never received
     left_compensating: bool
 
     @property
     def ok(self) -> bool:
-        """The loop has not noticed, and no record is missing."""
+        """Whether the loop was unaffected and no record is missing."""
         allowed = max((1.0 + CHANGE) * self.quiet_p999_us, self.quiet_p999_us + FLOOR_US)
         return self.killed_p999_us <= allowed and self.lost == 0 and not self.left_compensating
 
@@ -53,7 +53,7 @@ class Figures:
 
 
 class _Lateness:
-    """Follows the loop's records."""
+    """Lateness of the loop's records."""
 
     def __init__(self, records: RingReader) -> None:
         self._records = records
@@ -62,7 +62,7 @@ class _Lateness:
         self.first_skipped = self.last_skipped = -1
 
     def follow(self) -> None:
-        """Take in what has been written."""
+        """Read the new records."""
         slots = self._records.read()
         if len(slots):
             self._parts.append(slots["lateness_ns"].astype(np.int64))
@@ -72,7 +72,7 @@ class _Lateness:
                 self.first_skipped = self.last_skipped
 
     def take(self) -> Ints:
-        """All since the last call, ns."""
+        """Lateness since the last call, ns."""
         parts, self._parts = self._parts, []
         return np.concatenate(parts) if parts else np.zeros(0, np.int64)
 
@@ -81,7 +81,7 @@ def play(settings: RigSettings, count: int, advance: Advance) -> Figures:
     """Kill the gateway ``count`` times.
 
     Raises:
-        ScenarioError: rig and daemon do not come up, or the gateway not back (1).
+        ScenarioError: rig and daemon do not come up, or the gateway does not come back (1).
     """
     try:
         with live(settings) as rig:

@@ -1,4 +1,4 @@
-"""Faults of the controller itself that simulated time can show; `hil.faults.processes` has the real ones."""
+"""Faults of the controller itself that simulated time can show; `hil.faults.processes` has those of real processes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rigctl.control.safety import Action, Trip
 
 
 def hangs(ticks: int) -> Injector:
-    """The loop stands still for so many ticks, the rig goes on."""
+    """The loop stands still for this many ticks, the rig goes on."""
 
     def inject(stand: Stand) -> None:
         stand.rig.clock.skip = ticks
@@ -20,7 +20,7 @@ def hangs(ticks: int) -> Injector:
 
 
 def overruns(ticks: int, every_s: float) -> Injector:
-    """A few ticks are missed, again and again."""
+    """A few ticks are missed, repeatedly."""
 
     def inject(stand: Stand) -> Step:
         due = [0.0]
@@ -41,7 +41,7 @@ def _give(stand: Stand, verbs: Iterable[Verb]) -> None:
 
 
 def commanded(*verbs: Verb, after_s: float = 0.01) -> Injector:
-    """An operator's commands: the first at once, the others ``after_s`` later, none waits for an answer."""
+    """An operator's commands: the first at once, the others ``after_s`` apart, without waiting for replies."""
 
     def inject(stand: Stand) -> Step:
         first, *others = verbs
@@ -52,7 +52,7 @@ def commanded(*verbs: Verb, after_s: float = 0.01) -> Injector:
 
 
 def quick_stop_then(*verbs: Verb, after_s: float = 0.01) -> Injector:
-    """A limit whose action is a quick stop trips; the operator's commands come while the drive is still stopping."""
+    """A limit whose action is a quick stop trips; the commands come while the drive is still stopping."""
 
     def inject(stand: Stand) -> Step:
         stand.rig.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), stand.rig.clock.now())

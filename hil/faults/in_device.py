@@ -1,4 +1,4 @@
-"""Faults of the devices: what a sensor measures, what a drive does with its commands, and their power."""
+"""Faults of the devices: sensor readings, the drive's response to commands, and power."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _RANGES = {CELL: _INT32, STROKE: _INT32, LONG: _INT16, LATERAL: _INT16, SPEED: _
 NOT_A_NUMBER = -(1 << 31)
 SPIKE_EVERY_MS = 200
 CREEP_N = 600.0
-"""A motor without power, its windings shorted, gives way at 1 mm/s under this load."""
+"""Load under which a motor without power, its windings shorted, gives way at 1 mm/s."""
 
 
 def reads(
@@ -37,10 +37,10 @@ def reads(
     freezes: bool = False,
     spikes: float = 0.0,
 ) -> Injector:
-    """A sensor that measures wrongly, and says nothing of it.
+    """A sensor that measures wrongly without reporting it.
 
     In N, deg, mm or mm/s: a factor, then an offset, a drift per second, noise (rms) and, every 200 ms, a spike of one
-    sample. ``freezes``: what it measures stays what it was.
+    sample. ``freezes``: the measured quantity stays at its value.
     """
 
     def inject(stand: Stand) -> Step:
@@ -66,7 +66,7 @@ def reads(
 
 
 def stuck(address: Address) -> Injector:
-    """A sensor that keeps its last value, to the last bit."""
+    """A sensor that repeats its last value, to the last bit."""
 
     def inject(stand: Stand) -> None:
         first: list[int] = []
@@ -82,7 +82,7 @@ def stuck(address: Address) -> Injector:
 
 
 def says(address: Address, raw: int) -> Injector:
-    """An object that reads as this number."""
+    """An object that always reads as this number."""
 
     def inject(stand: Stand) -> None:
         _device(stand, address).distort(*address, lambda _: raw)
@@ -91,7 +91,7 @@ def says(address: Address, raw: int) -> Injector:
 
 
 def overloaded() -> Injector:
-    """An amplifier that says it is overloaded, at the end of its range."""
+    """An amplifier at the end of its range that reports overload."""
 
     def inject(stand: Stand) -> None:
         most = round(stand.settings.tension_cell.range_n / objects.N_PER_CELL_UNIT)
@@ -117,7 +117,7 @@ def both(*parts: Injector) -> Injector:
 
 
 def reboots(*which: Callable[[Stand], Node]) -> Injector:
-    """Devices that start anew and, as after power-on, wait to be configured."""
+    """Devices that reboot and, as after power-on, wait to be configured."""
 
     def inject(stand: Stand) -> None:
         for node in which:
@@ -127,7 +127,7 @@ def reboots(*which: Callable[[Stand], Node]) -> Injector:
 
 
 def power_dip(seconds: float) -> Injector:
-    """All devices without power for a moment: silent, the brake closes; then they start anew."""
+    """All devices lose power for a moment: they are silent, the brake closes; then they reboot."""
 
     def inject(stand: Stand) -> Step:
         hub = stand.rig.hub
@@ -145,7 +145,7 @@ def power_dip(seconds: float) -> Injector:
 
 
 def trips(code: int) -> Injector:
-    """The drive finds a fault of its own."""
+    """The drive reports a fault of its own."""
 
     def inject(stand: Stand) -> None:
         stand.drive.trip(code)
@@ -154,7 +154,7 @@ def trips(code: int) -> Injector:
 
 
 def io_contact_opens(seconds: float = math.inf) -> Injector:
-    """The emergency stop's contact at the I/O node opens, for a while or for good; the drive's stays closed."""
+    """The emergency stop's contact at the I/O node opens, for a while or permanently; the drive's stays closed."""
 
     def inject(stand: Stand) -> Step:
         stand.io.press_e_stop(True)
@@ -164,7 +164,7 @@ def io_contact_opens(seconds: float = math.inf) -> Injector:
 
 
 def setting_lost(index: int, sub: int, value: int = 0) -> Injector:
-    """An object of the drive is written by its own service connection: no frame on the bus says so."""
+    """An object of the drive is written through its own service connection: no frame on the bus shows it."""
 
     def inject(stand: Stand) -> None:
         entry = stand.drive.device.sdo[index]
@@ -174,7 +174,7 @@ def setting_lost(index: int, sub: int, value: int = 0) -> Injector:
 
 
 def encoder_restarts(at_mm: float = 0.0) -> Injector:
-    """The drive's encoder counts from a new zero: where the stroke is now, it reads ``at_mm``."""
+    """The drive's encoder counts from a new zero: at the present stroke it reads ``at_mm``."""
 
     def inject(stand: Stand) -> None:
         now_mm = stand.plant.truth.stroke_mm
@@ -184,7 +184,7 @@ def encoder_restarts(at_mm: float = 0.0) -> Injector:
 
 
 def tool_takes_over(speed_mm_s: float, *, deaf: bool = False, shows_remote: bool = False) -> Injector:
-    """A service tool at the drive's own port has it enabled, and moves it; see `ServiceTool`."""
+    """A service tool at the drive's own port enables and moves the drive; see `ServiceTool`."""
 
     def inject(stand: Stand) -> None:
         stand.drive.take_over(ServiceTool(speed_mm_s, deaf, shows_remote))
@@ -193,7 +193,7 @@ def tool_takes_over(speed_mm_s: float, *, deaf: bool = False, shows_remote: bool
 
 
 def status_bit(bit: int, on: bool) -> Injector:
-    """A bit of the drive's statusword stands, whatever the drive does."""
+    """A bit of the drive's statusword is stuck."""
 
     def inject(stand: Stand) -> None:
         stand.drive.distort(*STATUS, lambda raw: raw | bit if on else raw & ~bit)
@@ -202,7 +202,7 @@ def status_bit(bit: int, on: bool) -> Injector:
 
 
 def no_heartbeat(node: Callable[[Stand], Node]) -> Injector:
-    """A device sends no heartbeat any more; its samples go on."""
+    """A device stops sending its heartbeat; its samples go on."""
 
     def inject(stand: Stand) -> None:
         node(stand)._set_heartbeat(0)
@@ -211,7 +211,7 @@ def no_heartbeat(node: Callable[[Stand], Node]) -> Injector:
 
 
 def ignores_commands() -> Injector:
-    """The motor stands still whatever it is told; brake and states go on as if nothing were."""
+    """The motor stands still whatever its command; brake and states go on as usual."""
 
     def inject(stand: Stand) -> None:
         stand.drive.defect = lambda _, braked: (0.0, braked)
@@ -229,9 +229,9 @@ def runs_away(speed_mm_s: float) -> Injector:
 
 
 def creeps(speed_mm_s: float) -> Injector:
-    """The motor turns faster than it is told by this much whenever it has current, seen by its own encoder.
+    """While it has current, the motor turns faster than commanded by this speed, which its own encoder measures.
 
-    The drive's dead band is for its commands: it does not stop a creep.
+    The drive's dead band applies to its commands: it does not stop a creep.
     """
 
     def inject(stand: Stand) -> None:
@@ -252,7 +252,7 @@ def brake_slips(speed_mm_s: float) -> Injector:
     """The brake gives way at this speed under load."""
 
     def inject(stand: Stand) -> None:
-        stand.plant.parameters["dead_band"] = 0.0  # of the motor, which has no part in this
+        stand.plant.parameters["dead_band"] = 0.0  # of the motor, which does not slip here
         stand.drive.defect = lambda speed, braked: (-speed_mm_s, False) if braked else (speed, False)
 
     return inject

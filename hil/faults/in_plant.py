@@ -11,12 +11,12 @@ from hil.scenario import disturbances, kinds
 
 GONE_MM = 1000.0
 ROPE_N_MM = 1000.0
-"""Of the rope alone: what is left where a spring with a safety chain has broken."""
+"""Stiffness of the rope alone, which is left where a spring with a safety chain has broken."""
 CHAIN_MM = 20.0
 
 
 def rope_breaks() -> Injector:
-    """Nothing hangs on the rope any more."""
+    """The load is off the rope."""
 
     def inject(stand: Stand) -> None:
         stand.plant.parameters["free_length"] += GONE_MM
@@ -39,7 +39,7 @@ def rope_slips(speed_mm_s: float, length_mm: float) -> Injector:
 
 
 def spring_breaks() -> Injector:
-    """Its chain takes over, 20 mm longer than the spring was stretched, and as stiff as the rope."""
+    """The spring's chain takes over, 20 mm longer than the spring was stretched, and as stiff as the rope."""
 
     def inject(stand: Stand) -> None:
         p, truth = stand.plant.parameters, stand.plant.truth
@@ -50,7 +50,7 @@ def spring_breaks() -> Injector:
 
 
 def spring_stiffens(factor: float) -> Injector:
-    """Coils that no longer work: stiffer, at the tension there is."""
+    """Blocked coils make the spring stiffer, at the present tension."""
 
     def inject(stand: Stand) -> None:
         p, truth = stand.plant.parameters, stand.plant.truth
@@ -77,18 +77,18 @@ def payload_moves(up_mm: float, speed_mm_s: float) -> Injector:
 
 
 def payload_jolts(height_mm: float, rise_s: float) -> Injector:
-    """A bump against the payload, upwards, which leaves it higher by a little."""
+    """A bump lifts the payload and leaves it slightly higher."""
     jolt = kinds.Jolt(kind="step", height_mm=height_mm, rise_s=rise_s, at_s=0.0)
     return _moved({HEIGHT: disturbances.jolt(jolt)})
 
 
 def nothing() -> Injector:
-    """The rig's surroundings are the fault."""
+    """No injected fault: the row's surroundings are the fault."""
     return lambda _: None
 
 
 def heaving() -> Mapping[int, Track]:
-    """The payload goes up and down by 1 mm at 1 Hz, 6 mm/s: the cylinder has something to do."""
+    """The payload goes up and down by 1 mm at 1 Hz, 6 mm/s, so that the cylinder has to move."""
     sine = kinds.Heave(kind="sine", amplitude_mm=1.0, frequency_hz=1.0, fade_s=0.1)
     return {HEIGHT: disturbances.heave(sine, 60.0)}
 
@@ -100,7 +100,7 @@ def rotating() -> Mapping[int, Track]:
 
 
 def rising(up_mm: float, speed_mm_s: float) -> Callable[[], Mapping[int, Track]]:
-    """The payload goes up, slowly enough for the cylinder to follow."""
+    """The payload rises slowly enough for the cylinder to follow."""
     lift = kinds.Lift(kind="move", up_mm=up_mm, speed_mm_s=speed_mm_s, acceleration_mm_s2=100.0)
     return lambda: {HEIGHT: disturbances.vertical_move(lift)}
 

@@ -1,4 +1,4 @@
-"""What a run shows, and whether it is what had to happen."""
+"""The observations of a run, compared with what the catalogue expects."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal
 
 STANDS_MM = 0.1
-"""A stroke that is held moves less than this once it has come to rest ..."""
+"""A held stroke moves less than this once it has come to rest ..."""
 REST_S = 0.15
-"""... which it has this long after the reaction: ramp, lag and brake."""
+"""... this long after the reaction at the latest: ramp, lag and brake."""
 CARRIED = 0.5
-"""Of the tension without the fault is still there: the load hangs on the rope."""
+"""Share of the tension without the fault above which the load still hangs on the rope."""
 TRIP_TEXT = 80
-"""Letters of a row's text that an event has room for."""
+"""Characters of a row's text that fit into an event."""
 DRIVE_STOPS_MS = 100.0
-"""A drive that nobody commands any more stands."""
+"""Time in which a drive without commands stands still."""
 KEPT_IN = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
-"""Modes in which the stroke is to stay where it is."""
+"""Modes that keep the stroke in place."""
 _WHAT_WILL_DO = {
     Reaction.HELD: {Reaction.HELD, Reaction.DRIVE_OFF},
     Reaction.EITHER: {Reaction.HELD, Reaction.DRIVE_OFF, Reaction.RIDDEN},
     Reaction.REFUSED: {Reaction.REFUSED, Reaction.LATCHED},
     Reaction.DRIVE_STOPS: {Reaction.DRIVE_OFF},
 }
-"""Where more than what is expected will do."""
+"""Reactions that satisfy an expectation beside the expected one."""
 
 
 @dataclass(frozen=True)
@@ -44,19 +44,19 @@ class Row:
     mode: str
     expected: str
     reaction: str
-    detection_ms: float | None  # from the fault to the first sample a limit calls bad
+    detection_ms: float | None  # from the fault to the first sample beyond a limit
     latency_ms: float | None  # from there to the safe command, or to the drive's own stop
     tension_min_n: float
     tension_max_n: float
-    tension_error_n: float  # largest distance of the true tension from what it may be expected to be
-    stroke_mm: float  # moved from the reaction on, or against the run without the fault where there is none
+    tension_error_n: float  # largest distance of the true tension from its expected value
+    stroke_mm: float  # motion from the reaction on, or against the run without the fault if there is no reaction
     load_carried: bool
-    fault: str  # latched
-    findings: tuple[str, ...]  # what is not as expected
+    fault: str  # latched fault
+    findings: tuple[str, ...]  # deviations from the expectation
 
     @classmethod
     def unreached(cls, id_: str, mode: Mode, expected: Reaction, why: str) -> Row:
-        """A row that could not be played: it has failed, and the others go on."""
+        """A row that could not be played counts as failed; the other rows are still played."""
         nan = math.nan
         return cls(
             id_, mode.name, str(expected), "not reached", None, None, nan, nan, nan, nan, False, "", (why,)
@@ -64,7 +64,7 @@ class Row:
 
     @property
     def ok(self) -> bool:
-        """As expected."""
+        """Whether the row is as expected."""
         return not self.findings
 
     def as_dict(self) -> dict[str, Any]:
@@ -77,7 +77,7 @@ class Row:
 
 
 def judge(fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings: RigSettings) -> Row:
-    """Hold a run against what the catalogue says."""
+    """Compare a run with the catalogue's expectation."""
     expected = fault.expected[mode]
     at = _reaction_at(run, expected, mode)
     reaction = _reaction(fault, run, undisturbed, mode, at)
@@ -119,7 +119,7 @@ def _named(number: int) -> str:
 
 
 def _reaction_at(run: Run, expected: Reaction, mode: Mode) -> float | None:
-    """When FAULT was entered (or the drive switched off, where that is what is waited for); None if it was not."""
+    """Time at which FAULT was entered (or the drive switched off, where that is expected); None if it was not."""
     if expected in (Reaction.DRIVE_STOPS, Reaction.DRIVE_OFF):
         off = np.flatnonzero(~run.enabled)
         return float(run.t_s[off[0]]) if len(off) else None
@@ -167,13 +167,13 @@ def _times(run: Run, expected: Reaction, at: float | None, settings: RigSettings
 
 
 def _stands_from(run: Run) -> float:
-    """When the stroke had come to where it stayed."""
+    """Time from which the stroke stayed in place."""
     moving = run.t_s[np.abs(run.stroke_mm - run.stroke_mm[-1]) > STANDS_MM]
     return float(moving[-1]) if len(moving) else 0.0
 
 
 def _persistence_s(trip: Trip, settings: RigSettings) -> float:
-    """How long the row of the safety table that has tripped had been bad; no row, no time."""
+    """Persistence of the tripped row of the safety table; 0 without such a row."""
     rows = (*safety.table(settings), *limits.rows(settings))
     same = [
         r
@@ -185,12 +185,12 @@ def _persistence_s(trip: Trip, settings: RigSettings) -> float:
 
 
 def _until(run: Run, undisturbed: Run, values: Floats, at: float | None) -> Floats:
-    """Values of the undisturbed run at the times of the other, standing still from the reaction on."""
+    """Values of the undisturbed run at the times of the other, constant from the reaction on."""
     return np.interp(run.t_s if at is None else np.minimum(run.t_s, at), undisturbed.t_s, values)
 
 
 def _error_n(run: Run, undisturbed: Run, at: float | None) -> float:
-    """Without a reaction: against the run without the fault. With one: from there on against what it then was."""
+    """Largest tension error against the run without the fault; from a reaction on, against that run's value there."""
     return float(np.max(np.abs(run.tension_n - _until(run, undisturbed, undisturbed.tension_n, at))))
 
 

@@ -1,4 +1,4 @@
-"""Killing and stopping processes of the real daemon at random instants in all modes: the load must not notice."""
+"""Kills and stops of the real daemon's processes at random instants in all modes: the load must not move."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ SEED = 1
 SHARES = ((CONTROL, 0.5), (GATEWAY, 0.3), (SUPERVISOR, 0.2))
 SIGNALS = (signal.SIGKILL, signal.SIGSTOP)
 LONGEST_WAIT_S = 0.6
-"""After a mode was entered, until the interference falls; TENSIONING and RELEASING go on for longer."""
+"""Longest time from entering a mode to the interference; TENSIONING and RELEASING take longer."""
 
 
 @dataclass(frozen=True)
 class Kill:
-    """One interference, and what came of it."""
+    """One interference and its outcome."""
 
     victim: str
     signal: str
     mode: str
-    moved_mm: float | None  # None where the loop went on moving the load as it should
-    tension_off_pct: float  # NaN where rig or daemon did not do as they should
+    moved_mm: float | None  # None where the loop rightly went on moving the load
+    tension_off_pct: float  # NaN where rig or daemon failed
     findings: tuple[str, ...]
 
     @property
     def reached(self) -> bool:
-        """The interference fell, and was watched."""
+        """Whether the interference took place and was observed."""
         return math.isfinite(self.tension_off_pct)
 
     def as_dict(self) -> dict[str, object]:
@@ -46,10 +46,10 @@ class Kill:
 
 
 def play(settings: RigSettings, count: int, advance: Advance, seed: int = SEED) -> list[Kill]:
-    """``count`` blows, modes in turn.
+    """Play ``count`` interferences, in each mode in turn.
 
     Raises:
-        ScenarioError: rig and daemon do not come up, or not back (1).
+        ScenarioError: rig and daemon do not come up, or do not come back (1).
     """
     chance = random.Random(seed)
     found: list[Kill] = []
@@ -64,7 +64,7 @@ def play(settings: RigSettings, count: int, advance: Advance, seed: int = SEED) 
 
 
 def _strike(rig: Live, chance: random.Random, found: list[Kill], advance: Advance) -> bool:
-    """One interference; whether rig and daemon are fit for another."""
+    """Play one interference; returns whether rig and daemon are fit for another."""
     mode = Mode(len(found) % len(Mode))
     victim = chance.choices([name for name, _ in SHARES], [share for _, share in SHARES])[0]
     number = chance.choice(SIGNALS)

@@ -1,4 +1,4 @@
-"""The real daemon on the simulated rig, as processes of their own, with the truth beside it."""
+"""The real daemon and the simulated rig as processes of their own, with the rig's truth log."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ MODE_S = 60.0
 STOP_S = 20.0
 POLL_S = 0.02
 WAY, SPARE = 0.07, 0.5
-"""Of the target: how far a mode that moves is from its end, and the load there is on the rope in every mode."""
+"""Shares of the target: a moving mode's distance from its end, and the least load on the rope in every mode."""
 CONTROL, GATEWAY, SUPERVISOR = "control", "gateway", "supervisor"
 VICTIMS = (CONTROL, GATEWAY, SUPERVISOR)
 
 
 class LiveError(RuntimeError):
-    """The daemon or the rig does not do as it should; ``str()`` is one line."""
+    """The daemon or the rig does not work as it should; ``str()`` is one line."""
 
 
 class Live:
@@ -71,7 +71,7 @@ class Live:
 
     # -- processes ----------------------------------------------------------------------------------------------
     def start(self) -> None:
-        """Rig, then daemon, DISARMED."""
+        """Start the rig, then the daemon, to DISARMED."""
         self._rig = self._spawn(
             "hil", "serve", str(self.file), "--truth", str(self.folder / "truth.bin"), log="rig.log"
         )
@@ -79,11 +79,11 @@ class Live:
         self.start_daemon()
 
     def start_daemon(self) -> None:
-        """``rigctl run``, until its loop ticks."""
+        """Start ``rigctl run`` and wait until its loop ticks."""
         if self.runtime.directory.exists():
             self.runtime.remove()
         self._records = None
-        if self._client is not None:  # which commands the daemon before this one, and no other
+        if self._client is not None:  # a client of the previous daemon commands no other
             self._client.close()
             self._client = None
         before = self.log.read_bytes().count(b": DISARMED,") if self.log.exists() else 0
@@ -91,7 +91,7 @@ class Live:
         self._until(lambda: self.log.read_bytes().count(b": DISARMED,") > before, "the daemon")
 
     def close(self) -> None:
-        """End both; nothing stays behind."""
+        """End rig and daemon, and remove what they left."""
         if self._client is not None:
             self._client.close()
         for process in (self.daemon, self._rig):
@@ -129,7 +129,7 @@ class Live:
 
     # -- the operator -------------------------------------------------------------------------------------------
     def command(self, verb: str) -> bool:
-        """Give a command; whether it was accepted. A gateway that is on its way back is asked again."""
+        """Give a command; returns whether it was accepted. Repeats it while the gateway restarts."""
         until = time.monotonic() + MODE_S
         while time.monotonic() < until:
             with contextlib.suppress(NoDaemonError):
@@ -137,16 +137,16 @@ class Live:
                     self._client = Client(self.endpoint, self.rig, self._run_id())
                 answer = self._client.command(verb, OPERATOR)
                 if not answer["accepted"]:
-                    if verb != "reset":  # which is tried where arming was refused, and tells less
+                    if verb != "reset":  # tried where arming was refused, and less specific
                         self._refusal = f"{verb}: {answer.get('text', '')}"
                     if str(answer.get("reason", "")).startswith("lease"):
-                        self._client.take_lease(OPERATOR)  # the daemon has been started anew, or was away for long
+                        self._client.take_lease(OPERATOR)  # the daemon has restarted, or was away for long
                 return bool(answer["accepted"])
             time.sleep(0.1)
         raise LiveError(f"{verb}: nobody answers")
 
     def _run_id(self) -> str:
-        """Of the daemon that was started here; no other is commanded."""
+        """Run id of the daemon started here; no other daemon is commanded."""
         assert self.daemon is not None
         if (run_id := live_rig.run_id_of(self.daemon, self.rig)) is None:
             raise NoDaemonError("the daemon that was started here does not run")
@@ -161,21 +161,21 @@ class Live:
 
     @property
     def mode(self) -> Mode | None:
-        """As the loop has it; None while it does not tick."""
+        """The loop's mode; None while it does not tick."""
         slot = self.latest()
         return Mode(int(slot["mode"])) if slot is not None and self.ticking() else None
 
     @property
     def fault(self) -> str:
-        """Latched."""
+        """The latched fault."""
         slot = self.latest()
         return Fault(int(slot["fault"])).name if slot is not None else ""
 
     def enter(self, wanted: Mode) -> None:
-        """Take the rig to a mode, wherever it is; TENSIONING and RELEASING with way to go.
+        """Take the rig from any mode to another; TENSIONING and RELEASING with some way left.
 
         Raises:
-            LiveError: it does not get there.
+            LiveError: the rig does not get there.
         """
         until = time.monotonic() + MODE_S
         while not self._there(wanted):
@@ -190,7 +190,7 @@ class Live:
             time.sleep(POLL_S)
 
     def _there(self, wanted: Mode) -> bool:
-        """In the mode, the load on the rope, and with way to go."""
+        """Whether the mode is reached, with the load on the rope and some way left."""
         if self.mode is not wanted:
             return False
         tension_n, spare_n = float(self.latest()["tension_n"]), self._spare_n
@@ -206,7 +206,7 @@ class Live:
             self.command("reset")
         elif mode is Mode.DISARMED:
             if not self.command("arm"):
-                self.command("reset")  # the drive's own fault, from before
+                self.command("reset")  # the drive's own fault from earlier
         elif tension_n < self._spare_n + way_n or wanted is Mode.COMPENSATING:
             self._ask(mode, Mode.TENSIONING, "tension")
         elif wanted is Mode.FAULT:
@@ -224,13 +224,13 @@ class Live:
             self.command(verb)
 
     def invalid_sample(self) -> None:
-        """One frame under the cell's identifier that says it is not valid: the rig goes to FAULT."""
+        """Send one frame under the cell's identifier that is marked invalid: the rig goes to FAULT."""
         with contextlib.closing(_Bus(str(self.folder / "bus.sock"))) as bus:
             bus.send(objects.CELL_TPDO.cob_base + 2, struct.pack("<iB", 0, int(AiStatus.NOT_VALID)))
 
     # -- the truth ----------------------------------------------------------------------------------------------
     def truth(self, from_ns: int, to_ns: int) -> npt.NDArray[Any]:
-        """Truth records of a span of CLOCK_MONOTONIC, which must have begun after the span asked for last."""
+        """Truth records of a span of CLOCK_MONOTONIC, which must begin after the previous call's span began."""
         file, size = self.folder / "truth.bin", TRUTH_DTYPE.itemsize
         until = time.monotonic() + START_S
         rows = np.empty(0, TRUTH_DTYPE)
@@ -273,23 +273,23 @@ class Live:
 
 
 class _Bus:
-    """A stranger on the bus."""
+    """A foreign node on the bus."""
 
     def __init__(self, channel: str) -> None:
         self._bus = can.Bus(interface="rigsim", channel=channel)
 
     def send(self, can_id: int, data: bytes) -> None:
-        """One frame."""
+        """Send one frame."""
         self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
     def close(self) -> None:
-        """Leave."""
+        """Leave the bus."""
         self._bus.shutdown()
 
 
 @contextlib.contextmanager
 def live(settings: RigSettings) -> Iterator[Live]:
-    """Rig and daemon, running, DISARMED; gone afterwards.
+    """Rig and daemon, running, DISARMED; ended and removed afterwards.
 
     Raises:
         LiveError: they do not come up.
@@ -311,7 +311,7 @@ def _command_lines() -> Iterator[tuple[int, list[bytes]]]:
 
 
 def alive(pid: int) -> bool:
-    """Whether a process is there and no zombie."""
+    """Whether a process exists and is not a zombie."""
     try:
         return pathlib.Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except OSError:
@@ -319,6 +319,6 @@ def alive(pid: int) -> bool:
 
 
 def give(pid: int, number: signal.Signals) -> None:
-    """Send a signal; a process that has just gone does not mind."""
+    """Send a signal; a process that has just ended is no error."""
     with contextlib.suppress(ProcessLookupError):
         os.kill(pid, number)

@@ -19,13 +19,13 @@ from rigctl.control.tension import Gains
 
 _MOST_WORKERS = 4
 _WORTH_A_WORKER = 12
-"""Rows; a process takes as long to start as a few of them to play."""
+"""Rows per worker; a process takes as long to start as a few rows to play."""
 _bench: list[tuple[RigSettings, Bench]] = []
-"""Of this worker."""
+"""The bench of this worker process."""
 
 
 def play(rig: RigSettings, rows: Sequence[tuple[InjectedFault, Mode]], advance: Advance) -> list[Row]:
-    """Play rows; in their order.
+    """Play rows; returns them in their order.
 
     Raises:
         ScenarioError: the design of the rig's law is refused.
@@ -51,7 +51,7 @@ def play(rig: RigSettings, rows: Sequence[tuple[InjectedFault, Mode]], advance: 
 
 
 def row_of(bench: Bench, rig: RigSettings, fault: InjectedFault, mode: Mode) -> Row:
-    """Play and judge one row; one whose mode cannot even be reached has failed."""
+    """Play and judge one row; a row whose mode cannot be reached has failed."""
     try:
         return judge(fault, mode, bench.play(fault, mode), bench.undisturbed(fault, mode), rig)
     except (RuntimeError, TimeoutError) as error:

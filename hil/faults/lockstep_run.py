@@ -25,7 +25,7 @@ SEED = "faults"
 
 @dataclass(frozen=True)
 class Trip:
-    """A row of the safety table that has tripped, as its event has it."""
+    """A tripped row of the safety table, from its event."""
 
     t_s: float
     fault: int
@@ -35,12 +35,12 @@ class Trip:
 
 @dataclass(frozen=True)
 class Run:
-    """What was so (one sample a millisecond, ``t_s`` from the fault's beginning) and what the loop wrote."""
+    """The truth (one sample a millisecond, ``t_s`` from the fault's beginning) and the loop's records."""
 
     t_s: Floats
     tension_n: Floats
     stroke_mm: Floats
-    enabled: npt.NDArray[np.bool_]  # the drive's motor
+    enabled: npt.NDArray[np.bool_]  # whether the drive's motor is on
     records_t_s: Floats
     records: npt.NDArray[Any]
     before: Any  # the record before the first of them
@@ -49,7 +49,7 @@ class Run:
 
 
 class _Watcher:
-    """Samples the truth whenever the rig has gone on by a period."""
+    """Samples the truth after every period of the rig."""
 
     def __init__(self, rig: Lockstep) -> None:
         self._rig = rig
@@ -64,7 +64,7 @@ class _Watcher:
 
 
 class Bench:
-    """Plays rows on a rig and remembers the runs without a fault."""
+    """Plays rows on a rig and keeps the runs without a fault."""
 
     def __init__(self, settings: RigSettings, gains: Gains) -> None:
         self._settings = settings
@@ -72,11 +72,11 @@ class Bench:
         self._undisturbed = functools.lru_cache(maxsize=None)(self._play_undisturbed)
 
     def undisturbed(self, fault: InjectedFault, mode: Mode) -> Run:
-        """The run of a row without its fault."""
+        """Play a row without its fault."""
         return self._undisturbed(fault.around, mode, fault.seconds, fault.from_start)
 
     def play(self, fault: InjectedFault, mode: Mode) -> Run:
-        """The run of a row."""
+        """Play a row."""
         arms = fault.expected[mode] is Reaction.REFUSED
         return self._play(fault.around, mode, fault.seconds, fault.from_start, fault, arms=arms)
 
@@ -129,7 +129,7 @@ def _replaced(section: Any, path: list[str], value: float | str | Settings | Non
 def _to_tensioning(rig: Lockstep) -> None:
     for verb in (Verb.ARM, Verb.TENSION):
         if rig.command(verb) is not Refusal.NONE:
-            return  # refused: that is a result
+            return  # a refusal is a result
 
 
 def _go_on(rig: Lockstep, seconds: float, step: Step | None) -> npt.NDArray[Any]:

@@ -1,4 +1,4 @@
-"""Faults of the bus: what a tap on the wire, or a stranger on it, does to the frames."""
+"""Faults of the bus: a tap on the wire, or a foreign node, alters the frames."""
 
 from __future__ import annotations
 
@@ -16,45 +16,45 @@ from rigctl.devices import objects
 
 
 def everybody(_: Stand) -> int:
-    """The node id that means all of them."""
+    """The node id that addresses all nodes."""
     return 0
 
 
 Which = Callable[[Stand], int]
-"""Identifier of the frames a fault is about."""
+"""Identifier of the frames that a fault affects."""
 FULL_LOAD_FRAMES = 7
-"""Of 8 bytes in a millisecond at 1 Mbit/s, 135 bits each."""
+"""Frames of 8 bytes in a millisecond at 1 Mbit/s, 135 bits each."""
 _LOWEST, _HIGHEST = 0x7F0, 0x001
 _BUS_OFF, _CONTROLLER, _PASSIVE = 0x040, 0x004, 0x30  # classes and byte 1 of linux/can/error.h
 
 
 def cell(stand: Stand) -> int:
-    """The cell's samples."""
+    """Identifier of the cell's samples."""
     return stand.data_id(stand.cell)
 
 
 def slope(stand: Stand) -> int:
-    """The inclinometer's samples."""
+    """Identifier of the inclinometer's samples."""
     return stand.data_id(stand.slope)
 
 
 def drive(stand: Stand) -> int:
-    """The drive's samples."""
+    """Identifier of the drive's samples."""
     return stand.data_id(stand.drive)
 
 
 def drive_status(stand: Stand) -> int:
-    """The drive's current, temperature and inputs."""
+    """Identifier of the drive's current, temperature and inputs."""
     return objects.DRIVE_TPDO2.cob_base + stand.drive.id
 
 
 def io(stand: Stand) -> int:
-    """The I/O node's inputs."""
+    """Identifier of the I/O node's inputs."""
     return stand.data_id(stand.io)
 
 
 def rail(stand: Stand) -> int:
-    """The rail encoder's angle."""
+    """Identifier of the rail encoder's angle."""
     return stand.data_id(stand.rail)
 
 
@@ -64,7 +64,7 @@ def can_id(frame: bytes) -> int:
 
 
 def silent(which: Which) -> Injector:
-    """One device's samples do not get through any more."""
+    """One device's samples are lost from now on."""
 
     def inject(stand: Stand) -> None:
         gone = which(stand)
@@ -74,7 +74,7 @@ def silent(which: Which) -> Injector:
 
 
 def lost(share: float) -> Injector:
-    """A share of all frames, whoever sends them."""
+    """A share of all frames, from any sender, is lost."""
 
     def inject(stand: Stand) -> None:
         draw = stand.random.random
@@ -84,7 +84,7 @@ def lost(share: float) -> Injector:
 
 
 def burst(seconds: float) -> Injector:
-    """No frame at all gets through for a while."""
+    """All frames are lost for a while."""
 
     def inject(stand: Stand) -> Step:
         stand.rig.hub.tap = lambda _, __: ()
@@ -94,7 +94,7 @@ def burst(seconds: float) -> Injector:
 
 
 def twice() -> Injector:
-    """Every frame comes twice."""
+    """Every frame arrives twice."""
 
     def inject(stand: Stand) -> None:
         stand.rig.hub.tap = lambda _, frame: (frame, frame)
@@ -103,7 +103,7 @@ def twice() -> Injector:
 
 
 def late(ticks: int) -> Injector:
-    """What the devices answer comes some ticks later."""
+    """The devices' frames arrive some ticks late."""
 
     def inject(stand: Stand) -> Step:
         hub, waiting = stand.rig.hub, deque[tuple[int, Port, bytes]]()
@@ -128,7 +128,7 @@ def late(ticks: int) -> Injector:
 
 
 def reordered() -> Injector:
-    """Neighbours on the wire swap places, every other frame of the devices."""
+    """Neighbouring frames swap places, every other frame of the devices."""
 
     def inject(stand: Stand) -> None:
         kept: list[bytes] = []
@@ -164,7 +164,7 @@ def cut(which: Which, share: float) -> Injector:
 
 
 def foreign(count: int) -> Injector:
-    """Frames with identifiers nobody here has, some of them extended ones."""
+    """Frames with identifiers that no node here has, some of them extended."""
 
     def inject(stand: Stand) -> Step:
         known = {0x000, 0x080} | {base + node.id for base in range(0x80, 0x780, 0x80) for node in stand.rig.rig.nodes}
@@ -182,12 +182,12 @@ def foreign(count: int) -> Injector:
 
 
 def babble() -> Injector:
-    """A node sends all it can with the lowest priority: it waits for everybody else."""
+    """A node sends all it can with the lowest priority: it waits for all others."""
     return _every_tick(lambda stand: [FRAME.pack(_LOWEST, 8, stand.random.randbytes(8))] * FULL_LOAD_FRAMES)
 
 
 def babble_loud() -> Injector:
-    """A node sends all it can with the highest priority: nobody else gets the bus."""
+    """A node sends all it can with the highest priority: no other node gets the bus."""
 
     def inject(stand: Stand) -> Step:
         noise = FRAME.pack(_HIGHEST, 8, bytes(8))
@@ -213,7 +213,7 @@ def impostor() -> Injector:
 
 
 def rival() -> Injector:
-    """Another controller has the drive enabled and sends it a speed of its own every tick, after ours."""
+    """Another controller enables the drive and sends it a speed of its own every tick, after the loop's command."""
     command = objects.DRIVE_RPDO
     data = command.codec.pack(objects.Controlword.ENABLE_OPERATION, 5000)
     return _every_tick(
@@ -222,7 +222,7 @@ def rival() -> Injector:
 
 
 def sdo_write(index: int, sub: int, size: int, value: int = 0) -> Injector:
-    """Another master writes an object of the drive, once: a commissioning tool that was left connected."""
+    """Another master writes an object of the drive once, as a commissioning tool left connected does."""
 
     def inject(stand: Stand) -> None:
         specifier = 0x23 | (4 - size) << 2
@@ -250,18 +250,18 @@ def sdo_read() -> Injector:
 
 
 def sdo_answers() -> Injector:
-    """The drive answers requests that the rig has not sent; they themselves are not heard."""
+    """The drive answers requests that the rig has not sent; the requests themselves are not received."""
     data = struct.pack("<BHB4x", 0x60, objects.QUICK_STOP_OPTION, 0)
     return _every_tick(lambda stand: [FRAME.pack(objects.SDO_TX_BASE + stand.drive.id, 8, data)])
 
 
 def sdo_silent() -> Injector:
-    """The drive's SDO server has stopped answering; everything else of it goes on."""
+    """The drive's SDO server stops answering; the rest of the drive goes on."""
     return silent(lambda stand: objects.SDO_TX_BASE + stand.drive.id)
 
 
 def error_frames() -> Injector:
-    """The controller reports itself error-passive, ten times a second; every frame gets through all the same."""
+    """The controller reports itself error-passive, ten times a second; every frame still arrives."""
 
     def inject(stand: Stand) -> Step:
         frame = FRAME.pack(ERROR_FLAG | _CONTROLLER, 8, bytes([0, _PASSIVE, 0, 0, 0, 0, 0, 0]))
@@ -278,7 +278,7 @@ def error_frames() -> Injector:
 
 
 def bus_off() -> Injector:
-    """The controller's interface is off the bus: an error frame says so, then sending fails and nothing comes."""
+    """The controller's interface goes off the bus: an error frame reports it, then sending fails and nothing comes."""
 
     def inject(stand: Stand) -> None:
         def tap(_: Port, frame: bytes) -> Iterable[bytes]:
@@ -293,7 +293,7 @@ def bus_off() -> Injector:
 
 
 def nmt(command: int, node: Callable[[Stand], int]) -> Injector:
-    """Another master gives an NMT command; node 0 is everybody."""
+    """Another master gives an NMT command; node 0 addresses all."""
 
     def inject(stand: Stand) -> None:
         stand.rig.inject(FRAME.pack(objects.NMT_COB, 2, bytes([command, node(stand)])))
@@ -302,7 +302,7 @@ def nmt(command: int, node: Callable[[Stand], int]) -> Injector:
 
 
 def emergency(node: Callable[[Stand], int], code: int, register: int = 1) -> Injector:
-    """A device's emergency message, which says no more than that something is wrong; its samples go on."""
+    """A device's emergency message that reports only some error; its samples go on."""
 
     def inject(stand: Stand) -> None:
         data = struct.pack("<HB5x", code, register)

@@ -1,4 +1,4 @@
-"""The catalogue's result as a table, what is not as expected first."""
+"""The catalogue's result as a table, rows with findings first."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WIDTH = 150
 
 
 def show(rows: Sequence[Row]) -> None:
-    """Print all rows and a line that counts them."""
+    """Print all rows and a line with their counts."""
     terminal = Console()
     console = Console(width=WIDTH) if not terminal.is_terminal or terminal.width > WIDTH else terminal
     table = Table(box=None, pad_edge=False, header_style="bold")
@@ -36,7 +36,7 @@ def show(rows: Sequence[Row]) -> None:
 
 
 def show_kills(found: Mapping[str, object]) -> None:
-    """Print the kills that were noticed, and the largest figures."""
+    """Print the kills with findings, and the largest figures."""
     kills = found["kills"]
     assert isinstance(kills, list)
     console = Console(soft_wrap=True)
@@ -53,7 +53,7 @@ def show_figures(found: Mapping[str, object]) -> None:
 
 
 def show_list(faults: Sequence[InjectedFault | ProcessFault]) -> None:
-    """Print every fault, what it is, and what has to happen in which mode."""
+    """Print every fault, its description, and the expected reaction in each mode."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("fault", "what", "expected"):
         table.add_column(name)
@@ -72,7 +72,7 @@ def page_row(fault: InjectedFault | ProcessFault) -> str:
 
 
 def worded(expected: Expected) -> str:
-    """What is expected, the modes that share it together."""
+    """The expected reactions in words, modes with the same one together."""
     reactions: dict[Reaction, list[str]] = {}
     for mode in Mode:
         if mode in expected:

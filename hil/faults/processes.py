@@ -1,4 +1,4 @@
-"""Faults of the daemon's processes: real ones, killed, stopped, starved; the simulated rig's truth is the witness."""
+"""Faults of the daemon's real processes: killed, stopped, starved; the simulated rig's truth judges the result."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from rigctl.control.modes import Mode
 WATCHED_S = 0.8
 BACK_S = 30.0
 MOVED_MM = 1.0
-"""No load may move further than this because of a process."""
+"""A fault of a process may move the load by this much at most."""
 TOLD_MS = 500.0
-"""A loop whose supervisor has gone has to be told, and then stops in order."""
+"""Time in which a loop whose supervisor has ended learns of it and stops in order."""
 OTHER_SPRING_N_MM, OTHER_NODE = 60.0, 9
 BEFORE_S = 0.05
 NATURAL = {Mode.TENSIONING: {Mode.COMPENSATING}, Mode.RELEASING: {Mode.HOLD}}
-"""Modes that end by themselves."""
+"""Modes that end by themselves, with their next mode."""
 
 Interference = Callable[[Live], AbstractContextManager[int]]
-"""What is done to the daemon while the context lasts; it gives the moment at which it fell, CLOCK_MONOTONIC in ns."""
+"""Disturbs the daemon while the context lasts; yields the time it began, CLOCK_MONOTONIC in ns."""
 
 
 @dataclass(frozen=True)
@@ -50,20 +50,20 @@ class ProcessFault:
     interference: Interference
     expected: Expected
     within_ms: float = DRIVE_STOPS_MS
-    """Until the stroke stands, where it has to."""
+    """Time until the stroke stands, where it has to."""
     restart: bool = False
-    """The daemon has to be started again by hand."""
+    """Whether the daemon has to be started again by hand."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What came of a interference, from the truth: from just before it until the rig was judged."""
+    """The truth's view of an interference: from just before it until the rig was judged."""
 
     mode_after: Mode
     fault: str
-    stopped_ms: float  # from the interference until the stroke stood
+    stopped_ms: float  # from the interference until the stroke stood still
     moved_mm: float
-    tension_off_n: float  # from what it was
+    tension_off_n: float  # from its value before
     setpoint_off_n: float  # from the loop's set-point, while it ticked
     tension_min_n: float
     tension_max_n: float
@@ -72,7 +72,7 @@ class Seen:
 
 
 def kills(victim: str, number: signal.Signals) -> Interference:
-    """A signal to one of the daemon's processes; one that is stopped goes on afterwards."""
+    """Send a signal to one of the daemon's processes; a stopped process continues afterwards."""
 
     @contextmanager
     def interference(rig: Live) -> Any:
@@ -88,7 +88,7 @@ def kills(victim: str, number: signal.Signals) -> Interference:
 
 @contextmanager
 def disk_full(rig: Live) -> Any:
-    """No process of the daemon can write to a file any more (EFBIG, where a full disk says ENOSPC)."""
+    """Make every write of the daemon's processes to a file fail (EFBIG, where a full disk gives ENOSPC)."""
     with ExitStack() as undo:
         at_ns = time.monotonic_ns()
         for pid in map(rig.pid, VICTIMS):
@@ -100,7 +100,7 @@ def disk_full(rig: Live) -> Any:
 
 @contextmanager
 def folder_deleted(rig: Live) -> Any:
-    """Somebody, or a log-out, deletes the daemon's runtime folder: it ends in order."""
+    """Delete the daemon's run-time folder, as a log-out may: the daemon ends in order."""
     at_ns = time.monotonic_ns()
     shutil.rmtree(rig.runtime.directory)
     yield at_ns
@@ -109,7 +109,7 @@ def folder_deleted(rig: Live) -> Any:
 
 @contextmanager
 def terminal_gone(rig: Live) -> Any:
-    """The terminal of ``rigctl run`` is closed."""
+    """Close the terminal of ``rigctl run``."""
     at_ns = time.monotonic_ns()
     give(rig.pid(SUPERVISOR), signal.SIGHUP)
     yield at_ns
@@ -125,7 +125,7 @@ def _ended(rig: Live) -> None:
 
 
 def config_replaced(*, control_killed: bool) -> Interference:
-    """Somebody writes another rig's figures over the rig file, and (or) the loop has to start again."""
+    """Overwrite the rig file with another rig's figures; with ``control_killed`` the loop has to restart too."""
 
     @contextmanager
     def interference(rig: Live) -> Any:
@@ -146,7 +146,7 @@ def config_replaced(*, control_killed: bool) -> Interference:
 
 
 def clock_stepped(seconds: float) -> Interference:
-    """The wall clock of all processes jumps, as when somebody sets it, and jumps back."""
+    """Step the wall clock of all processes, as when it is set, and step it back."""
 
     @contextmanager
     def interference(rig: Live) -> Any:
@@ -184,11 +184,11 @@ CATALOGUE = (
         "config_replaced_killed", "... and the loop is killed", config_replaced(control_killed=True), DRIVE_STOPS
     ),
 )
-"""With what has to happen in every mode; the loop's restart ends DISARMED."""
+"""The faults with the expected reaction in every mode; the loop's restart ends DISARMED."""
 
 
 def play(settings: RigSettings, rows: Sequence[tuple[ProcessFault, Mode]], advance: Advance) -> list[Row]:
-    """Play rows one after the other; in their order. One that goes wrong ends its rig, and the next has a new one.
+    """Play rows one after the other, in their order. A row that fails to play ends its rig, and the next has a new one.
 
     Raises:
         ScenarioError: rig and daemon do not come up (1).
@@ -204,7 +204,7 @@ def play(settings: RigSettings, rows: Sequence[tuple[ProcessFault, Mode]], advan
 
 
 def _play_on(rig: Live, rows: Sequence[tuple[ProcessFault, Mode]], found: list[Row], advance: Advance) -> None:
-    """The rows that are not in ``found`` yet, until one goes wrong."""
+    """Play the rows that are not in ``found`` yet, until one fails to play."""
     for fault, mode in rows[len(found) :]:
         advance(0.0, f"{fault.id} in {mode.name}")
         try:
@@ -243,7 +243,7 @@ def row_of(rig: Live, fault: ProcessFault, mode: Mode) -> Row:
 
 
 def strike(rig: Live, interference: Interference, *, comes_back: bool) -> Seen:
-    """Do something to the daemon and watch the truth until it ticks again (or for a moment)."""
+    """Interfere with the daemon and log the truth until it ticks again (or for a moment)."""
     records = rig.runtime.record_reader()
     with interference(rig) as at_ns:
         time.sleep(WATCHED_S)
@@ -261,7 +261,7 @@ def strike(rig: Live, interference: Interference, *, comes_back: bool) -> Seen:
 
 
 def seen(truth: npt.NDArray[Any], ticks: npt.NDArray[Any], at_ns: int, after: Mode, fault: str) -> Seen:
-    """What the truth and the loop's records say of a interference at ``at_ns``.
+    """The effect of an interference at ``at_ns`` in the truth and the loop's records.
 
     Raises:
         LiveError: no truth since then.
@@ -289,7 +289,7 @@ def seen(truth: npt.NDArray[Any], ticks: npt.NDArray[Any], at_ns: int, after: Mo
 
 
 def judged(expected: Reaction, seen: Seen, mode: Mode, within_ms: float = DRIVE_STOPS_MS) -> tuple[Reaction, list[str]]:
-    """What a interference came to, and what is not as it should be."""
+    """The reaction to an interference, and its deviations from the expectation."""
     findings = [] if seen.carried else ["load not carried"]
     if expected is Reaction.DRIVE_STOPS:
         reaction = Reaction.DRIVE_STOPS if seen.stopped_ms <= within_ms else Reaction.MOVES

@@ -1,4 +1,4 @@
-"""Rows of the catalogue: a drive that creeps though it is told 0, and a position or a brake that slips slowly."""
+"""Rows of the catalogue: a drive that creeps at command 0, and a position or a brake that slips slowly."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from hil.faults.in_device import SPEED, STROKE, both, reads
 from rigctl.control.modes import Mode
 
 HELD_MM = 1.0
-"""A stroke that is to stay where it is moves no further before it is corrected, or its brake closed."""
-CORRECTED_N, CORRECTED_MM = 3.0, 0.15  # 1 %; 0.45 mm/s until the integral action has it
+"""A stroke that has to stay in place moves at most this far before it is corrected, or its brake closed."""
+CORRECTED_N, CORRECTED_MM = 3.0, 0.15  # 1 %; 0.45 mm/s until the integral action corrects it
 _SECONDS = {0.02: 15.0, 0.1: 10.0, 0.45: 4.0, 2.0: 1.5, 8.0: 1.0}
-"""How long a creep of so many mm/s is watched: more than is allowed, were it let go on."""
+"""How long a creep of so many mm/s is watched: uncorrected, it would exceed the bound by then."""
 _TOO_FAST_MM_S = 0.5
 _OFF: Expected = {**POWER_OFF, Mode.DISARMED: Reaction.RIDDEN}
 _DRIFTS: Expected = {

@@ -1,4 +1,4 @@
-"""Rows of the catalogue: the drive, what it reports and what it does."""
+"""Rows of the catalogue: the drive's reports and motion."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from rigctl.control.modes import Mode
 from rigctl.devices import objects
 
 STATUS_SILENT_MS = 310.0
-"""Five periods of 50 ms, up to one since the last that came, and a tick or two."""
+"""Five periods of 50 ms, up to one since the last message, and a tick or two."""
 _SEEN_AT_REST: Expected = {**HOLD, Mode.DISARMED: Reaction.LATCHED}
-"""A stroke that is said to move on a closed brake."""
+"""Feedback that shows a stroke moving on a closed brake."""
 DRIVE_FEEDBACK = (
     InjectedFault("drive_silent", "bus", "the drive's samples stop", on_bus.silent(on_bus.drive), HOLD, within_ms=20),
     InjectedFault(
@@ -106,7 +106,7 @@ DRIVE_FEEDBACK = (
 )
 
 _BIT_MS = 40.0
-"""What is too long for a change of state, 20 ms, and a tick or two."""
+"""Reaction to a change of state that takes longer than 20 ms, and a tick or two."""
 OWN_STOP = (
     ("heartbeat_watch", "its watch over the controller's heartbeat (0x1016:01)", objects.CONSUMER_HEARTBEAT, 1, 4),
     ("command_deadline", "its deadline of commands (0x1400:05)", objects.RPDO1_COMMUNICATION, 5, 2),
@@ -116,9 +116,9 @@ OWN_STOP = (
     ("mode_of_operation", "its mode of operation (0x6060)", objects.MODE_OF_OPERATION, 0, 1),
     ("transmission", "when it takes commands over (0x1400:02)", objects.RPDO1_COMMUNICATION, 2, 1),
 )
-"""The drive's objects that safety hangs on: name, in words, index, sub-index, size in bytes."""
+"""The drive's objects that safety depends on: name, in words, index, sub-index, size in bytes."""
 ROTATION_MS = 600.0
-"""Within which every object is read once: 46 objects, one in 10 ms, and the rest for those of other rigs."""
+"""Time in which every object is read once: 46 objects, one in 10 ms, and a reserve for other rigs."""
 SUPERVISION = (
     *(
         InjectedFault(

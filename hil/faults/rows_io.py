@@ -10,7 +10,7 @@ from rigctl.devices.objects import EmcyCode
 
 FITTED = Around(change=(("io", IoSettings(e_stop_input=0)),))
 _SILENT_MS = 120.0
-"""100 ms without its inputs, and a tick or two."""
+"""100 ms without the I/O node's inputs, and a tick or two."""
 
 RAIL = Around(change=(("rail_encoder", RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=500)),))
 RAIL_ENCODER = (

@@ -22,7 +22,7 @@ from rigctl.devices.objects import SLOPE_INVALID, AiStatus, EmcyCode
 VENDOR_ERROR, VENDOR_REGISTER, NO_ERROR_EITHER = 0xFF10, 0x81, 0x00FF
 G = 9.80665
 WAY_N = 90.0
-"""15 mm of stroke: a payload of this rig moves by 10 mm, more than that is none."""
+"""15 mm of stroke: the payload of this rig moves by 10 mm, so a larger motion has another cause."""
 
 SENSOR_CELL = (
     InjectedFault("cell_silent", "bus", "the cell's samples stop", on_bus.silent(on_bus.cell), HOLD, within_ms=20),

@@ -1,4 +1,4 @@
-"""A rig brought to a mode, with the handles a fault is put in by."""
+"""A rig brought to a mode, with the access that a fault's injector needs."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from rigctl.devices import objects
 
 WAKE_S = 0.2
 SETTLE_S = 0.6
-"""Until the filter has found a tension that was there before it."""
+"""Time until the filter has settled on a tension that was there before it."""
 RAMP_S = 1.0
 CLOSED_S = 0.3
 RELEASE_S = 0.5
 SILENCE_MS = 30
 TENSIONING_FROM_N = 100.0
 CLOSED_BELOW_N = 25.0
-"""Of the target: way enough for the sign checks of the first tensioning."""
+"""Preload below the target: enough way for the sign checks of the first tensioning."""
 TENSION_LIMIT_S = 20.0
 
 _CLOSED = (Mode.COMPENSATING, Mode.FAULT)
@@ -37,7 +37,7 @@ Injector = Callable[["Stand"], "Step | None"]
 
 
 class Stand:
-    """A lockstep rig. What is random in a fault comes from ``random``, which a row always seeds alike."""
+    """A lockstep rig. A fault takes its random numbers from ``random``, which a row always seeds alike."""
 
     def __init__(self, rig: Lockstep, seed: str) -> None:
         self.rig = rig
@@ -45,12 +45,12 @@ class Stand:
 
     @property
     def settings(self) -> RigSettings:
-        """The rig file, with the row's changes."""
+        """The rig file with the row's changes."""
         return self.rig.settings
 
     @property
     def plant(self) -> Plant:
-        """Rope, payload, cylinder."""
+        """Rope, payload and cylinder."""
         return self.rig.rig.plant
 
     @property
@@ -98,7 +98,7 @@ class Stand:
 
 
 def start(rig: Lockstep, mode: Mode, preload_n: float | None) -> None:
-    """Power on with the load on the rope (or slack, with 0 N), every signal fresh."""
+    """Switch power on with the load on the rope (or slack, with 0 N) and wait until every signal is fresh."""
     target_n = rig.settings.tension.target_n
     usual = {Mode.TENSIONING: TENSIONING_FROM_N, **dict.fromkeys(_CLOSED, target_n - CLOSED_BELOW_N)}.get(
         mode, target_n
@@ -110,7 +110,7 @@ def start(rig: Lockstep, mode: Mode, preload_n: float | None) -> None:
 
 
 def enter(rig: Lockstep, mode: Mode) -> None:
-    """From DISARMED to a mode as an operator gets there; FAULT by a cell that is silent for a moment.
+    """Take the rig from DISARMED to a mode as an operator does; to FAULT by a short silence of the cell.
 
     Raises:
         RuntimeError: the rig did not get there.

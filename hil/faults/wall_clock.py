@@ -1,6 +1,6 @@
-"""A wall clock that can be stepped: loaded into the daemon's processes before anything else, through PYTHONPATH.
+"""A wall clock that can be stepped: loaded into the daemon's processes before any other module, through PYTHONPATH.
 
-The machine's own clock is everybody's and stays as it is; CLOCK_MONOTONIC cannot be stepped at all. `time.time` and
+The machine's own clock is shared and stays as it is; CLOCK_MONOTONIC cannot be stepped at all. `time.time` and
 `time.time_ns` of these processes follow a file of one signed 64 bit number, the step in ns.
 """
 
@@ -19,7 +19,7 @@ START_FILE = "sitecustomize.py"
 
 
 def prepare(folder: pathlib.Path) -> dict[str, str]:
-    """Make the file in ``folder``; the environment for processes that shall follow it."""
+    """Make the file in ``folder``; returns the environment of the processes that follow it."""
     step(folder, 0)
     (folder / START_FILE).write_text(_START)
     path = os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH", ""))))
@@ -27,7 +27,7 @@ def prepare(folder: pathlib.Path) -> dict[str, str]:
 
 
 def step(folder: pathlib.Path, step_ns: int) -> None:
-    """Set the wall clock of these processes forward (or back) by so much against the machine's."""
+    """Step the wall clock of these processes by ``step_ns`` against the machine's."""
     file = _file(folder)
     if not file.exists():
         file.write_bytes(_STEP.pack(0))
@@ -36,7 +36,7 @@ def step(folder: pathlib.Path, step_ns: int) -> None:
 
 
 def follow_file_of_environment() -> None:
-    """In the process itself: from now on its wall clock is the machine's and the step."""
+    """Make this process's wall clock the machine's plus the step."""
     with pathlib.Path(os.environ[FILE_VARIABLE]).open("rb") as stream:
         memory = mmap.mmap(stream.fileno(), _STEP.size, prot=mmap.PROT_READ)
     machines, machines_ns, unpack = time.time, time.time_ns, _STEP.unpack_from

@@ -1,1 +1,1 @@
-"""The rig's CANopen devices. Each speaks frames on one side and reads or drives the plant on the other."""
+"""The rig's CANopen devices: frames on one side, the plant on the other."""

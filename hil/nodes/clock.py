@@ -1,4 +1,4 @@
-"""A device's own clock: no two quartzes agree, and every timer of a device runs on its own."""
+"""A device's own clock: quartzes differ, and every timer of a device runs on its own."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class DeviceClock:
         self._ppb = round(ppm * 1000.0)
 
     def local_ns(self, t_ns: int) -> int:
-        """What it reads at the rig's ``t_ns``."""
+        """Device time at the rig's ``t_ns``."""
         return self._start_ns + self.span_ns(t_ns - self._start_ns)
 
     def span_ns(self, elapsed_ns: int) -> int:
-        """What it takes ``elapsed_ns`` of the rig's time for."""
+        """Device time that passes in ``elapsed_ns`` of the rig's time."""
         return elapsed_ns + elapsed_ns * self._ppb // 1_000_000_000

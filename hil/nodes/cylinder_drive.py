@@ -27,7 +27,7 @@ MODES = frozenset({0, objects.CYCLIC_SYNCHRONOUS_VELOCITY})
 _STATUS_ALWAYS = 0x0010  # voltage enabled
 _STOP_COMMANDS = frozenset({Controlword.QUICK_STOP, Controlword.DISABLE_VOLTAGE})
 _INT16_MAX = 0x7FFF
-_FAULT_REACTION = 1  # as of 0x6007: react as 0x605E says
+_FAULT_REACTION = 1  # value of 0x6007: react as 0x605E says
 LOWER_LIMIT, UPPER_LIMIT, HOME, E_STOP_CLOSED = 1 << 0, 1 << 1, 1 << 2, 1 << 16
 """Bits of the digital inputs (0x60FD); the emergency stop's circuit is closed while it is not pressed."""
 HOME_MM = 1.0
@@ -35,10 +35,10 @@ HOME_MM = 1.0
 
 @dataclass(frozen=True)
 class ServiceTool:
-    """A commissioning tool at the drive's own port, which has it enabled whatever the bus says.
+    """A commissioning tool at the drive's own port, which enables the drive independently of the bus.
 
-    ``deaf``: the drive does not even take quick stop and disable voltage from the bus meanwhile. ``shows_remote``: its
-    statusword says nothing of it (bits 9 and 12 stay on).
+    ``deaf``: the drive meanwhile ignores even quick stop and disable voltage from the bus. ``shows_remote``: its
+    statusword does not show the tool (bits 9 and 12 stay on).
     """
 
     speed_mm_s: float
@@ -81,7 +81,7 @@ class CylinderDrive(Node):
         self._received: bytes | None = None
         self._rpdo: ReceivePdo | None = None
         self.defect: Callable[[float, bool], tuple[float, bool]] | None = None
-        """Of motor and brake: speed (mm/s) and whether the brake holds, as they are, of what they should be."""
+        """Defect of motor and brake: maps the right speed (mm/s) and brake (whether it holds) to the actual ones."""
         self.readers.update(
             {
                 (objects.STATUSWORD, 0): self._statusword,
@@ -112,7 +112,7 @@ class CylinderDrive(Node):
         )
 
     def _count_in_increments(self, per_mm: float, drive: DriveSettings) -> None:
-        """No SI unit is told (0x60A8, 0x60A9), but increments per turn of the screw; ramps are as long as before."""
+        """Units are increments per turn of the screw, without an SI unit (0x60A8, 0x60A9); ramps last as before."""
         per_turn = round(per_mm * drive.screw_lead_mm)
         self.readers.update(
             {
@@ -141,7 +141,7 @@ class CylinderDrive(Node):
         super().on_sync()
 
     def advance(self, t_ns: int) -> None:
-        """Measure speed and current; let ramps and the brake go on to ``t_ns``."""
+        """Measure speed and current; advance ramps and the brake to ``t_ns``."""
         self._encoder.advance()
         self.control.advance(t_ns, self._encoder.speed_mm_s)
         self._drive()
@@ -155,7 +155,7 @@ class CylinderDrive(Node):
             self.trip(EmcyCode.EXTERNAL)
 
     def take_over(self, tool: ServiceTool | None) -> None:
-        """A service tool enables the drive and moves it, at the drive's own port; None: it is withdrawn."""
+        """Let a service tool at the drive's own port enable and move the drive; None withdraws it."""
         self.tool = tool
         if tool is not None:
             self.control.enable_locally(self.now_ns)
@@ -204,17 +204,17 @@ class CylinderDrive(Node):
     # -- supervision of the controller -------------------------------------------------------------------------
 
     def supervise(self, t_ns: int, elapsed_ns: int) -> None:
-        """Produce the heartbeat and judge the controller's silence."""
+        """Send the heartbeat and check the controller's silence."""
         super().supervise(t_ns, elapsed_ns)
         if self._heartbeat.runs_out(elapsed_ns):
             self._lose_connection(EmcyCode.HEARTBEAT_LOST)
         if self._commands_due.runs_out(elapsed_ns):
             self._lose_connection(EmcyCode.RPDO_TIMEOUT)
         if self.errors and not self.control.faulty:
-            self._clear_faults()  # 0x6007 asked for no fault: the error goes with its cause
+            self._clear_faults()  # 0x6007 demands no fault: the error ends with its cause
 
     def on_state(self, before: NmtState, now: NmtState) -> None:
-        """Leaving OPERATIONAL while enabled is a lost connection; commands are awaited afresh."""
+        """Leaving OPERATIONAL while enabled is a lost connection; the wait for commands starts again."""
         super().on_state(before, now)
         self._commands_due.restart()
         self._received = None
@@ -248,7 +248,7 @@ class CylinderDrive(Node):
             self.network.subscribe(self._rpdo.cob_id, self._on_rpdo)
 
     def _watch_heartbeat(self, entry: int) -> None:
-        """0x1016:01: node id in bits 16 to 22, time in ms below; either 0 means nobody is watched."""
+        """0x1016:01: node id in bits 16 to 22, time in ms below; a 0 in either turns supervision off."""
         if self._heartbeat_cob:
             self.network.unsubscribe(self._heartbeat_cob, self._on_heartbeat)
         node, limit_ms = entry >> 16 & 0x7F, entry & 0xFFFF
@@ -263,7 +263,7 @@ class CylinderDrive(Node):
 
     @property
     def stopping(self) -> bool:
-        """Whether the motor has been told to stop for good: it brakes, or its brake closes or is closed."""
+        """Whether the motor stops for good: it ramps down, or its brake closes or is closed."""
         return self.control.stage.phase not in (Phase.OPENING, Phase.DRIVING)
 
     def trip(self, code: int) -> None:
@@ -278,7 +278,7 @@ class CylinderDrive(Node):
         self.control.lose_connection(number(self.device, objects.ABORT_CONNECTION_OPTION), self.now_ns)
 
     def _clear_faults(self) -> bool:
-        """Drop the errors if no cause is left; whether it is so."""
+        """Drop the errors if no cause is left; returns whether it did."""
         if self._heartbeat.overdue or self._commands_due.overdue or self.e_stop_pressed:
             return False
         for code in self.errors:
@@ -286,7 +286,7 @@ class CylinderDrive(Node):
         self._error_code = 0
         return True
 
-    # -- what it reports ---------------------------------------------------------------------------------------
+    # -- reports -----------------------------------------------------------------------------------------------
 
     def _statusword(self) -> int:
         """Bit 9: the controlword is obeyed; 12: in CSV the target velocity is followed; 11: a limit acts on it."""
@@ -301,7 +301,7 @@ class CylinderDrive(Node):
         return status
 
     def _inputs(self) -> int:
-        """Limit switches stand at the mechanical ends."""
+        """Bits of the digital inputs; the limit switches are at the mechanical ends."""
         p, x = self.plant.parameters[0], self.plant.state[0]
         bits = LOWER_LIMIT if x["motor"] <= p["stroke_low"] else 0
         bits |= UPPER_LIMIT if x["motor"] >= p["stroke_high"] else 0

@@ -1,10 +1,10 @@
-"""Watching for silence: the consumer heartbeat (0x1016) and the RPDO deadline (0x1400:05) of CiA 301."""
+"""Supervision of silence: the consumer heartbeat (0x1016) and the RPDO deadline (0x1400:05) of CiA 301."""
 
 from __future__ import annotations
 
 
 class Deadline:
-    """Runs out when nothing was heard for a time; armed by the first thing heard, and again after it ran out."""
+    """Expires after a time without a message; the first message arms it, also after it has expired."""
 
     __slots__ = ("_armed", "_limit_ns", "_silence_ns", "overdue")
 
@@ -20,18 +20,18 @@ class Deadline:
         self.restart()
 
     def heard(self) -> None:
-        """What is awaited has come."""
+        """The awaited message has come."""
         self._silence_ns = 0
         self._armed = self._limit_ns > 0
         self.overdue = False
 
     def restart(self) -> None:
-        """Forget, and wait for the first one again."""
+        """Disarm until the next message."""
         self._armed = False
         self.overdue = False
 
     def runs_out(self, elapsed_ns: int) -> bool:
-        """Let the silence last ``elapsed_ns`` longer; whether the deadline ran out just now."""
+        """Add ``elapsed_ns`` to the silence; returns whether the deadline expired just now."""
         if not self._armed:
             return False
         self._silence_ns += elapsed_ns

@@ -32,7 +32,7 @@ class DeviceControl:
     Args:
         stage: motor and brake.
         parameter: current value of an object of the drive (0x605A to 0x605E, 0x6084, 0x6085).
-        clear_faults: asked at a fault reset; whether no cause is left.
+        clear_faults: called at a fault reset; returns whether no cause is left.
         unit_mm_s2: one unit of 0x6084 and 0x6085, in mm/s2.
     """
 
@@ -75,7 +75,7 @@ class DeviceControl:
             self._stop(target, self._option(command), t_ns)
 
     def advance(self, t_ns: int, speed_mm_s: float) -> None:
-        """Go on to ``t_ns``: ramp, brake, and the states that wait for them."""
+        """Advance ramp, brake and the states that wait for them to ``t_ns``."""
         self.stage.advance(t_ns, speed_mm_s)
         if self._enabling and self.stage.phase is Phase.DRIVING:
             self._enabling = False
@@ -89,7 +89,7 @@ class DeviceControl:
         self._stop(DriveState.NOT_READY, _QUICK_STOP_RAMP, t_ns)
 
     def enable_locally(self, t_ns: int) -> None:
-        """Somebody at the drive itself has it enabled; not from a fault, and not while the motor stops."""
+        """Enable the drive from its own port; not from a fault, and not while the motor stops."""
         if self.state in OFF_STATES or self.state is DriveState.SWITCHED_ON:
             self.state = DriveState.SWITCHED_ON
             self._enable(t_ns)
@@ -121,12 +121,12 @@ class DeviceControl:
             self.stage.stop(t_ns, self._parameter(_RAMP_OBJECTS[ramp_option]) * self._unit_mm_s2)
 
     def _option(self, command: Controlword | None) -> int:
-        """How a command stops the motor; option codes count where it leads out of OPERATION ENABLED."""
+        """Option code by which a command stops the motor; it counts where the command leaves OPERATION ENABLED."""
         if command is Controlword.DISABLE_VOLTAGE:
             return _CUT
         driving = self.state is DriveState.OPERATION_ENABLED and command in _OPTION_OBJECTS
         return self._parameter(_OPTION_OBJECTS[command]) if driving and command else _QUICK_STOP_RAMP
 
     def _stays(self) -> bool:
-        """Whether QUICK STOP ACTIVE is not left by itself (0x605A)."""
+        """Whether QUICK STOP ACTIVE ends only by a command (0x605A)."""
         return self.state is DriveState.QUICK_STOP_ACTIVE and self._parameter(objects.QUICK_STOP_OPTION) >= _STAYS

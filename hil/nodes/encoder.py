@@ -1,4 +1,4 @@
-"""The motor's encoder: what the drive knows of its stroke."""
+"""The motor's encoder: the drive's own measurement of the stroke."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from hil.plant import Plant
 
 
 class Encoder:
-    """Position and speed as the drive reports them; ``advance`` goes once per period of its speed measurement.
+    """Position and speed as the drive reports them; call ``advance`` once per period of its speed measurement.
 
     It sits on the motor, so that ripple of the screw and play of the nut are hidden from it. Speed is the difference of
-    two positions over the period between them: their mean, and so half a period old, on top of the time since the last
-    ``advance``. A perfect encoder (``step_mm`` 0) knows position and speed as they are.
+    two positions over the period between them: a mean, half a period old at each ``advance``. A perfect encoder
+    (``step_mm`` 0) has the exact position and speed.
 
     Args:
-        plant: whose motor it is.
+        plant: the motor's plant.
         step_mm: resolution, as stroke.
     """
 

@@ -1,4 +1,4 @@
-"""What the inclinometer makes of the rope's angles and of its swing, whatever protocol it speaks."""
+"""Errors of the inclinometer on the rope's angles, its swing among them, whatever the protocol."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ GRAVITY_MM_S2 = 9806.65
 
 
 class InclinationMeasurement:
-    """The rope's angles at a rate of their own, low-pass filtered.
+    """The rope's angles at the sensor's own rate, low-pass filtered.
 
-    An accelerometer takes the direction of what it feels, gravity less its own acceleration a, for the vertical, and
-    so reads theta + atan(a / g). A point s below the pulley has a = a_pulley (1 - s/L) + a_payload s/L. Below a pulley
+    An accelerometer takes the direction of gravity less its own acceleration a for the vertical, and so reads
+    theta + atan(a / g). A point s below the pulley has a = a_pulley (1 - s/L) + a_payload s/L. Below a pulley
     at rest a free pendulum has a_payload = -g theta: it reads theta (1 - s/L), nothing at its lower end.
 
-    A gyro-compensated sensor believes its rate gyro for what is faster than ``gyro_s`` and its accelerometer for what
-    is slower: the angle itself comes through whole, of the acceleration what passes a low-pass of that time constant.
+    A gyro-compensated sensor takes motion faster than ``gyro_s`` from its rate gyro and slower motion from its
+    accelerometer: the angle passes unchanged, the acceleration through a low-pass of that time constant.
     """
 
     def __init__(self, settings: RigSettings, simulation: SimulationSettings, plant: Plant) -> None:
@@ -43,7 +43,7 @@ class InclinationMeasurement:
         """Tangential and normal angle as last measured; None beyond the range."""
 
     def advance(self, t_ns: int) -> bool:
-        """Filter up to the plant's time; measure if the sensor's own time ``t_ns`` says so. Whether it has measured."""
+        """Filter up to the plant's time; measure if due at the sensor's time ``t_ns``; returns whether it measured."""
         self._follow()
         if (t_ns - self._start_ns) * self._rate_hz < self._samples * 1_000_000_000:
             return False

@@ -1,4 +1,4 @@
-"""Two-axis inclinometer, CiA 410: the rope's angles at a rate of its own, filtered and quantised."""
+"""Two-axis inclinometer, CiA 410: the rope's angles at the sensor's own rate, filtered and quantised."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Inclinometer(Node):
         self._resolution_mdeg = number(self.device, objects.SLOPE_RESOLUTION)
 
     def advance(self, t_ns: int) -> None:
-        """Filter; when it is time, measure."""
+        """Filter, and measure when it is due."""
         if not self._measurement.advance(t_ns):
             return
         if self._measurement.angles_deg is None:

@@ -20,10 +20,10 @@ _LONG_AGO_NS = -(1 << 62)
 
 
 class IoNode(Node):
-    """One of its inputs is wired to the emergency stop: closed (1) until it is pressed. ``advance`` on the rig's grid.
+    """One input is wired to the emergency stop: closed (1) until it is pressed. ``advance`` runs on the rig's grid.
 
-    TPDO 1 goes out once it is OPERATIONAL, when an input changes whose event is not masked (0x6005, 0x6006) and when
-    the event timer has run out, but not within the inhibit time.
+    TPDO 1 is sent on entering OPERATIONAL, when an input changes whose event is not masked (0x6005, 0x6006) and when
+    the event timer has expired, but not within the inhibit time.
     """
 
     def __init__(self, network: RigNetwork, settings: RigSettings, plant: Plant) -> None:
@@ -40,11 +40,11 @@ class IoNode(Node):
             self.readers[objects.INPUTS_8, block] = self._reader(block)
 
     def press_e_stop(self, pressed: bool) -> None:
-        """Open the contact that this node sees, or close it again."""
+        """Open this node's contact, or close it again."""
         self.e_stop_pressed = pressed
 
     def advance(self, t_ns: int) -> None:
-        """Send what has changed, or is due by the event timer."""
+        """Send the inputs if they have changed or the event timer has expired."""
         if self.nmt_state is not NmtState.OPERATIONAL:
             return
         (tpdo,) = self.tpdos
@@ -57,12 +57,12 @@ class IoNode(Node):
             self.network.send_frame(tpdo.now())
 
     def on_state(self, before: NmtState, now: NmtState) -> None:
-        """Entering OPERATIONAL says everything anew."""
+        """Entering OPERATIONAL sends all inputs."""
         super().on_state(before, now)
         self._told = []
 
     def on_pdo_change(self) -> None:
-        """Take the timers over."""
+        """Apply the timers."""
         super().on_pdo_change()
         communication = objects.TPDO1_COMMUNICATION
         self._inhibit_ns = number(self.device, communication, _INHIBIT_TIME) * _NS_PER_INHIBIT_UNIT
@@ -79,7 +79,7 @@ class IoNode(Node):
         return read
 
     def _is_event(self, inputs: list[int]) -> bool:
-        """Whether an input has changed whose changes are to be told; the first of all are."""
+        """Whether an input has changed whose event is not masked; the first inputs always are an event."""
         if inputs == self._told or (self._told and not number(self.device, objects.INPUT_EVENTS)):
             return False
         return not self._told or any(

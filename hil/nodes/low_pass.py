@@ -1,4 +1,4 @@
-"""First-order low-pass in continuous time, seen at whatever moments somebody looks."""
+"""First-order low-pass in continuous time, sampled at any times."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 
 class LowPass:
-    """``tau dy/dt = x - y``, exact for an input that runs straight from one update to the next.
+    """``tau dy/dt = x - y``, exact for an input that is a straight line between updates.
 
     Args:
         tau_s: time constant, > 0.
@@ -32,5 +32,5 @@ class LowPass:
 
 
 def time_constant_s(corner_hz: float) -> float:
-    """Of a first-order low-pass that is 3 dB down at ``corner_hz``."""
+    """Time constant of a first-order low-pass that is 3 dB down at ``corner_hz``."""
     return 1.0 / (2.0 * math.pi * corner_hz)

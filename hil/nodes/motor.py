@@ -1,4 +1,4 @@
-"""The cylinder's motor as its drive measures it: current from the load it carries, and the heat that makes."""
+"""The cylinder's motor as its drive measures it: current from the load it carries, and the temperature that follows."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ _INT16_MAX = 0x7FFF
 
 
 class Motor:
-    """Current and temperature; ``advance`` goes once per period of the drive's own loop.
+    """Current and temperature; call ``advance`` once per period of the drive's own loop.
 
     Args:
         drive: force constant, friction, and the slow thermal model.
-        rated_ma: 0x6075, what the current is reported in thousandths of.
+        rated_ma: 0x6075; the current is reported in thousandths of it.
     """
 
     def __init__(self, drive: DriveSettings, rated_ma: int) -> None:
@@ -26,7 +26,7 @@ class Motor:
         self.temperature_c = drive.ambient_c
 
     def advance(self, t_ns: int, force_n: float, speed_mm_s: float) -> None:
-        """Carry ``force_n`` at ``speed_mm_s`` up to ``t_ns``; friction takes more on the way up, and less down."""
+        """Carry ``force_n`` at ``speed_mm_s`` up to ``t_ns``; friction adds current going up, saves it going down."""
         drive = self._drive
         friction_n = math.copysign(drive.friction_n, speed_mm_s) if speed_mm_s else 0.0
         self.current_a = (force_n + friction_n) / drive.force_n_a

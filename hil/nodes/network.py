@@ -1,4 +1,4 @@
-"""canopen's network on the rig's own wire: frames go straight to a port, and nothing starts a thread."""
+"""canopen's network on the rig's own wire: frames go straight to a port, and no thread is started."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ class RigNetwork(canopen.Network):  # type: ignore[misc]
         self.send_frame = send
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Send one frame (canopen calls this for SDO answers)."""
+        """Send one frame (canopen calls this for SDO responses)."""
         flag = REMOTE_FLAG if remote else 0
         self.send_frame(FRAME.pack(can_id | flag, len(data), bytes(data)))
 
     def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> NoTask:  # noqa: ARG002
-        """Nothing: periodic frames are produced on the rig's time, see ``Node.supervise``."""
+        """Do nothing: periodic frames are produced on the rig's time, see ``Node.supervise``."""
         return NoTask()
 
     def receive(self, frame: bytes) -> None:
-        """Dispatch one frame; extended, remote and error frames are no business of these devices."""
+        """Dispatch one frame; these devices ignore extended, remote and error frames."""
         if len(frame) != FRAME_SIZE:
             return
         can_id, size, data = FRAME.unpack(frame)

@@ -1,4 +1,4 @@
-"""What every simulated device shares: CiA 301 on top of canopen's ``LocalNode`` (its dictionary and SDO server)."""
+"""The common part of the simulated devices: CiA 301 on canopen's ``LocalNode`` (its dictionary and SDO server)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _COMMUNICATIONS = frozenset({objects.RPDO1_COMMUNICATION, *_TPDO_COMMUNICATIONS}
 
 
 class _Device(canopen.LocalNode):  # type: ignore[misc]
-    """canopen's node, which also tells when a value has been stored (its write callbacks come before)."""
+    """canopen's node, which also reports when a value has been stored (canopen's write callbacks come before)."""
 
     def __init__(self, node_id: int, eds: str, on_stored: Callable[[int], None]) -> None:
         super().__init__(node_id, eds)
@@ -57,8 +57,8 @@ class _Device(canopen.LocalNode):  # type: ignore[misc]
 class Node:
     """A device on the bus.
 
-    The rig advances the plant before any frame or request is handed over. Every time a device is given or keeps is its
-    own ``clock``'s. A subclass registers its live objects in ``readers`` and ``writers`` and overrides the ``on_...``
+    The rig advances the plant before any frame or request is handed over. All times of a device are by its own
+    ``clock``. A subclass registers its live objects in ``readers`` and ``writers`` and overrides the ``on_...``
     methods.
 
     Args:
@@ -67,7 +67,7 @@ class Node:
         eds: electronic data sheet.
         plant: what the device measures or drives.
         serial: serial number in the identity object.
-        clock_ppm: what its clock gains on the rig's.
+        clock_ppm: gain of its clock on the rig's.
     """
 
     def __init__(
@@ -99,11 +99,11 @@ class Node:
         self._history: deque[int] = deque(maxlen=ERROR_FIELD_LENGTH)
         self._heartbeat_ns = 0
         self._heartbeat_due_ns = 0
-        self._tpdos: list[TransmitPdo] = []  # none: to be compiled anew
+        self._tpdos: list[TransmitPdo] = []  # empty: to be compiled anew
         self._tpdo_places = [i for i, index in enumerate(_TPDO_MAPPINGS) if index in self.device.object_dictionary]
         self._manner = DevicesSettings()
-        self._boots_ns: int | None = None  # while it boots: when it will have
-        self._requests: deque[tuple[int, int, bytes, float]] = deque()  # SDO requests, each with when it is answered
+        self._boots_ns: int | None = None  # end of the boot-up under way
+        self._requests: deque[tuple[int, int, bytes, float]] = deque()  # SDO requests, each with its response time
         self._commands: dict[int, Callable[[], None]] = {
             0x01: lambda: self._enter(NmtState.OPERATIONAL),
             0x02: lambda: self._enter(NmtState.STOPPED),
@@ -121,7 +121,7 @@ class Node:
         self.device.add_write_callback(self._on_write)
 
     def behave(self, manner: DevicesSettings) -> None:
-        """Be the variant of the device that ``manner`` says, from the next reset on."""
+        """Act as the variant of the device in ``manner``, from the next reset on."""
         self._manner = manner
         for index in _TPDO_COMMUNICATIONS if not manner.rtr else ():
             if index in self.device.object_dictionary:
@@ -132,7 +132,7 @@ class Node:
         """The time on the device's clock."""
         return self.clock.local_ns(self.plant.t_ns)
 
-    # -- what a device does ------------------------------------------------------------------------------------
+    # -- hooks for subclasses ----------------------------------------------------------------------------------
 
     def on_sample(self) -> None:
         """Take a new measurement of the plant, before values are read."""
@@ -141,10 +141,10 @@ class Node:
         """The NMT state has changed."""
 
     def on_node_reset(self) -> None:
-        """Application objects are back at their defaults: start afresh."""
+        """Application objects are back at their defaults: apply them."""
 
     def on_communication_reset(self) -> None:
-        """Communication objects are back at their defaults: take them over."""
+        """Communication objects are back at their defaults: apply them."""
 
     def on_pdo_change(self) -> None:
         """PDO parameters or mappings have changed."""
@@ -177,7 +177,7 @@ class Node:
         self._enter(NmtState.PRE_OPERATIONAL)
 
     def supervise(self, t_ns: int, elapsed_ns: int) -> None:  # noqa: ARG002 - for devices that watch others
-        """Produce the heartbeat when it is due. ``elapsed_ns``: time that counts as silence since the last call."""
+        """Send the heartbeat when it is due. ``elapsed_ns``: time that counts as silence since the last call."""
         if self._boots_ns is not None and t_ns >= self._boots_ns:
             self._boots_ns = None
             self.reset_communication()
@@ -208,13 +208,13 @@ class Node:
 
     @property
     def tpdos(self) -> list[TransmitPdo]:
-        """As they are configured now."""
+        """The TPDOs as configured now."""
         if not self._tpdos:
             self._tpdos = [TransmitPdo(self.device, self.readers, place) for place in self._tpdo_places]
         return self._tpdos
 
     def on_sync(self) -> None:
-        """Send the TPDOs whose turn is at this SYNC."""
+        """Send the TPDOs that are due at this SYNC."""
         if self.nmt_state is not NmtState.OPERATIONAL or not self._tpdo_places:
             return
         self.on_sample()
@@ -273,7 +273,7 @@ class Node:
     # -- errors ------------------------------------------------------------------------------------------------
 
     def raise_error(self, code: int, register: int) -> None:
-        """An error has appeared: emergency message, error register, history; once until it is cleared."""
+        """Report an error, once until it is cleared: emergency message, error register, history."""
         if code not in self._errors:
             self._errors[code] = register | GENERIC_ERROR
             self._history.appendleft(code)
@@ -285,7 +285,7 @@ class Node:
             self._send_emergency(objects.EmcyCode.NO_ERROR)
 
     def distort(self, index: int, subindex: int, how: Callable[[int], int]) -> None:
-        """A defect of the device: from now on an object reads as ``how`` makes it of its value."""
+        """A defect of the device: from now on an object reads as ``how`` of its value."""
         reader = self.readers[index, subindex]
         self.readers[index, subindex] = lambda: how(reader())
         self._tpdos.clear()

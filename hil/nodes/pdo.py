@@ -20,7 +20,7 @@ Address = tuple[int, int]
 
 
 class TransmitPdo:
-    """A TPDO; ``frame()`` at each SYNC gives the frame that is due, or None; ``now()`` is for those no SYNC drives.
+    """A TPDO; ``frame()`` at each SYNC gives the frame that is due, or None; ``now()`` serves event-driven TPDOs.
 
     Args:
         device: ``canopen.LocalNode`` whose 0x1800 + n and 0x1A00 + n are compiled.
@@ -52,13 +52,13 @@ class TransmitPdo:
         return self.now()
 
     def now(self) -> bytes:
-        """The frame with the values as they are."""
+        """The frame with the present values."""
         payload = self._pack(*[source() for source in self._sources])
         return FRAME.pack(self._cob_id, self._size, payload)
 
 
 class ReceivePdo:
-    """An RPDO: its COB-ID, whether it waits for SYNC, and the way from data to the mapped objects."""
+    """An RPDO: its COB-ID, whether it waits for SYNC, and the decoding of its data into the mapped objects."""
 
     __slots__ = ("_sinks", "_unpack", "cob_id", "size", "synchronous", "valid")
 
@@ -91,7 +91,7 @@ def check_mapping_write(device: Any, index: int, subindex: int, value: int) -> N
 def check_cob_id_write(device: Any, index: int, value: int, *, rtr: bool = True) -> None:
     """Refuse another identifier while the PDO is in use (bit 31 clear before and after).
 
-    A TPDO of a device without ``rtr`` has bit 30 set for good.
+    A TPDO of a device without ``rtr`` always has bit 30 set.
     """
     before = number(device, index, 1)
     if value & ~(INVALID_PDO | objects.PDO_NO_RTR) > STANDARD_MASK:

@@ -17,17 +17,17 @@ from rigctl.config.simulation_section import SimulationSettings
 
 
 class PlainSensor(abc.ABC):
-    """A message at its cycle time, on the sensor's own ``clock``. ``advance`` goes once per step of the rig's grid.
+    """A sensor that sends its message at its cycle time on its own ``clock``; ``advance`` runs on the rig's grid.
 
-    ``connected`` False is a pulled plug; ``able`` False makes the sensor say that it cannot measure, if its message has
-    a signal for that.
+    ``connected`` False is a pulled plug; with ``able`` False the sensor reports that it cannot measure, if its message
+    has a signal for that.
 
     Args:
         send: puts a 16-byte frame on the bus.
-        message: as the DBC file has it.
+        message: from the DBC file.
         settings: for the loop's rate, at which a message without cycle time is sent.
-        plant: what is measured.
-        clock_ppm: what its clock gains on the rig's.
+        plant: the plant that is measured.
+        clock_ppm: gain of its clock on the rig's.
     """
 
     def __init__(
@@ -48,10 +48,10 @@ class PlainSensor(abc.ABC):
 
     @abc.abstractmethod
     def values(self) -> dict[str, float]:
-        """What the next frame says, by meaning (N, rad, and ``valid``)."""
+        """Values of the next frame by meaning (N, rad, and ``valid``)."""
 
     def advance(self, t_ns: int) -> None:
-        """Measure and send, as often as it was time since the last step."""
+        """Measure and send as often as was due since the last step."""
         while self._due_ns <= t_ns:
             self._due_ns += self._cycle_ns
             values = self.values()
@@ -77,7 +77,7 @@ class PlainTensionCell(PlainSensor):
         self._measurement = TensionMeasurement(settings, simulation, plant)
 
     def advance(self, t_ns: int) -> None:
-        """Follow the tension, then as every sensor."""
+        """Follow the tension, then send as every sensor does."""
         self._measurement.advance()
         super().advance(t_ns)
 
@@ -102,7 +102,7 @@ class PlainInclinometer(PlainSensor):
         self._measurement = InclinationMeasurement(settings, simulation, plant)
 
     def advance(self, t_ns: int) -> None:
-        """Filter, then as every sensor."""
+        """Filter, then send as every sensor does."""
         self._measurement.advance(t_ns)
         super().advance(t_ns)
 

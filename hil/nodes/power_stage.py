@@ -1,4 +1,4 @@
-"""Motor and brake of the cylinder: one of them carries the load, or both; a cut leaves the brake alone to catch it."""
+"""Motor and brake of the cylinder: either or both carry the load; after a cut the brake alone catches it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ STANDSTILL_MM_S = 0.05
 
 
 class Phase(Enum):
-    """Who carries the load."""
+    """What carries the load."""
 
     BRAKED = auto()  # brake closed, motor off
     OPENING = auto()  # motor holds, brake opens
@@ -48,7 +48,7 @@ class PowerStage:
         return self.phase not in (Phase.BRAKED, Phase.FALLING)
 
     def start(self, t_ns: int) -> None:
-        """Have the motor take over; it drives once the brake is open."""
+        """Switch the motor on; it drives once the brake is open."""
         if self.phase in (Phase.BRAKED, Phase.CLOSING, Phase.FALLING):
             self._change(Phase.OPENING, t_ns)
         elif self.phase is Phase.STOPPING:
@@ -69,7 +69,7 @@ class PowerStage:
             self._change(Phase.CLOSING, t_ns)
 
     def cut(self, t_ns: int) -> None:
-        """Take power off at once, whether it stands or not; the brake closes meanwhile."""
+        """Take power off at once, even in motion; the brake closes meanwhile."""
         if self.phase in (Phase.DRIVING, Phase.STOPPING, Phase.OPENING):
             self.velocity_mm_s = 0.0
             self._change(Phase.FALLING, t_ns)
@@ -77,7 +77,7 @@ class PowerStage:
             self.phase = Phase.FALLING  # the brake goes on closing
 
     def advance(self, t_ns: int, speed_mm_s: float) -> None:
-        """Go on to ``t_ns``; ``speed_mm_s`` is the cylinder's actual speed."""
+        """Advance to ``t_ns``; ``speed_mm_s`` is the cylinder's actual speed."""
         passed_ns = t_ns - self._since_ns
         if self.phase is Phase.STOPPING:
             left = abs(self._start_velocity) - self._deceleration * passed_ns * 1e-9 if passed_ns > 0 else math.inf

@@ -1,4 +1,4 @@
-"""The test bench's own handle on the simulated rig, as a CANopen node: start the move, see the truth."""
+"""The simulator node: tests start the move, press the emergency stop and read the truth through it."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class Simulator(Node):
     """Objects 0x2000 (start), 0x2001 (moving), 0x2100 (true vertical tension), 0x2101 (true stroke), and the E-stop.
 
     The emergency stop is one button (0x2002) with a contact for the drive and one for the I/O node, where there is one;
-    0x2003 opens that of the I/O node alone. 0x2004 (um/s) has a service tool move the drive.
+    0x2003 opens that of the I/O node alone. 0x2004 (um/s) makes a service tool move the drive.
 
     Args:
         start_motion: starts the move; False when it cannot (one is under way, or there is none to start).
-        drive: whose emergency stop is pressed and released.
-        io: that mirrors it, if one is fitted.
+        drive: drive whose emergency stop is pressed and released.
+        io: I/O node that mirrors it, if one is fitted.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Tension amplifier, CiA 404: the rope's tension at its upper end, with all that cell and amplifier add."""
+"""Tension amplifier, CiA 404: the rope's tension at its upper end, with the errors of cell and amplifier."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class TensionAmplifier(Node):
         self.readers[objects.AI_STATUS, 1] = lambda: self._status
 
     def advance(self, _: int) -> None:
-        """Follow the tension; it is sampled by SYNC, not by the amplifier's clock."""
+        """Follow the tension; SYNC samples it, not the amplifier's clock."""
         self._measurement.advance()
 
     def on_sample(self) -> None:

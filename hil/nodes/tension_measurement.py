@@ -1,4 +1,4 @@
-"""What cell and amplifier make of the rope's tension, whatever protocol they speak."""
+"""Errors of cell and amplifier on the rope's tension, whatever the protocol."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _NS_PER_H = 3_600_000_000_000
 
 
 class TensionMeasurement:
-    """The rope's tension at its upper end, sampled when asked.
+    """The rope's tension at its upper end, sampled on demand.
 
-    The cell creeps, drifts and has errors of zero and gain, the amplifier filters, then come noise (as stated: of what
-    is sent), range and resolution. Creep and filter are analogue: they follow the tension between samples too, as a
-    straight line from one ``advance`` or ``sample`` to the next. Cell and amplifier start unloaded.
+    The cell creeps, drifts and has errors of zero and gain, the amplifier filters, then come noise (of the value sent),
+    range and resolution. Creep and filter are analogue: they follow the tension between samples too, as a straight line
+    from one ``advance`` or ``sample`` to the next. Cell and amplifier start unloaded.
     """
 
     def __init__(self, settings: RigSettings, simulation: SimulationSettings, plant: Plant) -> None:

@@ -1,4 +1,4 @@
-"""The runs of the study. One rig file for all of them: a case changes the spring and the mechanism's move, no more."""
+"""The runs of the study. All use one rig file: a case changes only the spring and the mechanism's move."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hil.plant.moves import leg, out_and_back
 from rigctl.config.settings import RigSettings
 
 RAMP_S = 2.0
-"""Time in which the mechanism reaches its speed, whatever the speed; the paper gives none."""
+"""Time in which the mechanism reaches its speed, for every speed; the paper gives none."""
 
 SECONDS = 30.0
 STIFFNESSES_N_MM = (6.0, 13.0, 20.0, 27.0, 34.0)
@@ -26,13 +26,13 @@ TURN_DEG = 13.0
 RAIL_LEVEL_MM = 0.5
 """Figure 9: the rail falls by this over the 13 degrees, section 2.3 names its tolerance of 0.5 mm ..."""
 MECHANISM_LEVEL_MM = 1.0
-"""... and the mechanism's own plane rises by this: together 1.5 mm, the 3 % of the experiment."""
+"""... and the mechanism's own plane rises by this: together 1.5 mm, 3 % in the experiment."""
 VIBRATION_MM, VIBRATION_HZ = 0.05, 3.0
-"""Figure 9: the building under the rig; the paper names vibration and gives no figure."""
+"""Figure 9: vibration of the building under the rig; the paper mentions it without a figure."""
 
 
 class Case(NamedTuple):
-    """One run: what is changed in the rig file, and what is prescribed."""
+    """One run: its changes to the rig file, and its prescribed motion."""
 
     name: str
     title: str

@@ -1,4 +1,4 @@
-"""What the paper says, figure by figure, and how it is read off our runs."""
+"""The paper's statements, figure by figure, and their measurement in our runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TARGET_N = 300.0
 """The paper's F_d."""
 Runs = Mapping[str, Signals]
 BROAD = 1e3
-"""Upper bound of a trend: how much is not said."""
+"""Upper bound of a trend whose size is not stated."""
 
 
 class Claim(NamedTuple):
@@ -32,23 +32,23 @@ class Claim(NamedTuple):
     measure: Callable[[Runs], float]
     note: str = ""
     shortfall: str = ""
-    """Why the model cannot agree, where that is known: such a row is reported as differing, with this reason."""
+    """Why the model cannot agree, where known: such a row is reported as differing, with this reason."""
 
 
 class Row(NamedTuple):
-    """A claim and what the model makes of it."""
+    """A claim and the model's value."""
 
     claim: Claim
     model: float
 
     @property
     def ok(self) -> bool:
-        """Whether the model lies in the claim's range; a quantity that does not exist does not."""
+        """Whether the model's value lies in the claim's range; a quantity that does not exist does not."""
         return self.claim.low <= self.model <= self.claim.high
 
     @property
     def explained(self) -> bool:
-        """Whether it agrees, or is known not to and why."""
+        """Whether the row agrees, or differs for a known reason."""
         return self.ok or bool(self.claim.shortfall)
 
 
@@ -239,7 +239,6 @@ def _figure_9() -> list[Claim]:
         return 100.0 - _peak_eta(FIGURE_9)(runs)
 
     def fluctuation(runs: Runs) -> float:
-        """Standard deviation of Fz over a second: what fluctuates, without what drifts; median second."""
         return _fluctuation(runs[FIGURE_9])
 
     return [

@@ -1,4 +1,4 @@
-"""The study's plots, laid out like the paper's figures: locked on the left, the loop closed beside it."""
+"""The study's plots, laid out like the paper's figures: locked on the left, with the loop closed beside it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run of the study leaves: the plant's truth as arrays, and the figures read off them."""
+"""Signals of a run of the study: the plant's truth as arrays, and the figures calculated from them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rigctl.metrics.tension_error import error_pct
 Floats = npt.NDArray[np.float64]
 
 PLATEAU_S = 10.0
-"""The continuous following stage is looked at from here to the end."""
+"""The continuous following stage is evaluated from here to the end."""
 
 
 class Signals(NamedTuple):
@@ -31,7 +31,7 @@ class Signals(NamedTuple):
 
     @classmethod
     def of(cls, t_s: Floats, truth: npt.NDArray[Any]) -> Signals:
-        """From a truth log and its time base; what came before the start is left out."""
+        """From a truth log and its time base; records before the start are left out."""
         log = truth[t_s >= 0.0]
         return cls(
             t_s[t_s >= 0.0],

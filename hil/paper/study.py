@@ -21,7 +21,7 @@ _MOST_WORKERS = 4
 
 
 class Closed(NamedTuple):
-    """A case with the loop closed: truth, and how it ended."""
+    """A case with the loop closed: the truth, and how it ended."""
 
     signals: Signals
     eta_max_pct: float
@@ -60,7 +60,7 @@ def run(rig: RigSettings, done: Callable[[str], None]) -> Study:
 
 
 def runs() -> int:
-    """How often ``done`` will be called."""
+    """Number of calls of ``done``."""
     return 2 * len(cases())
 
 

@@ -1,4 +1,4 @@
-"""The study in words and numbers: a table per figure for people, rows for programs."""
+"""The study's results: a table per figure for people, rows for programs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TITLES = {
 
 
 def show(rows: list[Row], study: Study, console: Console) -> None:
-    """Print a table per figure with what there is to say about its rows, then the closed loop."""
+    """Print a table per figure with the remarks on its rows, then the closed loop."""
     for figure, title in _TITLES.items():
         table = Table("quantity", title=title, title_justify="left", box=None, pad_edge=False)
         for column in ("paper", "ours", "difference", "expected"):
@@ -83,7 +83,7 @@ def document(rows: list[Row], study: Study) -> dict[str, Any]:
 
 
 def remark(row: Row) -> str:
-    """What there is to say about a row: where the paper contradicts itself, and why ours differs."""
+    """Remarks on a row: where the paper contradicts itself, and why the model differs."""
     said = [row.claim.note] if row.claim.note else []
     if not row.ok and row.claim.shortfall:
         said.append(f"ours differs: {row.claim.shortfall}")

@@ -13,7 +13,7 @@ from hil.plant.layout import PARAMETERS, STATE, VIEW
 
 
 def main() -> None:
-    """Call every entry of the kernel once, for no time at all; numba keeps what it compiled beside the source."""
+    """Call every entry of the kernel once with no steps; numba caches the compiled code beside the source."""
     start = time.perf_counter()
     parameters, state, view = np.zeros(1, PARAMETERS), np.zeros(1, STATE), np.zeros(1, VIEW)
     for name in ("elements", "rope_length", "payload_mass"):

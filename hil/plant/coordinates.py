@@ -19,7 +19,7 @@ down there and up in equation (12).
 
 The plant works in the room's frame with x along the normal and y along the tangent at angle 0, as its layout says:
 the paper's (x, y) is the room's (y, x). Lengths are mm, angles rad; places and rates have
-shape (5,). ``Frame`` is what is prescribed at that moment.
+shape (5,). ``Frame`` holds the prescribed motion at that moment.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is prescribed to the plant from outside, as the kernel reads it: cubic segments and tones per channel."""
+"""The plant's prescribed inputs as the kernel reads them: cubic segments and tones per channel."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Track(NamedTuple):
     segments: Floats = np.zeros((0, SEGMENT_COLUMNS))
     tones: Floats = np.zeros((0, TONE_COLUMNS))
     end: float = 0.0
-    """When nothing changes any more; s, or rad for the run-out."""
+    """End of the last change; s, or rad for the run-out."""
 
 
 class Inputs(NamedTuple):

@@ -1,4 +1,4 @@
-"""The plant's equations of motion and their integration, compiled by numba. One file: numba's cache watches no other.
+"""The plant's equations of motion and their integration, compiled by numba. One file: numba's cache checks no other.
 
 Units are mm, N, t (tonne) and s, which agree: a force over a mass is an acceleration in mm/s2. Coordinates: rail angle
 ``phi`` about the shaft, pulley radius ``r`` along the rail, and the payload's displacement ``u`` from where the
@@ -35,15 +35,15 @@ from hil.plant.layout import (
 GRAVITY = 9806.65
 KG = 1.0e-3
 _SWEEPS = 40
-"""Of rail and pulley, whose friction depends on each other's; two are enough where their inertia is not coupled."""
+"""Most sweeps over rail and pulley, whose frictions depend on each other; two suffice if their inertia is uncoupled."""
 _PASSES = 12
-"""Of the kick; three are usual."""
+"""Most passes of the kick; three are usual."""
 _SETTLED, _ROUNDING = 1.0e-12, 1.0e-15
 """A kick has settled when it changes by less than this: relative to itself, relative to the rates."""
 _LEAST_PAYLOAD = 0.1
-"""Of the payload's mass stays, whatever is taken off: without mass a free axis has no equation of motion."""
+"""Share of the payload's mass that always stays: without mass a free axis has no equation of motion."""
 _SHORTEST = 1.0e-9
-"""mm, of an element: a direction needs a length."""
+"""mm, shortest element: a direction needs a length."""
 
 _STILL = (0.0, 0.0, 0.0)
 
@@ -85,7 +85,7 @@ def profile(inputs: Any, channel: int, at: float) -> tuple[float, float, float]:
 
 @_jit
 def in_use(inputs: Any) -> int:
-    """Bit n is set when channel n has anything in it; calling ``profile`` for the others would take half the time."""
+    """Bit n is set when channel n is not empty; calling ``profile`` for the empty ones would take half the time."""
     spans, tone_spans = inputs[1], inputs[3]
     used = 0
     for channel in range(len(spans)):
@@ -96,13 +96,13 @@ def in_use(inputs: Any) -> int:
 
 @_jit
 def screw_error(p: Any, motor: float) -> float:
-    """Ripple: what the screw adds to the stroke within each turn."""
+    """Ripple: addition of the screw to the stroke within each turn."""
     return p.ripple * math.sin(2.0 * math.pi * motor / p.screw_lead) if p.ripple > 0.0 else 0.0
 
 
 @_jit
 def cylinder(p: Any, x: Any, h: float, command: float, braked: bool) -> None:
-    """``ds/dt = v``, ``tau dv/dt = sat(u) - v`` with the lag exact, then what screw and nut make of it."""
+    """``ds/dt = v``, ``tau dv/dt = sat(u) - v`` with the lag exact, then the errors of screw and nut."""
     if braked:
         x.motor_speed = 0.0
     else:
@@ -164,7 +164,7 @@ def chain(
 def pull(p: Any, stretch: float, rate: float, drag: float) -> float:
     """Tension: spring and rope in series (equation 17) with damping ``D_l`` (equation 14); a rope cannot push.
 
-    ``rate`` is what it would be without tension if ``drag`` is the share of its own force the damping feels.
+    ``rate`` is the rate without tension; ``drag`` is the damping times what a newton of tension takes off that rate.
     """
     return max(0.0, p.stiffness * stretch + p.damping * rate) / (1.0 + drag) if stretch > 0.0 else 0.0
 
@@ -204,7 +204,7 @@ def step(  # noqa: PLR0912, PLR0915 - equation (15) in one piece; parts would ha
         nodes[i, 0] += half * nodes[i, 2]
         nodes[i, 1] += half * nodes[i, 3]
 
-    # what is prescribed there
+    # the prescribed motion there
     middle = t + half
     psi, omega, alpha = profile(inputs, MECHANISM, middle) if used & 1 << MECHANISM else _STILL
     high, high_rate, high_acceleration = profile(inputs, HEIGHT, middle) if used & 1 << HEIGHT else _STILL
@@ -248,7 +248,7 @@ def step(  # noqa: PLR0912, PLR0915 - equation (15) in one piece; parts would ha
         for i in range(last):
             ex, ey = pulls[i + 1, 0] - pulls[i, 0], pulls[i + 1, 1] - pulls[i, 1]
             bends += ex * ex + ey * ey
-        # a jolt beyond what the step was checked for: nodes too quick for the step move as if they were heavier
+        # a jolt beyond the range checked for this step: nodes too fast for the step move as if they were heavier
         shortest = max(abs(drop) / count, _SHORTEST)
         node = max(node, h * h * p.stiffness * (4.0 * max(0.0, stretch) / shortest + bends))
         decay = half * p.node_damping / node
@@ -270,8 +270,8 @@ def step(  # noqa: PLR0912, PLR0915 - equation (15) in one piece; parts would ha
     d1, d2 = half * p.rail_viscous * r * r, half * p.pulley_viscous
     e11, e22 = a11 + d1, a22 + d2
 
-    # speed of shortening which the tension's impulse causes, per N s: what the axial damping acts back on. A bound
-    # for the ends: it makes the passes below converge and has no part in what they converge to
+    # speed of shortening per N s of the tension's impulse, on which the axial damping acts back; an upper bound for the
+    # ends: it makes the passes below converge and does not change their result
     mobility = (pulls[0, 0] * pulls[0, 0] + pulls[0, 1] * pulls[0, 1]) / m_upper
     mobility += (pulls[last, 0] * pulls[last, 0] + pulls[last, 1] * pulls[last, 1]) * max(free_t, free_n) / m_lower
     mobility += cosine * cosine * (free_z / m_lower_z + j_phi_z * j_phi_z / a11 + j_r_z * j_r_z / a22)
@@ -314,7 +314,7 @@ def step(  # noqa: PLR0912, PLR0915 - equation (15) in one piece; parts would ha
                 impulse = half * was_tension / node
                 along -= (ex * (nodes[i, 2] + impulse * ex) + ey * (nodes[i, 3] + impulse * ey)) / (1.0 + decay)
         rate = along + cosine * drop_rate + stroke_rate
-        # implicit in the damping: rate answers to the last pass's tension by -mobility h / 2
+        # implicit in the damping: the last pass's tension changed the rate by -mobility h / 2 per newton
         tension = pull(p, stretch, rate + half * mobility * was_tension, drag)
 
         # forces of the rope on pulley (rail's frame) and payload (mechanism's frame): g of equation (15)
@@ -333,7 +333,7 @@ def step(  # noqa: PLR0912, PLR0915 - equation (15) in one piece; parts would ha
         bl_n = -2.0 * omega * vt - alpha * ut - omega * omega * out
         bl_z = high_acceleration
 
-        # right hand side for (phi, r): forces, less inertia of what moves anyhow
+        # right hand side for (phi, r): forces, less the inertia forces of those accelerations
         bu_mt = bu_t * ct - bu_r * st  # in the mechanism's frame
         bu_mn = bu_t * st + bu_r * ct
         own_t = free_t * (low_t - m_cross * bu_mt - m_lower * bl_t) / e_t
@@ -425,7 +425,7 @@ def run(
 def observe(
     parameters: Any, state: Any, nodes: Any, pulls: Any, inputs: Any, view: Any, t: float, ahead: float, braked: bool
 ) -> None:
-    """What there is to see ``ahead`` seconds after the state's time ``t``, into ``view``."""
+    """Write the view of the state ``ahead`` seconds after its time ``t`` into ``view``."""
     p, x, seen = parameters[0], state[0], view[0]
     now = t + ahead
     count = int(p.elements)

@@ -1,4 +1,4 @@
-"""Memory the compiled plant works on: parameters, state, and the channels of what is prescribed from outside."""
+"""Memory layout of the compiled plant: parameters, state, and the channels of prescribed inputs."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ def leg(start_s: float, origin: float, target: float, speed: float, acceleration
     sign = math.copysign(1.0, target - origin)
     top = min(speed, math.sqrt(way * acceleration))
     ramp_s = top / acceleration
-    cruise_s = max(0.0, way / top - ramp_s)  # a triangle's may round to less than nothing
+    cruise_s = max(0.0, way / top - ramp_s)  # of a triangle, rounding may make it negative
     bend = 0.5 * sign * acceleration
     ramp = bend * ramp_s * ramp_s
     end_s = start_s + 2.0 * ramp_s + cruise_s

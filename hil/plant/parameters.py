@@ -96,7 +96,7 @@ def _check_step(values: dict[str, float], step_us: int) -> None:
             f"plant.rope_length_mm: found {distance:g}, expected more than the stroke {values['stroke_high']:g}"
         )
     mass = values["payload_mass"]
-    # of a rope that hangs level, or of its end elements under all the tension there can be; near plumb it is far slower
+    # of a level rope, or of its end elements under the highest possible tension; near plumb it is far slower
     rates = [math.sqrt(stiffness * values["elements"] / values["pulley_mass"])]
     for axis in AXES:
         if values[f"{axis}_free"]:

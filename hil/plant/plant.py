@@ -29,8 +29,8 @@ class Swing(NamedTuple):
 class Plant:
     """Rail, pulley, rope, mechanism and cylinder, integrated in fixed steps.
 
-    The state moves on the grid only, so the result depends on when inputs change and not on how ``advance`` is
-    chopped up; ``truth`` at a time between grid points is extrapolated from the last one.
+    The state moves on the grid only, so the result depends on when inputs change and not on the steps of ``advance``;
+    ``truth`` at a time between grid points is extrapolated from the last one.
 
     Args:
         settings: needs the ``simulation`` section.
@@ -66,7 +66,7 @@ class Plant:
         self._end_ns = start_ns
         self._truth: Truth | None = None
         self._hang(simulation.pulley.rest_share)
-        self._run(0)  # numba compiles or loads the kernel here, not when time is short
+        self._run(0)  # numba compiles or loads the kernel here, before real time begins
 
     @property
     def at_stroke_end(self) -> bool:
@@ -76,7 +76,7 @@ class Plant:
 
     @property
     def moving(self) -> bool:
-        """Whether what was started by ``start_motion`` is under way."""
+        """Whether a motion begun by ``start_motion`` is under way."""
         return self.t_ns < self._end_ns
 
     @property
@@ -88,7 +88,7 @@ class Plant:
 
     @property
     def swing(self) -> Swing:
-        """Accelerations of the rope's ends, which an accelerometer on the rope reads too."""
+        """Accelerations of the rope's ends, which an accelerometer on the rope measures too."""
         assert self.truth is not None
         return Swing(*self._view[0].tolist()[_SWING])
 
@@ -102,7 +102,7 @@ class Plant:
             self._truth = None
 
     def start_motion(self, tracks: Mapping[int, Track], t_ns: int) -> None:
-        """Prescribe what happens from ``t_ns`` on, by channel of ``hil.plant.layout``; replaces what was before."""
+        """Prescribe tracks from ``t_ns`` on, by channel of ``hil.plant.layout``; replaces the previous ones."""
         self._inputs = pack(tracks)
         self._origin_ns = t_ns
         ends = [track.end for channel, track in tracks.items() if channel != RUN_OUT]
@@ -110,14 +110,14 @@ class Plant:
         self._truth = None
 
     def preload(self, tension_n: float) -> None:
-        """Set the stroke at which the plant as it stands has this tension at rest; nothing else moves."""
+        """Set the stroke at which the plant in its present state has this tension at rest; nothing else moves."""
         p, x = self.parameters[0], self.state[0]
         if p["vertical_free"]:
             x["uz"] = (tension_n - 0.5 * p["rope_mass"] * kernel.GRAVITY) / p["vertical_stiffness"]
         self._look()
         x["play"] = 0.0
         x["motor"] += tension_n / p["stiffness"] - self._view[0]["stretch"]
-        for _ in range(_SCREW_TURNS):  # the screw adds its own error to the stroke; it is a small one
+        for _ in range(_SCREW_TURNS):  # the screw's own error depends on the stroke; it is small
             x["stroke"] = x["motor"] + kernel.screw_error(p, x["motor"])
             self._look()
             x["motor"] += tension_n / p["stiffness"] - self._view[0]["stretch"]

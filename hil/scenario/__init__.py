@@ -1,1 +1,1 @@
-"""One scenario, described in a file, played against the simulated rig: docs/scenario.md is its page."""
+"""One scenario, described in a file and played on the simulated rig; see docs/scenario.md."""

@@ -1,4 +1,4 @@
-"""A scenario ready to be played: read, its rig put together, and one held against the other."""
+"""A scenario ready to be played: read, with its rig's settings, and checked against them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is fine in the scenario alone but does nothing, or nonsense, on the rig it names."""
+"""Checks of a scenario against its rig: what is valid by itself but has no effect, or no meaning, on that rig."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from rigctl.config.settings import RigSettings
 from rigctl.config.wording import Path
 
 STEPS_PER_PERIOD = 10
-"""Integration steps the shortest period prescribed must have."""
+"""Fewest integration steps in the shortest prescribed period."""
 STEPS_PER_BLOW = 5
 
 _Finding = tuple[Path, object, str]
 
 
 def check(source: ScenarioFile, settings: RigSettings) -> None:
-    """Hold the scenario against its rig.
+    """Check the scenario against its rig.
 
     Raises:
         ScenarioError: one line per contradiction.
@@ -29,7 +29,7 @@ def check(source: ScenarioFile, settings: RigSettings) -> None:
 
 
 def _timing(source: ScenarioFile) -> Iterator[_Finding]:
-    """A disturbance that begins after the end is a mistake in one of the two numbers."""
+    """A disturbance that begins after the end means that one of the two numbers is wrong."""
     end_s = source.scenario.duration_s
     disturbances = source.scenario.disturbances
     for name in type(disturbances).model_fields:
@@ -41,8 +41,8 @@ def _timing(source: ScenarioFile) -> Iterator[_Finding]:
 
 
 def _rigid_axes(source: ScenarioFile, settings: RigSettings) -> Iterator[_Finding]:
-    """A force or a weight moves the payload only where the mechanism gives way."""
-    assert settings.simulation is not None  # settings_of has refused it
+    """A force or a change of mass moves the payload only where the mechanism is not rigid."""
+    assert settings.simulation is not None  # settings_of raises without it
     mechanism = settings.simulation.mechanism
     disturbances = source.scenario.disturbances
     for i, impact in enumerate(disturbances.impacts):
@@ -63,8 +63,8 @@ def _gives_way(axis: str) -> str:
 
 
 def _resolution(source: ScenarioFile, settings: RigSettings) -> Iterator[_Finding]:
-    """Nothing prescribed may be too quick for the integration."""
-    assert settings.simulation is not None  # settings_of has refused it
+    """The integration must resolve every prescribed motion."""
+    assert settings.simulation is not None  # settings_of raises without it
     step_s = settings.simulation.step_us * 1e-6
     highest_hz = 1.0 / (STEPS_PER_PERIOD * step_s)
     shortest_s = STEPS_PER_BLOW * step_s

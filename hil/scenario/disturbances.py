@@ -26,11 +26,11 @@ Tracks = dict[int, Track]
 
 
 def tracks(disturbances: Disturbances, duration_s: float) -> Tracks:
-    """Everything that is prescribed, by channel of ``hil.plant.layout``.
+    """All disturbances as tracks, by channel of ``hil.plant.layout``.
 
     Args:
-        disturbances: what the scenario file says.
-        duration_s: of the run; what has no end of its own goes on beyond it.
+        disturbances: from the scenario file.
+        duration_s: of the run; a disturbance without an end of its own goes on beyond it.
     """
     parts: dict[int, list[Track]] = {}
 
@@ -160,7 +160,7 @@ def mass_change(change: kinds.MassChange) -> Track:
 
 
 def summed(parts: Sequence[Track]) -> Track:
-    """One track that is the sum of several: the segments of all, cut at every one's ends."""
+    """One track that is the sum of several, with segments cut at the ends of all."""
     curves = [part.segments for part in parts if len(part.segments)]
     starts = np.unique(np.concatenate([curve[:, 0] for curve in curves])) if curves else np.zeros(0)
     rows = np.zeros((len(starts), SEGMENT_COLUMNS))
@@ -182,7 +182,7 @@ def _expanded(curve: Floats, at: float) -> tuple[float, float, float, float]:
 
 
 def _ways(way: float, speed: float, acceleration: float, start_s: float, dwell_s: float, repeats: int) -> Track:
-    """Out once (``repeats`` 0), or out and back as often as that, with a rest before each way but the first."""
+    """Out once (``repeats`` 0), or out and back ``repeats`` times, with a rest before each way but the first."""
     places = [0.0, way] if repeats == 0 else [0.0, *[way, 0.0] * repeats]
     rows: list[Row] = []
     at = start_s

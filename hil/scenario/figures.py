@@ -1,4 +1,4 @@
-"""What a run is judged by: figures over windows, from the plant's truth, and the loop's own view beside them."""
+"""Figures of a run over windows, from the plant's truth, and from the loop's records beside them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Values = dict[str, float | None]
 
 FALL = 0.05
 """A maximum is the first peak once the curve has fallen below it by this share of its whole rise: above the ripple of
-friction on the way up, below what the paper's moves give back (11 % at 0.25 deg/s, 82 % at 2 deg/s)."""
+friction on the way up, below the fall in the paper's moves (11 % at 0.25 deg/s, 82 % at 2 deg/s)."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure: its name, which ends in its unit, what it is, and how it is had from a window."""
+    """One figure: its name, which ends in its unit, its description, and its calculation from a window."""
 
     name: str
     meaning: str
@@ -85,7 +85,7 @@ def _max_abs(values: Floats) -> float:
 def first_peak(values: Floats) -> int | None:
     """Index of the first maximum from which a curve falls by ``FALL`` of its whole rise; None if it never does.
 
-    Of the vertical force in a move it is the transition, the end of the paper's initial following stage.
+    For the vertical force in a move it is the transition, the end of the paper's initial following stage.
     """
     highest = np.maximum.accumulate(values)
     rise = float(highest[-1] - values[0])
@@ -165,11 +165,11 @@ LOOP_FIGURES = (
     Figure("skipped", "ticks skipped", _growth("skipped")),
     Figure("frames_lost", "CAN frames lost", _growth("frames_lost")),
 )
-"""From the loop's records: what it believed, which is not what was so."""
+"""From the loop's records: its estimate, which may differ from the truth."""
 
 
 def figures(played: Played, windows: Mapping[str, tuple[float, float]]) -> dict[str, dict[str, Values] | None]:
-    """``truth`` and ``loop``: for every window, every figure by name; None for what cannot be said.
+    """``truth`` and ``loop``: for every window, every figure by name; None for a figure that does not exist.
 
     Args:
         played: the run.

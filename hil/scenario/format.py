@@ -1,4 +1,4 @@
-"""The scenario file (YAML) as frozen, validated settings; docs/scenario.md is its page."""
+"""The scenario file (YAML) as frozen, validated settings; see docs/scenario.md."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rigctl.config.settings_base import Settings, require
 from rigctl.config.wording import Path, Wording
 
 WHOLE_RUN = "run"
-"""Name of the window that is always there."""
+"""Name of the window that every scenario has."""
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 
@@ -65,7 +65,7 @@ class Scenario(Settings):
 
 @dataclass(frozen=True)
 class ScenarioFile:
-    """A scenario with the file it came from, so that later findings can name their line."""
+    """A scenario with its source file, so that later findings can name their line."""
 
     scenario: Scenario
     file: pathlib.Path
@@ -73,12 +73,12 @@ class ScenarioFile:
     wording: Wording
 
     def refusal(self, path: Path, found: object, allowed: str) -> ScenarioError:
-        """An error about what stands at ``path``."""
+        """An error about the entry at ``path``."""
         return ScenarioError([self.wording.say(path, found, allowed)])
 
 
 def read(path: str | pathlib.Path) -> ScenarioFile:
-    """Read and validate a scenario file; the rig it names is not looked at.
+    """Read and validate a scenario file; the rig it names is not read.
 
     Raises:
         ScenarioError: one line per finding, ``FILE:LINE: key: found X, expected Y``.
@@ -96,7 +96,7 @@ def read_yaml(file: pathlib.Path) -> strict_yaml.Document:
     """A file that is a mapping of keys.
 
     Raises:
-        ScenarioError: it cannot be read, is no text, no YAML, or something else than a mapping.
+        ScenarioError: the file cannot be read, is not text, not YAML, or not a mapping.
     """
     try:
         document = strict_yaml.read(file)

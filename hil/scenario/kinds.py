@@ -1,4 +1,4 @@
-"""The disturbances a scenario may have, as they are written: one class per kind, in the order docs/scenario.md has."""
+"""The disturbances of a scenario file: one class per kind, in the order of docs/scenario.md."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rigctl.config.settings_base import Settings, require
 
 LONGEST_S = 3600
 HIGHEST_HZ = 500
-"""Half of the rate the truth is sampled at: what is faster would be shown as something else."""
+"""Half the sampling rate of the truth: faster motion would alias."""
 
 Start = Annotated[float, Field(ge=0, le=LONGEST_S, description="when it begins")]
 Duration = Annotated[
@@ -74,7 +74,7 @@ class LiftAndBack(_Lift, _Returning):
 
 
 class _Passing(Settings):
-    """What begins and ends softly."""
+    """A disturbance with soft beginning and end."""
 
     start_s: Start = 0.0
     duration_s: Duration = None
@@ -193,7 +193,7 @@ Impact = Annotated[Impulse | Jolt, Field(discriminator="kind")]
 
 
 class Disturbances(Settings):
-    """What happens to the rig: each a list, whose items add up."""
+    """All disturbances of a scenario: each kind is a list, whose items add up."""
 
     mechanism: list[Rotation] = Field(default_factory=list, description="rotation of the mechanism")
     vertical: list[Vertical] = Field(default_factory=list, description="vertical motion of the mechanism")

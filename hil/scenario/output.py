@@ -1,4 +1,4 @@
-"""What ``python -m hil scenario`` says: JSON for programs, a table for people."""
+"""Output of ``python -m hil scenario``: JSON for programs, a table for people."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COLUMNS = 4
 
 
 def as_dict(case: Case, played: Played) -> dict[str, Any]:
-    """Everything that is said, for JSON."""
+    """All results, for JSON."""
     scenario = case.scenario
     return {
         "scenario": scenario.scenario,
@@ -38,7 +38,7 @@ def as_dict(case: Case, played: Played) -> dict[str, Any]:
 
 
 def show(said: dict[str, Any], console: Console) -> None:
-    """Print what ``as_dict`` says."""
+    """Print the results of ``as_dict``."""
     how = "the loop at work" if said["controller"] == "loop" else "cylinder locked"
     console.print(
         f"[bold]{said['scenario']}[/] on {said['rig']}: {said['duration_s']:g} s, {how}, target {said['target_n']:g} N",

@@ -26,28 +26,28 @@ from rigctl.design.gains import DesignError
 LOCKED_PERIOD_NS = 1_000_000
 PREPARING = "preparing the plant (compiled once)"
 CHUNK_S = 0.25
-"""Simulated time between two looks at the progress bar."""
+"""Simulated time between two updates of the progress bar."""
 WAKE_S = 0.2
-"""Until every signal is fresh."""
+"""Time until every signal is fresh."""
 TENSIONING_SPARE_S = 20.0
 
 Advance = Callable[[float, str], None]
-"""Called with seconds of the run done since the last call (0 while it is being prepared), and what is being done."""
+"""Called with the seconds of the run done since the last call (0 in preparation), and the activity in words."""
 
 
 @dataclass(frozen=True)
 class Ended:
     """How a run ended."""
 
-    mode: str  # of the loop; LOCKED without one
-    fault: str  # latched; NONE for none
+    mode: str  # the loop's; LOCKED without a loop
+    fault: str  # latched; NONE without one
     tripped: bool
     tripped_at_s: float | None
 
 
 @dataclass(frozen=True)
 class Played:
-    """What a run left behind. Times are from the disturbances' start."""
+    """Results of a run. Times are from the disturbances' start."""
 
     controller: Literal["loop", "locked"]
     target_n: float
@@ -56,7 +56,7 @@ class Played:
     t_s: npt.NDArray[np.float64]
     """Time of each row of ``truth``."""
     records: npt.NDArray[Any] | None
-    """What the loop wrote, one per tick; None when locked."""
+    """The loop's records, one per tick; None when locked."""
     records_t_s: npt.NDArray[np.float64] | None
     """Time of each record."""
     ended: Ended
@@ -85,8 +85,8 @@ def play(
         target_n: vertical tension to hold.
         settle_s: time in COMPENSATING before time 0; ``loop`` only.
         gains: of the law; None designs them and refuses what ``rigctl run`` would refuse.
-        law: makes another law than ours, see `rigctl.control.loop.Loop`.
-        progress: told what is done.
+        law: makes another law than the standard one, see `rigctl.control.loop.Loop`.
+        progress: called with the progress.
 
     Raises:
         ScenarioError: the rig cannot be simulated or its design is refused (2), or it does not get as far as
@@ -111,7 +111,7 @@ def design(settings: RigSettings) -> Gains:
     """The gains ``rigctl run`` would use.
 
     Raises:
-        ScenarioError: there are none, or it would refuse them.
+        ScenarioError: the design fails, or ``rigctl run`` would refuse it.
     """
     try:
         found = design_in_use(settings)
@@ -162,7 +162,7 @@ def _bring_to_target(rig: Lockstep, target_n: float, settle_s: float, tell: Adva
         _command(rig, Verb.TARGET, target_n)
     _command(rig, Verb.TENSION)
     k_n_mm = rig.settings.plant.stiffness_n_mm
-    take_up_mm_s = min(tension.speed_max_mm_s, tension.ramp_n_s / k_n_mm)  # slack goes at the speed of the ramp
+    take_up_mm_s = min(tension.speed_max_mm_s, tension.ramp_n_s / k_n_mm)  # slack is taken up at the speed of the ramp
     way_mm = simulation.rope.slack_mm + target_n / k_n_mm
     limit_s = TENSIONING_SPARE_S + target_n / tension.ramp_n_s + way_mm / take_up_mm_s
     waited_s = 0.0
@@ -222,4 +222,4 @@ def _chunks(count: int, period_ns: int) -> Iterator[tuple[int, int]]:
 
 
 def _nothing(_seconds: float, _doing: str) -> None:
-    """For those who do not want to know."""
+    """The default progress callback: does nothing."""

@@ -1,4 +1,4 @@
-"""The picture of a run, laid out like the paper's figures: force, inclinations, pulley; with the loop also its work."""
+"""The plot of a run, laid out like the paper's figures: force, inclinations, pulley; with the loop, also its action."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".png", ".svg", ".pdf")
 MOST_POINTS = 6000
-"""More than this cannot be seen; of every stretch the lowest and the highest are kept."""
+"""More points than this are not visible; the lowest and the highest of every stretch are kept."""
 
 _TRUTH, _VIEW, _SPEED, _GREY, _ALARM = "#1f4e79", "#f0b98d", "#8cc5a2", "#8a8a8a", "#b00020"
 
@@ -27,7 +27,7 @@ def plot(case: Case, played: Played, file: pathlib.Path) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    import matplotlib as mpl  # 0.5 s: only where there is a picture
+    import matplotlib as mpl  # 0.5 s to import: only where a plot is drawn
     from matplotlib.figure import Figure
 
     mpl.rcParams.update({"svg.hashsalt": "rigctl", "axes.spines.top": False, "axes.spines.right": False})
@@ -92,7 +92,7 @@ def _work_of_the_loop(stroke: Axes, error: Axes, played: Played) -> None:
 
 
 def _seen_by_the_loop(axes: list[Axes], played: Played) -> None:
-    """The cell and the inclinometer, behind the truth."""
+    """The measurements of cell and inclinometer, behind the truth."""
     assert played.records is not None and played.records_t_s is not None
     seen = [("vertical_n", 1.0), ("tangential_rad", np.degrees(1.0)), ("normal_rad", np.degrees(1.0))]
     for axis, (field, scale) in zip(axes, seen, strict=True):

@@ -1,4 +1,4 @@
-"""The rig a scenario runs on: its rig file, parameter sets laid over it, and the scenario's own changes last."""
+"""The rig of a scenario: its rig file, parameter sets laid over it, and the scenario's own changes last."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from rigctl.config.wording import Path, Wording
 
 _ADDED = frozenset({"directory", "plain"})
 _DEVICE_FILES = frozenset({"eds", "dbc"})
-"""What describes the devices is read with the rig file and stays as it is there."""
+"""Sections read with the rig file, which no layer may change: they describe the devices."""
 
 
 def settings_of(source: ScenarioFile) -> RigSettings:
-    """The rig file with everything the scenario lays over it, validated as a whole.
+    """The rig file with all layers of the scenario, validated as a whole.
 
     Raises:
-        ScenarioError: one line per finding; each names the file, the line and the key that is to blame.
+        ScenarioError: one line per finding; each names the file, the line and the key at fault.
     """
     scenario = source.scenario
     rig_file = _beside(source, ("rig",), scenario.rig)
@@ -47,7 +47,7 @@ def settings_of(source: ScenarioFile) -> RigSettings:
 
 
 class _Layers(Wording):
-    """Data of several files laid over each other; every finding names the file that said it last."""
+    """Data of several files laid over each other; every finding names the file that set the value last."""
 
     def __init__(self, file: pathlib.Path, document: Document, scenario: pathlib.Path) -> None:
         super().__init__(RigSettings, _ADDED, document, file)
@@ -56,10 +56,10 @@ class _Layers(Wording):
         self._origins: dict[Path, tuple[pathlib.Path, Document, Path]] = {}
 
     def lay(self, file: pathlib.Path, document: Document, root: Path) -> None:
-        """Lay what stands at ``root`` of a document over what is there, key by key; a list or value replaces.
+        """Lay the section at ``root`` of a document over the data, key by key; a list or value replaces.
 
         Raises:
-            ScenarioError: it would change what describes the devices.
+            ScenarioError: it would change the description of the devices.
         """
         over = document.data
         for part in root:
@@ -75,15 +75,15 @@ class _Layers(Wording):
         self._data = _merged(self._data, over)
 
     def lay_one(self, file: pathlib.Path, document: Document, path: Path, key: tuple[str, str], value: object) -> None:
-        """Lay one value, which stands at ``path`` of a document, over ``key`` of the rig file."""
+        """Lay one value, from ``path`` of a document, over ``key`` of the rig file."""
         self._origins[key] = file, document, path
         self._data = _merged(self._data, {key[0]: {key[1]: value}})
 
     def settings(self, base: RigSettings) -> RigSettings:
-        """What all layers say together; ``base`` is what the rig file says alone.
+        """The settings of all layers together; ``base`` are those of the rig file alone.
 
         Raises:
-            ScenarioError: it is no rig.
+            ScenarioError: they are not valid.
         """
         added = {"directory": base.directory, "plain": base.plain}
         try:
@@ -95,7 +95,7 @@ class _Layers(Wording):
         return settings
 
     def place(self, path: Path) -> str:
-        """See `Wording`; what the rig file says alone is fine, so it is the scenario that does not go with it."""
+        """See `Wording`; the rig file alone is valid, so a contradiction is the scenario's."""
         nearest = path
         while nearest and nearest not in self._origins:
             nearest = nearest[:-1]

@@ -1,1 +1,1 @@
-"""``make bench``: what the loop costs and how late it is, against cyclictest in the same run."""
+"""``make bench``: cost and lateness of the loop, against cyclictest in the same run."""

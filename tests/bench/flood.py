@@ -1,7 +1,7 @@
 """``python -m tests.bench.flood KIND ENDPOINT RIG SECONDS``: one peer's flood of a daemon, on loopback alone.
 
-It begins at once, says one line of JSON when it is under way, ends by itself after SECONDS (at most ``SECONDS_MAX``)
-and says what it has done. Every kind is bounded in number too.
+It begins at once, prints one line of JSON when it is under way, ends by itself after SECONDS (at most ``SECONDS_MAX``)
+and prints its counts. Every kind is bounded in number too.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from tests.builders.paths import ROOT
 SECONDS_MAX = 120.0
 HALF_OPEN, SESSIONS, STALLED = 400, 999, 8
 OPENINGS_MAX, QUERIES_MAX, PAYLOADS_MAX = 50_000, 2_000_000, 200
-OUTSTANDING_MAX = 256  # queries without an answer: more would only fill this process
+OUTSTANDING_MAX = 256  # queries without a reply: more would only fill this process
 PAYLOAD_BYTES = 8 << 20
 _OPENERS = 8
 
 
 class Flood:
-    """What a flood needs: whom, until when, and what it has done so far."""
+    """A flood's target, end time and counts so far."""
 
     def __init__(self, endpoint: str, rig: str, seconds: float) -> None:
         where = endpoint.removeprefix("tcp/")
@@ -53,12 +53,12 @@ class Flood:
         return time.monotonic() >= self.until
 
     def done(self, number: int = 1) -> None:
-        """Count what was done."""
+        """Add to the count."""
         with self._lock:
             self.count += number
 
     def under_way(self) -> None:
-        """Say so, once."""
+        """Report once that the flood is under way."""
         if not self._said:
             self._said = True
             say({"under_way": self.count})
@@ -70,7 +70,7 @@ def say(message: dict[str, Any]) -> None:
 
 
 def half_open(flood: Flood) -> None:
-    """Connections that never say a word; one that is closed is opened anew."""
+    """Connections that send nothing; one that is closed is opened again."""
     selector = selectors.DefaultSelector()
     there = 0
     while not flood.over and flood.count < OPENINGS_MAX:
@@ -92,7 +92,7 @@ def half_open(flood: Flood) -> None:
 
 
 def idle_sessions(flood: Flood) -> None:
-    """Sessions that do nothing, as many as are let in."""
+    """Sessions that do nothing, as many as the gateway accepts."""
     opened: list[zenoh.Session] = []
 
     def open_some() -> None:
@@ -127,7 +127,7 @@ def _forget(_reply: zenoh.Reply) -> None:
 
 
 def _asking(flood: Flood, name: str, payload: Callable[[int], bytes], most: int) -> None:
-    """Queries as fast as one peer can, at most ``OUTSTANDING_MAX`` without an answer."""
+    """Queries as fast as one peer can send them, at most ``OUTSTANDING_MAX`` without a reply."""
     room = threading.Semaphore(OUTSTANDING_MAX)
     with _session(flood) as session:
         for number in range(most):
@@ -135,7 +135,7 @@ def _asking(flood: Flood, name: str, payload: Callable[[int], bytes], most: int)
                 return
             if not room.acquire(timeout=0.2):
                 continue
-            # The callback's end (the drop of a query's handler) is the end of the query, answered or not.
+            # The drop of a query's handler is the end of the query, answered or not.
             session.get(
                 flood.keys.command(name),
                 handler=zenoh.handlers.Callback(_forget, drop=room.release),
@@ -153,22 +153,22 @@ def _body(**values: Any) -> bytes:
 
 
 def queries(flood: Flood) -> None:
-    """One command over and over."""
+    """One command repeatedly."""
     _asking(flood, "tension", lambda _: _body(operator="flood"), QUERIES_MAX)
 
 
 def names(flood: Flood) -> None:
-    """A command under another name each time."""
+    """A command under a new operator name each time."""
     _asking(flood, "tension", lambda number: _body(operator=f"flood{number}"), QUERIES_MAX)
 
 
 def holds(flood: Flood) -> None:
-    """HOLD over and over, over the network."""
+    """HOLD repeatedly, over the network."""
     _asking(flood, "hold", lambda _: _body(operator="flood"), QUERIES_MAX)
 
 
 def lease_take(flood: Flood) -> None:
-    """The lease taken over from whoever has it, over and over."""
+    """The lease repeatedly taken over from its holder."""
     _asking(flood, "lease_take", lambda n: _body(operator=f"flood{n % 50}", reason="flood"), QUERIES_MAX)
 
 
@@ -188,7 +188,7 @@ def payloads(flood: Flood) -> None:
 
 
 def stalled(flood: Flood) -> None:
-    """Subscribers of everything that stop reading."""
+    """Subscribers to all keys that stop reading."""
     command = [sys.executable, "-m", "tests.bench.flood", "subscriber", flood.endpoint, flood.keys.rig, "120"]
     children = [subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) for _ in range(STALLED)]
     try:
@@ -206,7 +206,7 @@ def stalled(flood: Flood) -> None:
 
 
 def subscriber(flood: Flood) -> None:
-    """One of them."""
+    """One of the stalled subscribers."""
     die_with_parent(signal.SIGKILL)
     with _session(flood) as session:
         session.declare_subscriber("rigctl/**", lambda _sample: None)
@@ -233,7 +233,7 @@ def main(words: list[str]) -> int:
     (KINDS | {"subscriber": subscriber})[kind](flood)
     say({"done": flood.count})
     sys.stdout.flush()
-    os._exit(0)  # not through Zenoh's own end: hundreds of sessions take their time
+    os._exit(0)  # Zenoh's own shutdown of hundreds of sessions is slow
 
 
 @contextlib.contextmanager

@@ -1,11 +1,11 @@
-"""``python -m tests.bench holds``: how long HOLD takes while one peer floods the daemon, and whether any is lost.
+"""``python -m tests.bench holds``: time of HOLD while one peer floods the daemon, and whether any HOLD is lost.
 
-The real daemon on the simulated rig, armed; each flood comes from processes of its own, on loopback. HOLD goes the way
-``rigctl hold`` goes on the daemon's computer; over the network it is measured too, for comparison: that way a flood may
-stand in. A HOLD is lost if it is not answered, or if the loop's record does not show it.
+The real daemon on the simulated rig, armed; each flood comes from processes of its own, on loopback. HOLD takes the
+way of ``rigctl hold`` on the daemon's computer. HOLD over the network is measured too, for comparison: a flood may
+block that way. A HOLD is lost if it gets no reply, or if the loop's record does not show it.
 
-The measuring process runs before others where it may (``--as-others``: like them): how long a command waits for a
-processor of a computer that is busy with other things, floods of many processes included, is no property of the way.
+The measuring process has a higher priority where it may (``--as-others``: the usual one): the time a command waits for
+a processor of a busy computer, floods of many processes included, is no property of the way.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ from tests.live.system.test_daemon import PATIENT
 
 LIMIT_MS = 50.0
 OPERATOR = "bench"
-NETWORK_EVERY = 10  # every so many holds one goes over the network as well
-NETWORK_LOST_MAX = 2  # each takes as long as a client waits
+NETWORK_EVERY = 10  # every tenth HOLD is repeated over the network
+NETWORK_LOST_MAX = 2  # each takes the client's full time-out
 SETTLE_S = 1.0
-HUNG = "gateway_hung"  # no flood, but the gateway is stopped
+HUNG = "gateway_hung"  # no flood: the gateway is stopped
 CALM = "none"
 
 
 @dataclass(frozen=True)
 class Holds:
-    """Times of answered holds in ms, and how many were not answered or not seen in the record.
+    """Times of answered holds in ms, and the number without a reply or not in the record.
 
-    ``taken_ms``: until the tick that took it, the answer's way back not included.
+    ``taken_ms``: until the tick that carried it out, without the way of the reply.
     """
 
     ms: list[float]
@@ -73,7 +73,7 @@ class Subject:
         self._records = Runtime.of(self.rig).record_reader()
 
     def hold(self) -> tuple[float, float] | None:
-        """Milliseconds until HOLD was answered, and until the tick that took it; None if no record shows it."""
+        """Milliseconds until the reply to HOLD, and until the tick that carried it out; None if no record shows it."""
         before, start = self._taken(), time.monotonic_ns()
         answer = local_hold.hold(self.endpoint, self.rig, OPERATOR)
         passed_ms = (time.monotonic_ns() - start) / 1e6
@@ -97,7 +97,7 @@ class Subject:
 
 @contextlib.contextmanager
 def subject() -> Iterator[Subject]:
-    """The paper's rig with a name, an endpoint and folders of its own, armed."""
+    """The paper's rig with its own name, endpoint and folders, armed."""
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
         folder = pathlib.Path(name)
         file = daemons.rig_file(folder, PATIENT)
@@ -111,7 +111,7 @@ def subject() -> Iterator[Subject]:
 
 @contextlib.contextmanager
 def hung(subject: Subject) -> Iterator[None]:
-    """The gateway stands still for a while."""
+    """Stop the gateway within the context."""
     pid = subject.gateway()
     os.kill(pid, signal.SIGSTOP)
     try:

@@ -14,7 +14,7 @@ from tests.builders import daemons
 
 
 class BenchRig:
-    """The paper's rig, as `rigctl bench` runs it."""
+    """The paper's rig in the settings of `rigctl bench`."""
 
     def __init__(self, rate_hz: int, stack: contextlib.ExitStack) -> None:
         folder = pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))

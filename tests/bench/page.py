@@ -1,8 +1,8 @@
 """``python -m tests.bench.page [--seconds S] [--minutes M] [--json FILE]``: the live page in headless Chromium.
 
 Time to the first chart, redraws per second at the 60 s window, and memory over minutes: the browser's JavaScript heap
-after a garbage collection, and what the page server holds. Data come from a gateway at 1 kHz; the page server has them
-for a minute before, so that the window is full.
+after a garbage collection, and the page server's memory. Data come from a gateway at 1 kHz; the page server receives
+them for a minute before, so that the window is full.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tests.builders.miniature import running
 from tests.builders.pages import Server, browser, look, serving
 
 LOADS = 5
-FULL_S = 45.0  # with the 16 s the rings hold, a full window of 60 s
+FULL_S = 45.0  # with the 16 s in the rings, a full window of 60 s
 LIMITS = {"first_chart_s": 2.0, "redraws_hz": 30.0, "growth_pct": 5.0}
 
 
@@ -55,7 +55,7 @@ def cpu_s(pid: int) -> float:
 
 
 def measure(chromium: Browser, server: Server, seconds: float, minutes: float) -> dict[str, Any]:
-    """All figures."""
+    """Measure all figures."""
     result: dict[str, Any] = {"first_chart_s": first_chart_s(chromium, server)}
     print("first chart " + ", ".join(f"{s:.2f}" for s in result["first_chart_s"]) + " s", flush=True)
     seen = look(chromium, server.address, 1920, 1080)
@@ -110,7 +110,7 @@ COST = """new Promise((done) => {
 
 
 def verdict(result: dict[str, Any]) -> list[str]:
-    """What is not as it should be."""
+    """Figures beyond their limits, in words."""
     grown = [100 * (result[f"{n}_early_late"][1] / result[f"{n}_early_late"][0] - 1) for n in ("heap_mib", "rss_mib")]
     found = {
         f"first chart after {max(result['first_chart_s']):.2f} s": max(result["first_chart_s"])
@@ -123,7 +123,7 @@ def verdict(result: dict[str, Any]) -> list[str]:
 
 
 def main() -> int:
-    """Measure and judge; exit code."""
+    """Measure and judge; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.page", description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0, help="redraws are counted for so long")
     parser.add_argument("--minutes", type=float, default=5.0, help="memory is watched for so long")

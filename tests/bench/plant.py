@@ -33,7 +33,7 @@ def _speed(every_ms: int) -> float:
     plant.preload(settings.tension.target_n)
     plant.start_motion({MECHANISM: out_and_back(math.radians(13.0), math.radians(0.5), math.radians(0.25))}, 0)
     plant.advance(_MS)
-    assert plant.truth.tension_n > 0.0  # compiled now
+    assert plant.truth.tension_n > 0.0  # compiles the plant
     start = time.perf_counter()
     for ms in range(every_ms, round(SECONDS * 1000) + 1, every_ms):
         plant.advance(ms * _MS)

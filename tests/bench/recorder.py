@@ -1,8 +1,8 @@
 """``python -m tests.bench.recorder [--kills N] [--seed S] [--json F]``: the recorder of a running daemon is killed.
 
-Rig and daemon are real, the loop runs at 1 kHz; the recorder gets SIGKILL at random instants. Of each kill: how much of
-the time before it the killed recorder's file lacks (the next one makes up for it from the rings), how much is lost,
-because the recording as a whole lacks it, and whether the file is readable. Exit code 0 good, 1 more than a second is
+Rig and daemon are real, the loop runs at 1 kHz; the recorder gets SIGKILL at random instants. For each kill: how much
+of the time before it is missing in the killed recorder's file (the next recorder takes it from the rings), how much is
+lost, because the whole recording lacks it, and whether the file is readable. Exit code 0 good, 1 more than a second is
 lost or a file cannot be read.
 """
 
@@ -41,12 +41,12 @@ PATIENT: dict[str, dict[str, Any]] = {
     },
     "cylinder": {"command_deadline_ms": 150, "heartbeat_timeout_ms": 200},
 }
-"""A daemon that does not trip where other work shares the machine; nothing of it is judged here."""
+"""A daemon that does not trip on a machine shared with other work; its timing is not judged here."""
 
 
 @dataclass(frozen=True)
 class Kill:
-    """One kill. ``file_ms``: before it, missing in the killed recorder's file; ``lost_ms``: missing for good."""
+    """One kill. ``file_ms``: time before it that the killed recorder's file lacks; ``lost_ms``: missing for good."""
 
     t_ns: int
     file: str
@@ -56,7 +56,7 @@ class Kill:
 
 
 def strike(file: pathlib.Path, chance: random.Random, longest_s: float = LONGEST_WAIT_S) -> tuple[int, str]:
-    """Kill the recorder of the daemon of ``file`` once it has been at it for a while; when, and what it wrote to."""
+    """Kill the recorder of the daemon of ``file`` after a random time; returns the instant and the file it wrote."""
     runtime = Runtime.of(daemons.name_of(file))
 
     def writing() -> tuple[int, str] | None:
@@ -75,7 +75,7 @@ def strike(file: pathlib.Path, chance: random.Random, longest_s: float = LONGEST
 
 
 def judged(settings: RigSettings, struck: list[tuple[int, str]]) -> list[Kill]:
-    """What became of the files of a daemon that has ended."""
+    """Examine the files of a daemon that has ended."""
     folder = settings.file(settings.recording.folder)
     everything = [part.path for part in parts.parts(folder, settings.rig)]
     whole = recording.read(*everything)
@@ -124,7 +124,7 @@ def play(count: int, seed: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Parse the command line, play, show."""
+    """Parse the command line, play, print."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.recorder", description=__doc__)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)

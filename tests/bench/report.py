@@ -1,4 +1,4 @@
-"""``python -m tests.bench report``: how long a report of a long recording takes, and how large it is."""
+"""``python -m tests.bench report``: time and size of the report of a long recording."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _made_up(file: pathlib.Path, seconds: float) -> pathlib.Path:
-    """Noise and a slow sine as a rig has them, with every signal that is drawn on the move."""
+    """A recording of noise and a slow sine, in which every drawn signal varies."""
     random = np.random.default_rng(6)
 
     def error(t_s: synthetic.Floats) -> synthetic.Floats:

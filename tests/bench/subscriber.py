@@ -1,7 +1,7 @@
-"""``python -m tests.bench.subscriber``: one subscriber of the fast stream, its losses and the age of what it gets.
+"""``python -m tests.bench.subscriber``: one subscriber of the fast stream, its losses and the age of its records.
 
-``--plain``: a Zenoh callback without our client. Says ``{"ready": true}`` with the first block, begins its figures anew
-on SIGUSR1, and says them when told to end (SIGTERM).
+``--plain``: a Zenoh callback without our client. Prints ``{"ready": true}`` with the first block, restarts its figures
+on SIGUSR1, and prints them on SIGTERM.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ BIN_US, BINS = 100, 20_000  # ages up to 2 s
 
 
 class Ages:
-    """Histogram of how old each record was when it was handed over."""
+    """Histogram of each record's age when it was handed over."""
 
     def __init__(self) -> None:
         self.bins = np.zeros(BINS, np.int64)
@@ -94,7 +94,7 @@ class Plain:
 
 
 def _plain(endpoint: str, stop: threading.Event, again: threading.Event) -> dict[str, Any]:
-    with connect(endpoint, timeout_s=60.0) as rig:  # for the session and the schema; the rest is Zenoh's
+    with connect(endpoint, timeout_s=60.0) as rig:  # for the session and the schema; the rest uses Zenoh
         plain = Plain(rig.schema(), again)
         subscriber = rig.connection.session.declare_subscriber(rig.connection.keys.fast, plain.take)
         stop.wait()

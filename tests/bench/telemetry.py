@@ -1,8 +1,8 @@
-"""``python -m tests.bench telemetry``: subscribers on a running rig. What it costs the loop, and what they get.
+"""``python -m tests.bench telemetry``: subscribers on a running rig, their cost to the loop and the data they receive.
 
-Each round, on one daemon: nobody listens, three clients, all clients with one more stalled (SIGSTOP), nobody again.
-``--apart`` keeps the clients off the loop's processor, as if it were isolated, or they on another computer: a kernel
-that is not preempted in a system call makes the loop wait for theirs.
+Each round, on one daemon: no listener, three clients, all clients with one more stalled (SIGSTOP), no listener again.
+``--apart`` keeps the clients off the loop's processor, as if it were isolated or they ran on another computer: with a
+kernel that is not preempted in a system call, the loop waits for the clients' calls.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from tests.builders import daemons
 from tests.builders.paths import ROOT
 
 RATE_HZ = 1000
-SETTLE_S = 3.0  # interpreters starting are no part of any figure
+SETTLE_S = 3.0  # excludes the start of the interpreters from all figures
 LIMITS = {"lateness_p999_ratio": 1.1, "gateway_cpu_pct": 20.0, "age_p50_ms": 30.0, "age_p99_ms": 60.0}
 
 
@@ -62,12 +62,12 @@ class Subscribers:
         return process
 
     def end(self) -> dict[str, Any]:
-        """What they say: counts in total, ages in bins, and what the stalled ones say once they run again."""
+        """Results of the processes: counts in total, ages in bins, and those of the stalled ones once continued."""
         told = [self._told(process) for process in self._processes]
         for process in self._stalled:
             process.send_signal(signal.SIGCONT)
         if self._stalled:
-            time.sleep(SETTLE_S)  # they catch up with what is still held
+            time.sleep(SETTLE_S)  # they read what is still held for them
         stalled = [self._told(process)["count"] for process in self._stalled]
         bins = np.zeros(BINS, np.int64)
         for one in told:
@@ -105,7 +105,7 @@ def _cpu_s(pid: int) -> float:
 
 
 def measure_slice(rig: BenchRig, what: str, seconds: float, clients: int, stalled: int, cpus: set[int]) -> Slice:
-    """``seconds`` of the loop's records while so many listen, on these processors."""
+    """Record ``seconds`` of the loop while this many clients listen, on these processors."""
     with contextlib.ExitStack() as stack:
         subscribers = Subscribers(rig.endpoint, clients, stalled, cpus, stack) if clients else None
         time.sleep(SETTLE_S)
@@ -117,14 +117,14 @@ def measure_slice(rig: BenchRig, what: str, seconds: float, clients: int, stalle
 
 
 def percentile_ms(bins: np.ndarray[Any, np.dtype[np.int64]], q: float) -> float:
-    """Upper edge of the bin that holds the quantile; 0 of nothing."""
+    """Upper edge of the bin that holds the quantile; 0 without data."""
     whole = int(bins.sum())
     number = int(np.searchsorted(np.cumsum(bins), q * whole)) if whole else -1
     return (number + 1) * BIN_US / 1000.0
 
 
 def judged(slices: list[Slice]) -> dict[str, Any]:
-    """Figures of all rounds, by what was listening."""
+    """Figures of all rounds, by kind of listeners."""
     result: dict[str, Any] = {}
     for what in dict.fromkeys(one.what for one in slices):
         of = [one for one in slices if one.what == what]
@@ -146,7 +146,7 @@ def _lateness(slices: list[Slice], what: str) -> Any:
 
 
 def verdicts(result: dict[str, Any]) -> list[tuple[str, float, float]]:
-    """Name, figure and limit of what was promised."""
+    """Name, figure and limit of each promise."""
     everybody, three = result["all"], result["three"]
     return [
         ("samples lost to healthy clients", everybody["lost"] + three["lost"], 0),

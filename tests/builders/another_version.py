@@ -1,6 +1,6 @@
 """A daemon of another version: the real gateway on a record with more fields. ``... RUNTIME_DIR [SCHEMA_VERSION]``.
 
-Between the fields this version knows there are an array, and one of a type no numpy knows yet.
+Between the known fields there are an array and a field of a type that no numpy version knows yet.
 """
 
 from __future__ import annotations

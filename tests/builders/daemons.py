@@ -21,7 +21,7 @@ from rigctl.metrics.tension_error import IN_FLIGHT_TICKS
 from tests.builders.paths import ROOT
 
 PAPER = ROOT / "config/paper_rig.yaml"
-START_LIMIT_S = 120.0  # a guest kernel is slow; nothing is judged by it
+START_LIMIT_S = 120.0  # a guest kernel is slow; no test judges this time
 STOP_LIMIT_S = 20.0
 
 
@@ -32,7 +32,7 @@ def free_port() -> int:
 
 
 def rig_file(folder: pathlib.Path, changes: dict[str, dict[str, Any]] | None = None, *, rig: str = "") -> pathlib.Path:
-    """The paper's rig with a bus socket, a name and a port of its own, and ``changes`` by section."""
+    """The paper's rig with its own bus socket, name and port, and ``changes`` by section."""
     data = yaml.safe_load(PAPER.read_text())
     data["rig"] = rig or f"test_{os.getpid()}_{abs(hash(str(folder))) % 10**8}"
     data["can"]["channel"] = str(folder / "bus.sock")
@@ -61,7 +61,7 @@ def name_of(file: pathlib.Path) -> str:
 
 @contextlib.contextmanager
 def process(*arguments: str, log: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
-    """``python -m arguments``, its output in ``log``, ended with SIGTERM (and SIGKILL if that does not do)."""
+    """``python -m arguments``, its output in ``log``, ended with SIGTERM (and SIGKILL if that fails)."""
     with log.open("ab") as out:
         child = subprocess.Popen([sys.executable, "-m", *arguments], stdout=out, stderr=subprocess.STDOUT, cwd=ROOT)
     try:
@@ -101,7 +101,7 @@ def wait_for(what: Callable[[], Any], limit_s: float = START_LIMIT_S, *, log: pa
 
 @contextlib.contextmanager
 def simulated_rig(file: pathlib.Path, log: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
-    """``python -m hil serve FILE``, once it serves."""
+    """``python -m hil serve FILE``, ready."""
     with process("hil", "serve", str(file), log=log) as child:
         wait_for(lambda: child.poll() is not None or b"serving" in log.read_bytes(), log=log)
         assert child.poll() is None, log.read_text()
@@ -110,7 +110,7 @@ def simulated_rig(file: pathlib.Path, log: pathlib.Path) -> Iterator[subprocess.
 
 @contextlib.contextmanager
 def daemon(file: pathlib.Path, log: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
-    """``rigctl run FILE``, once it says DISARMED."""
+    """``rigctl run FILE``, once it reports DISARMED."""
     with process("rigctl", "run", str(file), log=log) as child:
         wait_for(lambda: child.poll() is not None or b": DISARMED," in log.read_bytes(), log=log)
         assert child.poll() is None, log.read_text()
@@ -118,13 +118,13 @@ def daemon(file: pathlib.Path, log: pathlib.Path) -> Iterator[subprocess.Popen[b
 
 
 def environment(file: pathlib.Path | None) -> dict[str, str]:
-    """Of an operator at one terminal: all commands share a lease."""
+    """Environment of an operator at one terminal: all commands share a lease."""
     own = {"RIGCTL_OPERATOR": "kim"} | ({"XDG_RUNTIME_DIR": str(file.parent.resolve())} if file is not None else {})
     return {**os.environ, **own}
 
 
 def rigctl(*arguments: str, file: pathlib.Path | None = None) -> subprocess.CompletedProcess[str]:
-    """One ``rigctl`` command, told where the daemon of ``file`` is; all are one operator's, at one terminal."""
+    """Run one ``rigctl`` command for the daemon of ``file``; all are one operator's, at one terminal."""
     where = ("--connect", endpoint(file), "--rig", name_of(file)) if file is not None else ()
     return subprocess.run(
         [sys.executable, "-m", "rigctl", *arguments, *where],
@@ -139,13 +139,13 @@ def rigctl(*arguments: str, file: pathlib.Path | None = None) -> subprocess.Comp
 
 
 def state(file: pathlib.Path) -> dict[str, Any]:
-    """The daemon's state, as ``rigctl status --json`` prints it; empty while nobody answers."""
+    """The daemon's state, as ``rigctl status --json`` prints it; empty while the daemon does not answer."""
     answer = rigctl("status", "--json", file=file)
     return dict(json.loads(answer.stdout)) if answer.returncode == 0 else {}
 
 
 def frames_lost(file: pathlib.Path) -> int:
-    """Device frames the loop has missed so far; one that is only on its way is not lost."""
+    """Device frames the loop has missed so far; a frame still on its way is not lost."""
     records = Runtime.of(name_of(file)).record_reader(from_start=True).read()
     return int(records["frames_lost"][-IN_FLIGHT_TICKS:].min())
 

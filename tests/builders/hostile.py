@@ -1,4 +1,4 @@
-"""Messages that are none of a daemon's, by kind, and one who sends them: on every key of a rig, and as its answers."""
+"""Invalid messages by kind, and a session that sends them: on every key of a rig, and as its answers."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ WRONG: tuple[Any, ...] = (
     None, True, -1, 10**30, -1e308, 1e308, "", ESCAPES, "x" * 10_000, [], [[]], [None], {}, {"a": None},
     {"holder": ESCAPES, "held_s": 1e300, "left_s": -1e300}, [ESCAPES] * 10_000,
 )  # fmt: skip
-"""What is put in the place of a value that is right."""
+"""Replacements for a valid value."""
 
 
 def wronged(message: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """A right message with one value of it missing or replaced, for each value at any depth: where, and the message."""
+    """A valid message with one value missing or replaced, for each value at any depth: place and message."""
     for path in _paths(message, ()):
         where = ".".join(map(str, path))
         yield f"{where} missing", _changed(message, path, None, drop=True)
@@ -66,7 +66,7 @@ def _changed(value: Any, path: tuple[Any, ...], wrong: Any, *, drop: bool = Fals
 
 
 def blocks(record_size: int, stream: int) -> dict[str, bytes]:
-    """Blocks of the fast stream that are none."""
+    """Invalid blocks of the fast stream."""
     head = block.HEADER.pack
     return {
         "not a block": b"RGF1" * 30,
@@ -86,7 +86,7 @@ def blocks(record_size: int, stream: int) -> dict[str, bytes]:
 
 
 def schemas(schema: dict[str, Any]) -> dict[str, bytes]:
-    """Schemas no client may go by."""
+    """Schemas that a client must refuse."""
     record = schema["fast"]["record"]
 
     def changed(**values: Any) -> bytes:
@@ -125,11 +125,11 @@ class Hostile:
         self._declared: list[Any] = []
 
     def put(self, key: str, payload: bytes) -> None:
-        """Publish, come what may: not dropped where the link is busy."""
+        """Publish; the message is not dropped where the link is busy."""
         self._session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
 
     def answer(self, key: str, payloads: list[bytes]) -> None:
-        """Answer every query on a key with these and, in as many error replies, with these; claim to know all."""
+        """Answer every query on a key with these payloads and as many error replies; claim to know all."""
 
         def take(query: zenoh.Query) -> None:
             with contextlib.suppress(zenoh.ZError):
@@ -141,7 +141,7 @@ class Hostile:
         self._declared.append(self._session.declare_queryable(key, take, complete=True))
 
     def appear(self, name: str) -> None:
-        """Be there as the daemon of a rig of that name."""
+        """Appear as the daemon of a rig of that name."""
         self._declared.append(self._session.liveliness().declare_token(f"rigctl/{name}/live/daemon"))
 
     def close(self) -> None:

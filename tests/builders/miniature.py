@@ -1,4 +1,4 @@
-"""A daemon in miniature: the real gateway on real rings, fed by a stand-in for the loop. Each in its own process."""
+"""A daemon in miniature: the real gateway on real rings, fed by a stand-in for the loop, each in its own process."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rigctl.config import rig_file as config
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders.paths import ROOT
 
-PATIENCE_S = 40.0  # far above anything expected, on a busy machine too: only a hang fails
+PATIENCE_S = 40.0  # far above any expected time, also on a busy machine: only a hang fails
 
 
 def free_port() -> int:
@@ -40,7 +40,7 @@ def until(true: Callable[[], Any], what: str) -> Any:
 
 
 def stop(process: subprocess.Popen[Any]) -> None:
-    """SIGSTOP, and wait until every thread stands: one that waits for a processor has not heard of it yet."""
+    """Send SIGSTOP and wait until every thread stands: a thread that waits for a processor stops late."""
     process.send_signal(signal.SIGSTOP)
     threads = pathlib.Path(f"/proc/{process.pid}/task")
 
@@ -58,7 +58,7 @@ DESIGN = {"ms": 1, "accepted": True, "waiver": None, "verdict": "Ms 1"}
 
 
 class Daemon:
-    """Processes and runtime folder of one rig."""
+    """Processes and run-time folder of one rig."""
 
     def __init__(self, rig: str = "paper_rig", port: int | None = None, join: Sequence[str] = ()) -> None:
         self.runtime = Runtime(tempfile.mkdtemp(prefix="rigctl-test-", dir="/dev/shm"))
@@ -103,13 +103,13 @@ class Daemon:
         return connect(self.endpoint, self.settings.rig, timeout_s=PATIENCE_S)
 
     def state(self, client: Client) -> dict[str, Any]:
-        """A state made after this call: the newest that was published may be from before what was done last."""
+        """A state made after this call: the newest published one may be older than the last command."""
         now_ns = time.monotonic_ns()
         return dict(until(lambda: (state := client.state())["t_ns"] > now_ns and state, "a state of now"))
 
     @contextlib.contextmanager
     def replaced_gateway(self) -> Iterator[Rig]:
-        """For a while another gateway on the same rings, at an endpoint of its own."""
+        """Run another gateway on the same rings, at its own endpoint, within the context."""
         mine = self.runtime.read_json("active.json")
         elsewhere = f"tcp/127.0.0.1:{free_port()}"
         telemetry = {**mine["settings"]["telemetry"], "listen": elsewhere}
@@ -134,7 +134,7 @@ class Daemon:
         return True
 
     def environment(self, user: str = "user", **more: str) -> dict[str, str]:
-        """What a terminal of ``user`` has: a runtime folder of its own."""
+        """The environment of a terminal of ``user``, with its own runtime folder."""
         folder = {"XDG_RUNTIME_DIR": str(self.runtime.directory / user)}
         return {**os.environ, "RIGCTL_CONNECT": self.endpoint, "COLUMNS": "80", **folder, **more}
 

@@ -1,4 +1,4 @@
-"""Page servers in processes of their own, and the browser that looks at them."""
+"""Page servers in processes of their own, and the browser that shows them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 )  # fmt: skip
-# A browser and a 1 kHz loop on one small machine: what is late here is not what these tests are about.
+# A browser and a 1 kHz loop share one small machine: these tests do not judge lateness.
 PATIENT: dict[str, dict[str, Any]] = {
     "safety": {
         "stale_ms": 500,
@@ -34,7 +34,7 @@ PATIENT: dict[str, dict[str, Any]] = {
     },
     "cylinder": {"heartbeat_timeout_ms": 1000, "command_deadline_ms": 1000},
 }
-PATIENCE_S = 40.0  # far above anything expected: only a hang fails
+PATIENCE_S = 40.0  # far above any expected time: only a hang fails
 
 
 def until(true: Callable[[], Any], what: str) -> Any:
@@ -47,7 +47,7 @@ def until(true: Callable[[], Any], what: str) -> Any:
 
 
 class Server:
-    """``rigctl page``, and what it said."""
+    """``rigctl page`` and its output."""
 
     def __init__(self, endpoint: str, *options: str, port: int = 0) -> None:
         listen = () if "--listen" in options else ("--listen", f"127.0.0.1:{port}")
@@ -67,13 +67,13 @@ class Server:
 
     @property
     def address(self) -> str:
-        """What an operator opens."""
+        """The address that an operator opens."""
         return f"{self.base}/#token={self.token}" if self.token else f"{self.base}/"
 
     def ask(
         self, method: str, path: str, body: Any = None, *, token: str | None = None, **headers: str
     ) -> tuple[int, dict[str, str], bytes]:
-        """One request as this server's own page makes it, but for ``headers``: status, headers, body."""
+        """One request as this server's own page makes it, except for ``headers``: status, headers, body."""
         own = {"Host": f"127.0.0.1:{self.port}", "Origin": self.base}
         own |= {"X-Rigctl-Token": token} if token is not None else {}
         own |= {name.capitalize(): value for name, value in headers.items()}
@@ -100,7 +100,7 @@ class Server:
 
 @contextlib.contextmanager
 def serving(endpoint: str, *options: str, port: int = 0) -> Iterator[Server]:
-    """A page server for a while."""
+    """A page server within the context."""
     server = Server(endpoint, *options, port=port)
     try:
         yield server
@@ -110,7 +110,7 @@ def serving(endpoint: str, *options: str, port: int = 0) -> Iterator[Server]:
 
 @dataclass
 class PageView:
-    """A page in the browser, and what the browser noted about it."""
+    """A page in the browser, and what the browser logged about it."""
 
     page: Page
     errors: list[str] = field(default_factory=list)
@@ -132,7 +132,7 @@ class PageView:
         return str(self.run(f"document.querySelector({selector!r}).textContent"))
 
     def live(self) -> None:
-        """Wait until charts are drawn from data that are fresh."""
+        """Wait until charts are drawn from fresh data."""
         self.until("window.rigctl && rigctl.draws > 1 && !rigctl.stale")
 
 
@@ -148,7 +148,7 @@ def browser() -> Iterator[Browser]:
 
 
 def look(browser: Browser, address: str, width: int = 1280, height: int = 800, theme: Any = "light") -> PageView:
-    """Open an address; what goes wrong in the page, and every request, is noted."""
+    """Open an address; the page's errors and every request are logged."""
     view = PageView(browser.new_page(viewport={"width": width, "height": height}, color_scheme=theme))
 
     def said(message: ConsoleMessage) -> None:

@@ -1,8 +1,8 @@
-"""Random plants, and what `identify` says of them: ``python -m tests.builders.random_plants [SEED [N [wide]]]``.
+"""Random plants, and the findings of `identify`: ``python -m tests.builders.random_plants [SEED [N [wide]]]``.
 
 Held at 40 to 340 N by a spring of 3 to 40 N/mm; ``wide``: also by a rope of 200 to 2000 N/mm alone, at 10 N where the
 load does not seat the nut, or slack. Lag 5 to 60 ms, delay 0.5 to 10 ms, backlash up to 0.2 mm, cell noise 0.01 to
-0.2 N. Of all but the noise the rig file says what config/paper_rig.yaml says.
+0.2 N. The rig file has the noise of the plant and otherwise the values of config/paper_rig.yaml.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ KEYS = {
 
 @dataclass(frozen=True)
 class RandomPlant:
-    """What is true of a rig: N/mm, s, s, mm, N, N."""
+    """The true values of a rig: N/mm, s, s, mm, N, N."""
 
     stiffness: float
     lag: float
@@ -53,7 +53,7 @@ class RandomPlant:
         return self.tension_n == 0.0
 
     def truth(self, name: str) -> float:
-        """The backlash shows only where the load does not seat the nut."""
+        """True value by name; the backlash shows only where the load does not seat the nut."""
         seated = name == "backlash" and self.tension_n > 20.0
         return 0.0 if seated else float(getattr(self, name))
 
@@ -80,7 +80,7 @@ def plants(seed: int, count: int, *, wide: bool = False) -> list[RandomPlant]:
 
 
 def built(settings: RigSettings, plant: RandomPlant) -> RigSettings:
-    """The rig of ``settings`` as ``plant`` says it was built."""
+    """The rig of ``settings`` built with the values of ``plant``."""
     simulation = settings.simulation
     assert simulation is not None
     drive = simulation.drive.model_copy(update={"backlash_mm": plant.backlash})
@@ -96,7 +96,7 @@ def built(settings: RigSettings, plant: RandomPlant) -> RigSettings:
 
 @dataclass(frozen=True)
 class Result:
-    """Rows by name, and the largest change of tension meanwhile in N."""
+    """Rows by name, and the largest change of tension during the identification in N."""
 
     plant: RandomPlant
     rows: dict[str, dict[str, Any]]
@@ -106,7 +106,7 @@ class Result:
         return self.rows[name]["found"] is not None
 
     def off(self, name: str) -> float:
-        """What was found, less the truth."""
+        """Error of the value found."""
         return float(self.rows[name]["found"]) - self.plant.truth(name)
 
     def inside(self, name: str) -> bool:
@@ -140,7 +140,7 @@ def identified(plant: RandomPlant) -> Result:
 
 
 def identify_all(found: list[RandomPlant]) -> list[Result]:
-    """Each in a process of its own, as many at once as there are processors."""
+    """Identify each in a process of its own, as many at once as there are processors."""
     with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
         return list(pool.map(identified, found))
 

@@ -1,4 +1,4 @@
-"""A simulated rig on a hub, a hand on its bus, and a clock that only this bench moves."""
+"""A simulated rig on a hub, a controller on its bus, and a clock that only this bench moves."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.builders.paths import ROOT
 REPOSITORY = ROOT
 MS = 1_000_000
 SAME_CLOCKS = {name: {"clock_ppm": 0.0} for name in ("drive", "cell", "inclinometer")}
-"""For ``simulation``: frames can be counted by the millisecond."""
+"""For ``simulation``: without clock errors, frames can be counted by the millisecond."""
 SIZES = {1: "<B", 2: "<H", 4: "<I"}
 
 
@@ -31,7 +31,7 @@ def changed(settings: RigSettings | None = None, /, **sections: dict[str, Any]) 
 def _merged(section: Any, values: dict[str, Any]) -> Any:
     update = {}
     for name, value in values.items():
-        before = getattr(section, name)  # a name that is no setting is the test's mistake
+        before = getattr(section, name)  # an unknown name is a mistake of the test
         inner = isinstance(value, dict) and isinstance(before, BaseModel)
         update[name] = _merged(before, value) if inner else value
     return section.model_copy(update=update)
@@ -54,14 +54,14 @@ class RigBench:
         self._port.send(FRAME.pack(can_id, len(data), data))
 
     def wait(self, ms: int) -> None:
-        """Let time pass, in silence."""
+        """Let time pass without a frame."""
         for _ in range(ms):
             self.t_ns += MS
             self.rig.advance(self.t_ns)
             self.rig.supervise(self.t_ns)
 
     def drive(self, ms: int, controlword: int, velocity_mm_s: float = 0.0) -> None:
-        """A healthy controller at 1 kHz: heartbeat, command and SYNC every millisecond."""
+        """Send what a healthy controller at 1 kHz sends: heartbeat, command and SYNC every millisecond."""
         for _ in range(ms):
             self.send(objects.HEARTBEAT_BASE + SETTINGS.can.controller_node, b"\x05")
             self.command(controlword, velocity_mm_s)
@@ -88,7 +88,7 @@ class RigBench:
         assert self.state() is DriveState.OPERATION_ENABLED
 
     def write(self, node: int, index: int, subindex: int, value: int, size: int) -> int:
-        """Expedited SDO download; the abort code, 0 = done."""
+        """Expedited SDO download; returns the abort code, 0 = done."""
         mask = (1 << 8 * size) - 1
         request = struct.pack("<BHBI", 0x23 | (4 - size) << 2, index, subindex, value & mask)
         command, _, _, code = struct.unpack("<BHBI", self.ask(node, request))
@@ -101,7 +101,7 @@ class RigBench:
         return int.from_bytes(answer[4 : 8 - (answer[0] >> 2 & 3)], "little")
 
     def state(self) -> DriveState:
-        """Of the drive, as a controller sees it."""
+        """State of the drive, as a controller reads it."""
         return drive_state(self.read(self.rig.drive.id, objects.STATUSWORD))
 
     def sent(self, can_id: int) -> list[bytes]:
@@ -111,7 +111,7 @@ class RigBench:
         return [struct.unpack_from("<H", data)[0] for data in self.sent(objects.EMCY_BASE + node)]
 
     def ask(self, node: int, request: bytes) -> bytes:
-        """One SDO request; its one answer."""
+        """Send one SDO request; returns its one response."""
         before = len(self.sent(objects.SDO_TX_BASE + node))
         self.send(objects.SDO_RX_BASE + node, request)
         answers = self.sent(objects.SDO_TX_BASE + node)[before:]

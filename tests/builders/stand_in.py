@@ -1,7 +1,7 @@
-"""A stand-in for the control process: writes records at 1 kHz and events, answers commands. Not the real loop.
+"""A stand-in for the control process: writes records at 1 kHz and events, and answers commands.
 
 ``python stand_in.py RUNTIME_DIR`` runs until SIGTERM. ``arm`` takes 0.3 s, like a drive.
-A target of 111 N is never answered, one of 222 N trips. Ramps take half a second, with ``--slow`` for ever.
+A target of 111 N is never answered, one of 222 N trips. Ramps take half a second, or never end with ``--slow``.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def main() -> None:
         now = time.monotonic_ns()
         if now < due:
             time.sleep((due - now) / 1e9)
-        while due <= time.monotonic_ns():  # no tick left out: the tests count them
+        while due <= time.monotonic_ns():  # no tick is left out: the tests count them
             loop.tick(due, (due - start) // PERIOD_NS, time.monotonic_ns() - due)
             due += PERIOD_NS
 

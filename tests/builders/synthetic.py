@@ -1,4 +1,4 @@
-"""Recordings with an error that is known to the last digit, written by the recorder's own writer."""
+"""Recordings with an exactly known error, written by the recorder's own writer."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def no_error(t_s: Floats) -> Floats:
 
 
 def stay(mode: Mode, seconds: float, error: ErrorOf = no_error, target_n: float = TARGET_N) -> npt.NDArray[np.void]:
-    """Records of a stay in one mode; ``error``: N of the vertical tension, by the time since it began."""
+    """Records of a stay in one mode; ``error``: N of the vertical tension, by the time since its start."""
     made = np.zeros(round(seconds * RATE_HZ), RECORD.dtype)
     t_s = np.arange(len(made)) / RATE_HZ
     made["mode"] = mode
@@ -46,7 +46,7 @@ def stay(mode: Mode, seconds: float, error: ErrorOf = no_error, target_n: float 
 
 
 def run(*stays: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
-    """Stays one after the other, numbered and timed as a loop would."""
+    """Stays one after the other, numbered and timed as by a loop."""
     made = np.concatenate(stays)
     ticks = np.arange(1, len(made) + 1)
     made["seq"] = made["tick"] = ticks
@@ -56,7 +56,7 @@ def run(*stays: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
 
 
 def compensating(error: ErrorOf, seconds: float = 20.0) -> npt.NDArray[np.void]:
-    """Held, compensated with that error, held again."""
+    """HOLD, COMPENSATING with that error, HOLD."""
     return run(stay(Mode.HOLD, BEFORE_S), stay(Mode.COMPENSATING, seconds, error), stay(Mode.HOLD, AFTER_S))
 
 
@@ -101,7 +101,7 @@ def write(
     with_frames: bool = False,
     attached: Iterable[tuple[str, Any, int]] = (),
 ) -> pathlib.Path:
-    """One part of a recording, whole; ``attached``: further documents by name, each with when it came into force."""
+    """One complete part of a recording; ``attached``: further documents by name, each with the time it takes effect."""
     disk = Appender(file)
     words = {"rig": "synthetic", "run": str(OFFSET_NS), "part": 1, "version": "0", "host": "nowhere", "kernel": "0"}
     part = PartFile(disk, OFFSET_NS, START_NS, {**words, "rate_hz": RATE_HZ})

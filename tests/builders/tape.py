@@ -1,4 +1,4 @@
-"""Rings filled with what no loop would say, and a recording made of them."""
+"""Rings filled with random bits, and a recording made of them."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ class Tape:
         self.recording = self.start()
 
     def start(self, run: int = OFFSET_NS) -> Continuous:
-        """A recording of this run, as a recorder that comes up makes it."""
+        """Start a recording of this run, as a new recorder does."""
         self.recording = Continuous(self.runtime, self.settings, run, self.now_ns + OFFSET_NS)
         return self.recording
 
     def tick(self, count: int = 1) -> None:
-        """Records of random bits and the frames of each, a command and an event now and then."""
+        """Write records of random bits and the frames of each, and an occasional command and event."""
         records, frames, commands, events = self._writers
         for _ in range(count):
             self.now_ns += TICK_NS
@@ -85,7 +85,7 @@ class Tape:
         return self.chance.getrandbits(_BITS[code])
 
     def run(self, ticks: int) -> None:
-        """Ticks, with a look at the rings as often as the recorder has one."""
+        """Write ticks, and let the recorder read the rings as often as it really does."""
         step = BATCH_NS // TICK_NS
         for done in range(0, ticks, step):
             self.tick(min(step, ticks - done))
@@ -98,7 +98,7 @@ class Tape:
         self.recording.close(self.now_ns, self.now_ns + OFFSET_NS)
 
     def held(self) -> tuple[npt.NDArray[np.void], npt.NDArray[np.void], npt.NDArray[np.void]]:
-        """Records, frames and commands of the rings since this was asked last."""
+        """Records, frames and commands in the rings since the last call."""
         records, frames, commands = (reader.read() for reader in self._readers)
         return records, frames, commands
 
@@ -107,7 +107,7 @@ class Tape:
 
 
 def as_recorded(records: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
-    """What a recording keeps of records: doubles with the precision of 32 bits, but for the command."""
+    """Records as a recording keeps them: doubles with the precision of 32 bits, except for the command."""
     kept = records.copy()
     for field in RECORD.fields:
         if field.code == "d" and field.name != "command_mm_s":
@@ -117,7 +117,7 @@ def as_recorded(records: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
 
 
 def same(left: npt.NDArray[np.void], right: npt.NDArray[np.void]) -> bool:
-    """Bit for bit, but that any NaN is as good as another."""
+    """Whether both are the same bit for bit, any NaN equal to any other."""
     if left.dtype != right.dtype or len(left) != len(right):
         return False
     names = left.dtype.names or ()

@@ -1,1 +1,1 @@
-"""Random input in bulk: ``python -m tests.fuzz`` plays the full counts, the suite a share of them."""
+"""Random input in bulk: ``python -m tests.fuzz`` plays the full counts, the test suite a share of them."""

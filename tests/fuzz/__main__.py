@@ -1,8 +1,8 @@
-"""``python -m tests.fuzz [frames|commands|configs|replies|startup|all]``: random input wherever input comes in.
+"""``python -m tests.fuzz [frames|commands|configs|replies|startup|all]``: random input at every entry of the program.
 
 frames: into the loop, every frame it sends judged. commands: queries through the parsers into the loop. configs: rig
 files, and every other kind of file. replies: SDO answers to the start-up. startup: every file read at a start, damaged
-or with something else in its place. Exit code 0 good, 1 something is wrong, 2 usage.
+or replaced. Exit code 0 good, 1 a finding, 2 usage.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SHOWN = 20
 
 
 def run(what: str, count: int, seed: int) -> dict[str, Any]:
-    """One of them, as figures."""
+    """Run one of them; returns its figures."""
     settings = config.load(ROOT / "config/paper_rig.yaml")
     gains = design_and_check(settings).gains
     started = time.monotonic()
@@ -49,7 +49,7 @@ def run(what: str, count: int, seed: int) -> dict[str, Any]:
 
 
 def show(what: str, said: dict[str, Any]) -> None:
-    """Its figures as a few lines."""
+    """Print the figures as a few lines."""
     print(f"{what}: {'good' if said['ok'] else 'WRONG'}, {said['seconds']:g} s")
     for name, count in said["tried"].items():
         taken = said.get("taken", {}).get(name)
@@ -64,7 +64,7 @@ def show(what: str, said: dict[str, Any]) -> None:
 
 
 def main() -> int:
-    """Parse the command line, run, show, write."""
+    """Parse the command line, run, print, write."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("what", nargs="?", default="all", choices=(*COUNTS, "all"))
     parser.add_argument("--count", type=int, help="instead of " + ", ".join(f"{v} {k}" for k, v in COUNTS.items()))
@@ -73,7 +73,7 @@ def main() -> int:
     asked = parser.parse_args()
     if asked.count is not None and asked.count < 1:
         parser.error(f"--count: found {asked.count}, expected 1 or more")
-    logging.disable(logging.CRITICAL)  # canopen's, about every answer that is none
+    logging.disable(logging.CRITICAL)  # canopen's warnings of invalid responses
     said = {}
     for what in COUNTS if asked.what == "all" else (asked.what,):
         said[what] = run(what, asked.count or COUNTS[what], asked.seed)

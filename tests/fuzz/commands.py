@@ -1,4 +1,4 @@
-"""Random commands: bytes through the parsers an operator's query meets, and what parses into the real loop."""
+"""Random commands: bytes into the parsers of an operator's queries, and valid commands into the real loop."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ _OPTIONS: dict[Verb, dict[str, Any]] = {
 }
 _NAMES = ("", "Arm", "arm ", "arm/..", "*", "**", "lease_take", "lease_return", "é" * 300, "a\nb", "none", "0")
 _NONE = (None, b"", b"null", b"[]", b"{}", b"[" * 100_000, b"{" * 16_000, b" " * 20_000, b"\xff" * 99)
-PRESSED = 0.005  # of the commands are given after an emergency stop: no command by itself leads to FAULT
+PRESSED = 0.005  # share of commands given after an emergency stop: no command by itself leads to FAULT
 PRESSED_TICKS = 300
 
 
 def query(chance: random.Random, mode: Mode) -> tuple[str, bytes | None]:
-    """A key's ending and a payload: of a command that leads on, or of one that is none."""
+    """End of a key and a payload: mostly a command that changes the mode, else a random or invalid one."""
     verb = chance.choice(ONWARD[mode]) if chance.random() < 0.6 else chance.choice(list(Verb))
     body: Any = {"operator": "anna", **_OPTIONS.get(verb, {})}
     if verb is Verb.TARGET:
@@ -57,13 +57,13 @@ def query(chance: random.Random, mode: Mode) -> tuple[str, bytes | None]:
 
 
 def parsed(name: str, payload: bytes | None) -> object:
-    """As the command server reads a query."""
+    """Parse a query as the command server does."""
     act = ACTS.get(name)
     return parse(verb_of(name), payload) if act is None else parse_lease(act, payload)
 
 
 def play(settings: RigSettings, gains: Gains, count: int, seed: int) -> Tally:
-    """Parse ``count`` commands; give those that are one to a loop with a simulated rig, and judge what it does."""
+    """Parse ``count`` commands; give the valid ones to a loop with a simulated rig, and judge its output."""
     tally, chance = Tally(), random.Random(seed)
     sent = 0
     with lockstep(settings, gains) as rig:
@@ -95,7 +95,7 @@ def play(settings: RigSettings, gains: Gains, count: int, seed: int) -> Tally:
 
 
 def _judge(rig: Lockstep, ticks: int, tally: Tally) -> None:
-    """What leaves for the drive is finite and inside its limits; nothing was thrown."""
+    """Check that the commands to the drive are finite and inside their limits, and that no exception was raised."""
     records = rig.run(ticks / rig.settings.loop.rate_hz)
     for mode in np.unique(records["mode"]):
         tally.taken[f"in {Mode(mode).name}"] += 1

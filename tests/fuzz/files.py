@@ -1,4 +1,4 @@
-"""Mutated files of every kind the project reads: each is taken, or refused in plain lines that name it."""
+"""Mutated files of every kind the project reads: each is accepted, or refused in plain lines that name it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _NOW_NS = 1_800_000_000 * 10**9
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of file: whole ones to begin with, and how to read a mutated one."""
+    """A kind of file: valid texts to begin with, and the reader of a mutated one."""
 
     name: str
     texts: list[bytes]
@@ -58,7 +58,7 @@ class Kind:
     dump: Callable[[Any], bytes]
     read: Callable[[bytes], object]
     allowed: tuple[type[Exception], ...]
-    lines: bool = False  # a refusal has a line for each finding, else one
+    lines: bool = False  # a refusal has a line for each finding, else one line
 
     def mutant(self, chance: random.Random) -> bytes:
         """One of the texts, changed in its structure or in its bytes."""
@@ -66,13 +66,13 @@ class Kind:
         if chance.random() < 0.75:
             try:
                 return self.dump(mutate.data(self.load(text), chance))
-            except (RecursionError, UnicodeEncodeError):  # nested deeper than what writes it can go
+            except (RecursionError, UnicodeEncodeError):  # nested too deeply for the writer
                 pass
         return mutate.raw(text, chance)
 
 
 def play(count: int, others: int, designs: int, seed: int) -> Tally:
-    """Read ``count`` mutated rig files, ``others`` of other kinds; start a loop with ``designs`` of those taken."""
+    """Read ``count`` mutated rig files, ``others`` of other kinds; start a loop with ``designs`` of those accepted."""
     tally, chance = Tally(), random.Random(seed)
     with tempfile.TemporaryDirectory(prefix="rigctl-fuzz-", dir="/dev/shm") as name:
         folder = pathlib.Path(name) / "config"
@@ -94,7 +94,7 @@ def play(count: int, others: int, designs: int, seed: int) -> Tally:
 
 
 def _start(settings: RigSettings) -> bool:
-    """A rig file that is taken, and whose design is, gives a loop that runs and commands nothing out of bounds."""
+    """A rig file whose design is accepted gives a loop that runs and commands nothing out of bounds."""
     found = design_and_check(settings)
     if not found.accepted or settings.simulation is None:
         return False
@@ -105,7 +105,7 @@ def _start(settings: RigSettings) -> bool:
 
 
 def kinds(folder: pathlib.Path) -> list[Kind]:
-    """All of them; ``folder`` is a copy of config/ to write in."""
+    """All kinds; ``folder`` is a copy of config/ to write in."""
     rig = config.load(folder / "paper_rig.yaml")
     return [
         _rig_file(folder),
@@ -128,7 +128,7 @@ def _as_yaml(found: Any) -> bytes:
 
 
 def _as_gain_file(found: Any) -> bytes:
-    """Text between quotes, as `rigctl tune` writes it: a bare version is refused before its values are looked at."""
+    """Text between quotes, as `rigctl tune` writes it: a bare version is refused before its values are read."""
     return yaml.dump(found, Dumper=gain_file._Dumper, sort_keys=False, allow_unicode=True).encode()
 
 
@@ -241,7 +241,7 @@ def _audit(folder: pathlib.Path) -> Kind:
 
 
 def _rehashed(row: Any) -> bytes:
-    """A changed entry under a hash that is right, so that what reads it has to judge the entry itself."""
+    """A changed entry under a valid hash, so that its reader has to judge the entry itself."""
     plain = {key: value for key, value in row.items() if key != "hash"} if isinstance(row, dict) else row
     try:
         body = chain.canonical(plain)
@@ -253,7 +253,7 @@ def _rehashed(row: Any) -> bytes:
 
 
 def _recording(folder: pathlib.Path, rig: RigSettings) -> Kind:
-    """One with records, frames and documents; a changed chunk fits its checksum all the same."""
+    """A recording with records, frames and documents; a changed chunk still has a valid checksum."""
     path = folder / "recording.mcap"
     path.write_bytes(recorded(folder, rig))
 

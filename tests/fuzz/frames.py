@@ -1,4 +1,4 @@
-"""Random frames and commands into the real loop; every frame it sends to the drive is held to the limits."""
+"""Random frames and commands into the real loop; every frame it sends to the drive is checked against the limits."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _STATUS: dict[int, int] = {Controlword.SWITCH_ON: 0x0233, Controlword.ENABLE_OPE
 
 
 class Echo:
-    """The least of a rig that lets itself be armed and tensioned: a drive with lag and delay, a spring, and noise."""
+    """The smallest rig that can be armed and tensioned: a drive with lag and delay, a spring, and noise."""
 
     def __init__(self, settings: RigSettings, chance: random.Random) -> None:
         self._chance, self._plant = chance, settings.plant
@@ -45,7 +45,7 @@ class Echo:
         self._enabled, self._status = False, 0x0231
 
     def command(self, controlword: int, speed_mm_s: float) -> None:
-        """What the loop sent this tick."""
+        """Receive the loop's command of this tick."""
         self._status = _STATUS.get(controlword, 0x0231)
         self._enabled = controlword == Controlword.ENABLE_OPERATION
         self._sent.append(speed_mm_s if self._enabled else 0.0)
@@ -56,15 +56,15 @@ class Echo:
 
     @property
     def position_um(self) -> int:
-        """What its drive tells."""
+        """The drive's position."""
         return round(self._stroke_mm * 1000)
 
     def node_of(self, device: str) -> int:
-        """Its node id."""
+        """Node id of a device."""
         return self._nodes[device]
 
     def frames(self) -> Iterator[can.Message]:
-        """What its devices answer."""
+        """The devices' frames of this tick."""
         tension = max(0.0, self._plant.stiffness_n_mm * (self._stroke_mm - 2.0)) + self._chance.gauss(0.0, 0.03)
         position, velocity = self.position_um, round(self._speed_mm_s * 100)
         yield _frame(od.TPDO1_BASE + self._nodes["tension_cell"], od.CELL_TPDO.codec.pack(round(tension * 1000), 0))
@@ -82,7 +82,7 @@ class Echo:
                 yield _frame(od.HEARTBEAT_BASE + node, bytes([NmtState.OPERATIONAL]))
 
     def emergencies_over(self) -> Iterator[can.Message]:
-        """What its devices have reported is gone: a fault that stands can be acknowledged."""
+        """Emergency messages without an error, so that a standing fault can be reset."""
         for node in self._nodes.values():
             yield _frame(od.EMCY_BASE + node, bytes(8))
 
@@ -110,9 +110,9 @@ _SPOILS: dict[str, Callable[[bytes, random.Random], bytes | None]] = {
 
 
 class RandomBus(can.BusABC):
-    """Calm stretches in which a rig answers and little else comes, and wild ones.
+    """Calm stretches with the answers of a rig and few other frames, and wild ones.
 
-    In a wild one anything comes, or one device alone is spoilt: what it says is lost, frozen, flipped, negated, cut.
+    A wild one has random frames, or corrupts one device's: lost, frozen, flipped, negated, cut.
     """
 
     def __init__(self, settings: RigSettings, seed: int) -> None:
@@ -128,7 +128,7 @@ class RandomBus(can.BusABC):
         super().__init__(channel="random")
 
     def refill(self, tick: int) -> None:
-        """Have the frames of a tick ready."""
+        """Prepare the frames of a tick."""
         chance = self._chance
         if tick >= self._until:
             self._wild = not self._wild
@@ -157,7 +157,7 @@ class RandomBus(can.BusABC):
                 yield _frame(message.arbitration_id, data)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
-        """Keep it."""
+        """Keep the message."""
         self.sent.append(msg)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:  # noqa: ARG002
@@ -172,7 +172,7 @@ def _frame(can_id: int, data: bytes) -> can.Message:
 
 
 def anything(settings: RigSettings, chance: random.Random, echo: Echo) -> Iterator[can.Message]:
-    """Good ids with any value, any bytes or any length; any id; error, remote and extended frames."""
+    """Valid ids with any value, any bytes or any length; any id; error, remote and extended frames."""
     nodes = settings.canopen_nodes
     cell, slope, drive = (od.TPDO1_BASE + nodes[name] for name in ("tension_cell", "inclinometer", "cylinder"))
     bases = (od.TPDO1_BASE, od.TPDO2_BASE, od.EMCY_BASE, od.HEARTBEAT_BASE, od.RPDO1_BASE, od.SDO_TX_BASE)
@@ -190,7 +190,7 @@ def anything(settings: RigSettings, chance: random.Random, echo: Echo) -> Iterat
             yield _frame(slope, od.SLOPE_TPDO.codec.pack(chance.randrange(-9000, 9000), chance.randrange(-90, 90)))
         elif kind < 0.5:
             status = chance.choice((0x0237, 0x0237, 0x0231, 0x0250, 0x0208, chance.randrange(2**16)))
-            near = chance.random() < 0.9  # else the jump of the position trips before anything else can
+            near = chance.random() < 0.9  # else the jump of the position trips first
             position = echo.position_um + chance.randrange(-200, 200) if near else chance.randrange(-30_000, 130_000)
             velocity = chance.randrange(-1500, 1500)
             yield _frame(drive, od.DRIVE_TPDO.codec.pack(status, position, velocity))
@@ -211,7 +211,7 @@ def anything(settings: RigSettings, chance: random.Random, echo: Echo) -> Iterat
 
 @dataclass
 class Found:
-    """What came of it."""
+    """Results of the fuzzing."""
 
     frames: int = 0
     ticks: int = 0
@@ -222,7 +222,7 @@ class Found:
 
 
 def play(settings: RigSettings, gains: Gains, frames: int, seed: int) -> Found:
-    """Feed at least ``frames`` random frames, and random commands between them, to one loop after the other."""
+    """Feed at least ``frames`` random frames, with random commands between them, to one loop after the other."""
     found, chance = Found(), random.Random(seed)
     while found.frames < frames:
         _episode(settings, gains, found, chance)
@@ -230,7 +230,7 @@ def play(settings: RigSettings, gains: Gains, frames: int, seed: int) -> Found:
 
 
 def _episode(settings: RigSettings, gains: Gains, found: Found, chance: random.Random) -> None:
-    """One loop from its start on; what boots or fails in it for good must not end the fuzzing."""
+    """One loop from its start; an episode whose loop reboots or fails for good must not end the fuzzing."""
     with tempfile.TemporaryDirectory(prefix="rigctl-fuzz-", dir="/dev/shm") as folder:
         runtime = Runtime(pathlib.Path(folder))
         runtime.make_rings(settings)
@@ -251,7 +251,7 @@ def _episode(settings: RigSettings, gains: Gains, found: Found, chance: random.R
             if tick % 1000 == 999:
                 judge.see_records(records.read())
                 answered += len(replies.read())
-        loop.stop_requested = True  # whatever waits for an answer gets it, and every command one
+        loop.stop_requested = True  # every waiting command gets its reply, exactly one
         for _ in range(10):
             loop.tick()
         answered += len(replies.read())
@@ -274,10 +274,10 @@ ONWARD = {
 
 
 def _command(settings: RigSettings, chance: random.Random, loop: Loop) -> tuple[int, float]:
-    """Mostly what leads somewhere; now and then a code or a value that is none."""
+    """Mostly a command that changes the mode; now and then an invalid code or value."""
     kind = chance.random()
     if loop.machine.mode is Mode.DISARMED and kind < 0.2:
-        return chance.choice((Setting.HOST_CHECKS, Setting.OVERDUE)), 0.0  # nothing stands against arming any more
+        return chance.choice((Setting.HOST_CHECKS, Setting.OVERDUE)), 0.0  # nothing prevents arming any more
     low, high = settings.tension.target_min_n - 20, settings.tension.target_max_n + 20
     if kind < 0.7:
         verb = chance.choice(ONWARD[loop.machine.mode])
@@ -290,7 +290,7 @@ def _command(settings: RigSettings, chance: random.Random, loop: Loop) -> tuple[
 
 
 class _Judge:
-    """Holds what leaves for the drive, and what is written down, to what is allowed."""
+    """Checks commands to the drive and records against their bounds."""
 
     def __init__(self, settings: RigSettings, found: Found, echo: Echo) -> None:
         self._found, self._echo = found, echo
@@ -301,7 +301,7 @@ class _Judge:
         self._last = 0.0
 
     def see(self, sent: list[can.Message], loop: Loop) -> None:
-        """The frames of one tick."""
+        """Check the frames of one tick."""
         self._found.modes.add(loop.machine.mode.name)
         self._found.faults.add(loop.machine.fault.name)
         told = [message for message in sent if message.arbitration_id == self._command_id]
@@ -322,7 +322,7 @@ class _Judge:
         self._echo.command(controlword, speed)
 
     def see_records(self, records: object) -> None:
-        """What the gateway would publish."""
+        """Check the records that the gateway would publish."""
         for record in records:  # type: ignore[attr-defined]
             if not math.isfinite(record["command_mm_s"]) or not math.isfinite(record["estimate_n"]):
                 self._found.wrong.append(f"tick {record['tick']}: not finite in the record")

@@ -1,4 +1,4 @@
-"""What a reader of input may do with it: take it, or refuse it in plain lines. Anything else is a bug."""
+"""Permitted outcomes of reading an input: accepted, or refused in plain lines. Any other outcome is a bug."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-PATIENCE_S = 60.0  # only what hangs takes that long
+PATIENCE_S = 60.0  # far above any expected time: only a hang takes that long
 LONGEST_LINE = 4000
 
 
 class HangsError(BaseException):
-    """It has not come back; no ``except Exception`` of the subject can keep it."""
+    """A reader that does not return; no ``except Exception`` of it can catch this."""
 
 
 @dataclass
 class Tally:
-    """What came of it, by name of what was read; ``wrong`` says what should not have been."""
+    """Results by name of the input's kind; ``wrong`` lists the outcomes that are bugs."""
 
     tried: Counter[str] = field(default_factory=Counter)
     taken: Counter[str] = field(default_factory=Counter)
@@ -34,7 +34,7 @@ class Tally:
         *,
         line: bool = True,
     ) -> object | None:
-        """Read it; None if it was refused. ``line``: the refusal is one line, else several that each say something."""
+        """Read an input; None if it is refused. ``line``: the refusal is one line, else several, none of them empty."""
         self.tried[name] += 1
         try:
             with patience():
@@ -44,7 +44,7 @@ class Tally:
             if not plain(said) if line else not all(plain(part) for part in said.split("\n")):
                 self.wrong.append(f"{name}: refused in other than plain lines: {said[:300]!r}")
             return None
-        except (Exception, HangsError) as error:  # noqa: BLE001 - finding these is what this is for
+        except (Exception, HangsError) as error:  # noqa: BLE001 - finding these is the purpose
             place = traceback.extract_tb(error.__traceback__)[-1]
             said = f"{type(error).__name__}: {str(error)[:200]!r} at {place.filename}:{place.lineno}"
             self.wrong.append(f"{name}: {said}, of {what[:2000]!r}")
@@ -54,16 +54,16 @@ class Tally:
 
 
 def plain(said: str) -> bool:
-    """One line of some length that a terminal shows as it is."""
+    """Whether a text is one line of limited length that a terminal shows unchanged."""
     return bool(said.strip()) and len(said) <= LONGEST_LINE and said.isprintable()
 
 
 @contextlib.contextmanager
 def patience() -> Iterator[None]:
-    """Give up on what hangs.
+    """Interrupt a reader that hangs.
 
     Raises:
-        HangsError: it did.
+        HangsError: the time is over.
     """
 
     def give_up(_number: int, _frame: object) -> None:

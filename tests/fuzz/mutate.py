@@ -1,4 +1,4 @@
-"""Mutations of structured data and of bytes: what a slip of the hand, a broken disk or malice makes of a file."""
+"""Mutations of structured data and of bytes: the effects of a typing error, a broken disk or malice on a file."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def data(document: Any, chance: random.Random) -> Any:
 
 
 def _places(document: Any) -> Iterator[tuple[Any, Any]]:
-    """Every value but the document itself, as what holds it and where."""
+    """Every value but the document itself, as its container and its key."""
     keys = document.keys() if isinstance(document, dict) else range(len(document)) if isinstance(document, list) else ()
     for key in keys:
         yield document, key
@@ -49,12 +49,12 @@ def _odd(holder: Any, key: Any, chance: random.Random) -> None:
 
 
 def _nudge(holder: Any, key: Any, chance: random.Random) -> None:
-    """Numbers stay numbers, names stay nearly names: what only a check of the value itself can refuse."""
+    """Numbers stay numbers, names stay nearly names: changes that only a check of the value can refuse."""
     found = holder[key]
     if isinstance(found, bool):
         holder[key] = not found
     elif isinstance(found, int):
-        near = float(found) if abs(found) < 1 << 1000 else math.inf  # of an odd number that was there before
+        near = float(found) if abs(found) < 1 << 1000 else math.inf  # the number may come from an earlier mutation
         holder[key] = chance.choice((found + 1, found - 1, -found, found * 2, found // 2, found * 1000, near))
     elif isinstance(found, float):
         factor = chance.choice((-1.0, 0.5, 0.9, 1.1, 2.0, 10.0, 0.01, 1e6, 1e-6))
@@ -98,7 +98,7 @@ _CHANGES: tuple[Callable[[Any, Any, random.Random], None], ...] = (
 
 
 def raw(text: bytes, chance: random.Random) -> bytes:
-    """Bytes with some of them changed, left out, doubled, or torn off."""
+    """Bytes with some of them changed, left out, doubled, or cut off."""
     changed = bytearray(text)
     for _ in range(chance.choice((1, 1, 2, 8, 40))):
         at, length = chance.randrange(len(changed) + 1), chance.choice((1, 1, 4, 40))

@@ -1,4 +1,4 @@
-"""A rig whose devices answer SDOs with garbage: the start-up ends in one line or in success, and always ends."""
+"""A rig whose devices answer SDOs with garbage: the start-up always ends, in success or in one line."""
 
 from __future__ import annotations
 
@@ -56,12 +56,12 @@ def _twice(data: bytes, _chance: random.Random) -> list[bytes]:
 
 
 def _segmented(data: bytes, chance: random.Random) -> list[bytes]:
-    """It has more to say, of a length that may be anything; whatever is asked next is answered by `_segment`."""
+    """Announce a segmented transfer of any length; `_segment` answers the requests that follow."""
     return [b"\x41" + data[1:4] + struct.pack("<L", chance.choice((0, 1, 4, 9, 2**31, 2**32 - 1)))]
 
 
 def _segment(data: bytes, chance: random.Random) -> list[bytes]:
-    """One more segment, hardly ever the last."""
+    """One more segment, rarely the last."""
     return [bytes([chance.choice((0x00, 0x10)) | (chance.random() < 0.02)]) + data[1:]]
 
 
@@ -71,7 +71,7 @@ ANSWERS: tuple[Answer, ...] = (
 
 
 class Liar:
-    """Puts other answers in place of the devices', from some question on. Endless: segments without a last one."""
+    """Replaces the devices' responses from some request on. Endless: segments without a last one."""
 
     def __init__(self, settings: RigSettings, honest: Port, chance: random.Random) -> None:
         self._chance, self._honest = chance, honest
@@ -84,7 +84,7 @@ class Liar:
         self.told: Counter[str] = Counter()
 
     def tap(self, sender: Port, frame: bytes) -> Iterator[bytes]:
-        """What goes on the wire in place of a frame; see `hil.hub.Hub.tap`."""
+        """Frames that go on the wire in place of one; see `hil.hub.Hub.tap`."""
         can_id, length, data = FRAME.unpack(frame)
         if sender is not self._honest or can_id not in self._ids:
             yield frame
@@ -99,7 +99,7 @@ class Liar:
     def _lie(self, data: bytes) -> list[bytes]:
         if self._endless:
             self.told["endless"] += 1
-            if data[0] != 0x80:  # a question the device understands; it knows nothing of the segments asked for then
+            if data[0] != 0x80:  # a request the device understands; it does not know the segments requested then
                 self._toggle = 0
                 return _segmented(data, self._chance)
             self._toggle ^= 0x10
@@ -110,7 +110,7 @@ class Liar:
 
 
 def play(settings: RigSettings, count: int, seed: int) -> Tally:
-    """Bring up ``count`` rigs that lie. ``settings``: one that can be simulated."""
+    """Bring up ``count`` rigs with such devices. ``settings``: of a rig that can be simulated."""
     chance, tally = random.Random(seed), Tally()
     quick = settings.model_copy(
         update={
@@ -123,7 +123,7 @@ def play(settings: RigSettings, count: int, seed: int) -> Tally:
     )
     for i in range(count):
         hub = Hub(lambda: START_NS)
-        port = hub.attach(lambda frame: rig.receive(frame))  # noqa: B023, PLW0108 - it is made in a moment
+        port = hub.attach(lambda frame: rig.receive(frame))  # noqa: B023, PLW0108 - the rig is made after the port
         rig = SimulatedRig(quick, START_NS, port.send)
         liar = Liar(quick, port, chance)
         hub.tap = liar.tap

@@ -1,6 +1,6 @@
-"""Every file that a process reads at its start, damaged: it goes on without it, or refuses it in one line.
+"""Every file that a process reads at its start, damaged: the process starts without it, or refuses it in one line.
 
-`files` changes what is in a file; here also what stands in its place changes: nothing, a folder, a pipe, a link.
+`files` changes the content of a file; here a file is also replaced: by nothing, a folder, a pipe, a link.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ GAINS = {"k_tension": 0.5, "k_speed": 0.1, "k_integral": 1.0}
 
 @dataclass(frozen=True)
 class File:
-    """One of them: where it stands, what is in it, and who reads it. ``allowed``: how it may be refused."""
+    """A file: its path, content and readers. ``allowed``: exceptions that refuse it."""
 
     name: str
     path: pathlib.Path
@@ -68,7 +68,7 @@ class File:
     lines: bool = False
 
     def damage(self, whole: bytes, chance: random.Random) -> bytes:
-        """Put something else in its place; what, in bytes for a report."""
+        """Replace the file; returns the replacement, in bytes, for a report."""
         _clear(self.path)
         match chance.randrange(20):
             case 0:
@@ -100,7 +100,7 @@ class File:
 
     @staticmethod
     def _other(whole: bytes, chance: random.Random) -> bytes:
-        """Other content under a SHA-256 that is right, where it is a file of the runtime folder."""
+        """Other content under a valid SHA-256, where it is a file of the run-time folder."""
         text, _, seal = whole.rstrip(b"\n").rpartition(b"\n")
         if len(seal) != 64:
             return mutate.raw(whole, chance)
@@ -120,7 +120,7 @@ def _clear(path: pathlib.Path) -> None:
 
 
 def play(count: int, seed: int) -> Tally:
-    """Damage each ``count`` times."""
+    """Damage each file ``count`` times."""
     tally, chance = Tally(), random.Random(seed)
     with tempfile.TemporaryDirectory(prefix="rigctl-fuzz-", dir="/dev/shm") as name:
         for file in table(pathlib.Path(name)):
@@ -135,7 +135,7 @@ def play(count: int, seed: int) -> Tally:
 
 
 def table(base: pathlib.Path) -> list[File]:
-    """All of them, whole, in ``base``."""
+    """All files, whole, in ``base``."""
     folder = base / "config"
     shutil.copytree(ROOT / "config", folder, ignore=shutil.ignore_patterns("calibration", "audit"))
     rig = config.load(folder / "paper_rig.yaml")
@@ -198,7 +198,7 @@ def _of_the_daemon(runtime: Runtime, rig: RigSettings) -> list[File]:
     supervisor._runtime = runtime
 
     def active() -> None:
-        """Gateway, recorder and page look; then the supervisor, before it starts one of them."""
+        """Gateway, recorder and page read the file; the supervisor reads it before it starts one of them."""
         design_of(Active(runtime).written)
         runtime.known(ACTIVE)
         supervisor._active = whole
@@ -258,7 +258,7 @@ def _of_the_daemon(runtime: Runtime, rig: RigSettings) -> list[File]:
 
 
 def _kept(folder: pathlib.Path, runtime: Runtime, rig: RigSettings) -> list[File]:
-    """What is kept from one run of the daemon to the next."""
+    """Files kept from one run of the daemon to the next."""
     rig = rig.model_copy(update={"directory": str(folder)})
     ledger_file = rig.ledger
     assert ledger_file is not None
@@ -282,7 +282,7 @@ def _kept(folder: pathlib.Path, runtime: Runtime, rig: RigSettings) -> list[File
     mine.write("0" * 32)
 
     def recorder() -> None:
-        """A recorder that comes up: what it cannot continue is told, and no reason to end."""
+        """A recorder that starts: it reports what it cannot continue, and goes on."""
         found = Recorder(
             runtime, rig.model_copy(update={"recording": rig.recording.model_copy(update={"enabled": False})}), 1, 1
         )

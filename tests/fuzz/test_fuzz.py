@@ -1,4 +1,4 @@
-"""A share of the fuzzing, and what fuzzing has found."""
+"""A share of the fuzzing, and regressions that fuzzing has found."""
 
 from __future__ import annotations
 
@@ -75,12 +75,12 @@ def test_a_file_is_taken_or_refused_in_plain_lines() -> None:
 
 
 def test_a_file_read_at_a_start_may_be_damaged_in_any_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", "/nowhere")  # back as it was afterwards
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/nowhere")  # the fixture restores it
     found = startup_files.play(40, seed=1)
     assert found.wrong == []
     assert set(found.tried.values()) == {40}
     for name in ("active.json", "control.json", "recorder.json", "calibration.json", "lease.json", "lock"):
-        assert found.taken[name] == found.tried[name], name  # and gone on without it
+        assert found.taken[name] == found.tried[name], name  # the process went on without the file
     for name in ("rig file", "DBC file", "EDS file", "gain file", "calibration ledger", "audit log", "recording"):
         assert found.tried[name] - found.taken[name] > 0, name
 
@@ -104,9 +104,9 @@ def test_what_is_wrong_is_found() -> None:
 
 
 def answering(settings: RigSettings, lie: object) -> str:
-    """What the start-up says when every SDO answer of the devices is another."""
+    """Message of the start-up when every SDO response of the devices is replaced."""
     hub = Hub(lambda: replies.START_NS)
-    port = hub.attach(lambda frame: rig.receive(frame))  # noqa: PLW0108 - it is made in a moment
+    port = hub.attach(lambda frame: rig.receive(frame))  # noqa: PLW0108 - the rig is made after the port
     rig = SimulatedRig(settings, replies.START_NS, port.send)
 
     def tap(sender: Port, frame: bytes) -> list[bytes]:

@@ -27,7 +27,7 @@ def gains(settings: RigSettings) -> Gains:
 
 @pytest.fixture
 def rig(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
-    """Running, DISARMED, every signal fresh."""
+    """A running rig, DISARMED, every signal fresh."""
     with lockstep(settings, gains) as subject:
         subject.run(0.2)
         yield subject
@@ -35,7 +35,7 @@ def rig(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
 
 @pytest.fixture
 def enter(rig: Lockstep) -> Callable[[Mode], None]:
-    """Take the rig to a mode as an operator would."""
+    """Take the rig to a mode as an operator does."""
 
     def to(mode: Mode) -> None:
         if mode is Mode.DISARMED:

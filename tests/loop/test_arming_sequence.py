@@ -1,4 +1,4 @@
-"""What lies between one stop and the next power: standstill, the drive off, the brake closed, and the brake test."""
+"""The steps from a stop to the next power-on: standstill, the drive off, the brake closed, and the brake test."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_arm_right_after_disarm_waits_for_the_brake_to_close(rig: Lockstep, ente
 
 
 def test_a_drive_that_is_moved_by_something_else_is_not_switched_on(rig: Lockstep) -> None:
-    rig.rig.drive.defect = lambda _speed, _closed: (0.15, False)  # less than a brake that slips trips at
+    rig.rig.drive.defect = lambda _speed, _closed: (0.15, False)  # below the trip limit of a slipping brake
     rig.run(0.4)
     assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
     assert Check(int(rig.reply["checks"])) == Check.NOT_AT_STANDSTILL
@@ -105,7 +105,7 @@ def test_an_arm_that_waits_is_refused_by_what_fails_meanwhile_and_ended_by_disar
     rig.run(0.4)
     first = rig.give(Verb.ARM)
     rig.run(0.1)
-    while rig.loop.readback.reading_all:  # the devices' settings come first
+    while rig.loop.readback.reading_all:  # the devices' settings are read first
         rig.loop.tick()
     assert rig.loop.machine.arming
     assert not any(rig.rig.drive.control.enabled for _ in watched(rig, 0.1))
@@ -130,7 +130,7 @@ def test_one_toggling_count_of_a_coarse_encoder_is_standstill(settings: RigSetti
 @pytest.mark.parametrize("speed_mm_s", [0.12, -0.12, 8.0])
 def test_a_stroke_that_creeps_is_not_at_standstill(settings: RigSettings, speed_mm_s: float) -> None:
     still = arming.Standstill(settings)
-    found = [still.look(i * MS, 50.0 + speed_mm_s * i * 1e-3, 0.0, MS) for i in range(1000)]  # its speed says nothing
+    found = [still.look(i * MS, 50.0 + speed_mm_s * i * 1e-3, 0.0, MS) for i in range(1000)]  # its own speed is 0
     assert max(found) < arming.STILL_NS
 
 
@@ -145,7 +145,7 @@ def test_what_is_not_seen_does_not_stand_still(settings: RigSettings, stroke: fl
 
 @pytest.fixture
 def loaded(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
-    """DISARMED, 300 N on the brake, with a brake test."""
+    """A rig DISARMED, 300 N on the brake, with a brake test."""
     tested = settings.model_copy(update={"cylinder": settings.cylinder.model_copy(update={"brake_test": True})})
     with lockstep(tested, gains) as subject:
         subject.rig.plant.preload(300.0)
@@ -154,7 +154,7 @@ def loaded(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
 
 
 def slips(rig: Lockstep, speed_mm_s: float) -> None:
-    rig.rig.plant.parameters["dead_band"] = 0.0  # of the motor; this is the brake
+    rig.rig.plant.parameters["dead_band"] = 0.0  # of the motor; the brake slips here
     rig.rig.drive.defect = lambda speed, braked: (-speed_mm_s, False) if braked else (speed, False)
 
 
@@ -174,7 +174,7 @@ def test_the_brake_is_tested_under_the_load_for_two_seconds_before_the_drive_has
 
 
 def test_a_brake_that_gives_way_slowly_is_found_latched_and_said(loaded: Lockstep) -> None:
-    slips(loaded, 0.04)  # no standstill check, and no limit of a slipping brake, sees this
+    slips(loaded, 0.04)  # too slow for the standstill check and for the limit of a slipping brake
     assert loaded.command(Verb.ARM, limit_s=4.0) is Refusal.BRAKE_SLIPPED
     assert abs(loaded.reply["value"]) == pytest.approx(arming.BRAKE_TEST_MM, abs=0.01)
     assert not loaded.rig.drive.control.enabled

@@ -1,4 +1,4 @@
-"""An interface that goes down and comes up again under the loop: it ticks on, counts, says so, and is brought back."""
+"""An interface goes down and comes up again: the loop ticks on, counts and reports it, and recovers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rigctl.control.modes import Mode, Refusal, Verb
 
 
 def pull_down(rig: Lockstep, patch: pytest.MonkeyPatch) -> None:
-    """As the kernel's socket has it: every send fails, the next receive once, and then nothing comes."""
+    """As the kernel's socket behaves: every send fails, the next receive fails once, and then nothing comes."""
     untold = [can.CanOperationError("Error receiving: Network is down", 100)]
 
     def receive(_timeout_s: float) -> None:

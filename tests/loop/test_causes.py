@@ -1,4 +1,4 @@
-"""Every cause of a fault that stands is shown, the strongest first, with since when, and what blocks a reset."""
+"""Every standing cause of a fault is shown, the strongest first, with its start time, and what blocks a reset."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def shown(rig: Lockstep) -> Iterator[Shown]:
 
 
 def cut(rig: Lockstep, seconds: float) -> None:
-    """No frame gets through for a while."""
+    """Drop every frame for a while."""
     rig.hub.tap = lambda _, __: ()
     rig.run(seconds)
     rig.hub.tap = None
@@ -144,7 +144,7 @@ def test_a_gateway_that_has_missed_the_events_shows_the_cause_without_figures(ri
 
 
 class _Picture:
-    """What the page's server knows."""
+    """The state that the page's server holds."""
 
     def __init__(self, state: dict[str, Any]) -> None:
         import contextlib

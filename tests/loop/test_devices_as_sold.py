@@ -1,4 +1,4 @@
-"""The loop on devices as they are sold: the demo on each variant, one sample in two frames, and a recording of it."""
+"""The loop on commercial devices: the demo on each variant, one sample in two frames, and a recording of it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_demo_passes_on_every_variant(variant: str) -> None:
 
 
 def test_a_recording_of_fixed_mappings_and_increments_replays_bit_identical(tmp_path: pathlib.Path) -> None:
-    """Fixed mappings in another order, units by the drive's feed constant: the recording says what start-up found."""
+    """Fixed mappings in another order, units by the drive's feed constant: the recording keeps what start-up found."""
     settings = changed(with_set("as_sold"), simulation={"devices": {"sdo_ms": 0, "boot_s": 0.0}})
     settings = changed(settings, cylinder={"increments_per_mm": None})
     summary = demo(settings, tmp_path)
@@ -58,7 +58,7 @@ def test_a_recording_of_fixed_mappings_and_increments_replays_bit_identical(tmp_
 
 @pytest.fixture
 def stock(gains: Gains) -> Iterator[Lockstep]:
-    """A stock drive, whose speed comes in a frame of its own, COMPENSATING."""
+    """COMPENSATING with a stock drive, which sends its speed in a frame of its own."""
     with lockstep(with_set("stock_drive"), gains) as rig:
         rig.run(0.2)
         assert rig.command(Verb.ARM) is Refusal.NONE
@@ -88,7 +88,7 @@ def test_a_sample_of_two_frames_is_fresh_only_when_both_have_come(stock: Lockste
     stock.run(0.01)
     assert inbox.drive_fresh
     drop(stock, base + DRIVE_NODE, 3)
-    stock.loop.tick()  # on what came with the SYNC before
+    stock.loop.tick()  # uses the values of the previous SYNC
     before = inbox.drive_t_ns
     for _ in range(3):
         stock.loop.tick()

@@ -1,4 +1,4 @@
-"""The emergency stop, and the ways the drive is stopped: seen at once, ended on the brake, the load carried."""
+"""The emergency stop and the other stops of the drive: seen at once, ended on the brake, the load carried."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def braked(rig: Lockstep) -> bool:
 
 
 def carried(rig: Lockstep, seconds: float = 1.0) -> bool:
-    """The brake is closed and the stroke stays where it is."""
+    """Whether the brake is closed and the stroke stays in place."""
     before = rig.rig.truth.stroke_mm
     rig.run(seconds)
     return braked(rig) and rig.rig.truth.stroke_mm == before
@@ -45,7 +45,7 @@ def test_an_emergency_stop_is_seen_at_once_latched_and_ends_on_the_brake(
     enter(mode)
     before = rig.rig.truth.tension_n
     rig.rig.drive.press_e_stop(True)
-    for _ in range(2):  # its emergency message is there long before the input's next status
+    for _ in range(2):  # the emergency message comes long before the input's next status
         rig.loop.tick()
     machine = rig.loop.machine
     assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.E_STOP, Action.QUICK_STOP)
@@ -78,11 +78,11 @@ def test_an_emergency_stop_is_latched_while_disarmed_and_a_short_press_too(rig: 
 
 def test_without_its_message_the_input_alone_is_seen_with_the_next_status(rig: Lockstep, enter: Enter) -> None:
     enter(Mode.HOLD)
-    rig.rig.drive.e_stop_pressed = True  # a drive that mirrors the input and does nothing about it
+    rig.rig.drive.e_stop_pressed = True  # a drive that mirrors the input and does not react
     rig.run(status_period_s(rig) + 0.002)
     assert rig.loop.machine.fault is Fault.E_STOP
     rig.run(0.3)
-    assert carried(rig)  # by our quick stop
+    assert carried(rig)  # by the loop's quick stop
 
 
 def test_arming_is_refused_while_pressed_and_while_the_input_is_not_seen(rig: Lockstep) -> None:
@@ -130,7 +130,7 @@ def test_a_drive_that_is_not_asked_for_its_status_has_no_emergency_stop(settings
 
 
 def moving(rig: Lockstep) -> None:
-    """COMPENSATING, on its way to another target."""
+    """Bring the rig to COMPENSATING, on its way to another target."""
     assert rig.command(Verb.TARGET, 250.0) is Refusal.NONE
     rig.run(0.5)
     assert abs(rig.rig.truth.speed_mm_s) > 5.0
@@ -146,7 +146,7 @@ def test_a_quick_stop_at_speed_ends_with_the_brake_closed_and_the_tension_held(r
         rig.loop.tick()
         words.add(rig.loop.outbox.controlword)
     assert carried(rig)
-    assert objects.Controlword.DISABLE_VOLTAGE not in words  # never off at once on a drive that obeys
+    assert objects.Controlword.DISABLE_VOLTAGE not in words  # power is never cut at once on a drive that obeys
     assert abs(rig.rig.truth.stroke_mm - before.stroke_mm) < 0.4  # 8 mm/s: 0.06 mm of ramp, 0.2 mm of lag
     assert rig.rig.truth.tension_n == pytest.approx(before.tension_n, abs=2.5)
     assert drive_state(rig.loop.inbox.statusword) in objects.OFF_STATES
@@ -210,13 +210,13 @@ def test_a_drive_that_has_started_anew_counts_as_unverified(rig: Lockstep) -> No
 
 
 def test_at_an_end_of_the_stroke_only_an_operator_who_says_so_arms(settings: RigSettings, gains: Gains) -> None:
-    near = {"stroke_min_mm": -1.0}  # the rope hangs slack at 0
+    near = {"stroke_min_mm": -1.0}  # the rope is slack at 0
     with lockstep(settings.model_copy(update={"cylinder": settings.cylinder.model_copy(update=near)}), gains) as rig:
         rig.run(0.2)
         assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
         assert rig.reply["checks"] == Check.STROKE_NEAR_END
         assert rig.command(Verb.ARM, 1.0) is Refusal.NONE
-        assert rig.command(Verb.TENSION) is Refusal.NONE  # away from it
+        assert rig.command(Verb.TENSION) is Refusal.NONE  # away from the limit
         rig.run_until(Mode.COMPENSATING, 15.0)
         assert rig.command(Verb.HOLD) is Refusal.NONE
         assert rig.command(Verb.DISARM) is Refusal.NONE

@@ -1,4 +1,4 @@
-"""The drive in somebody else's hands, what its statusword says of itself, and the devices' heartbeats."""
+"""The drive under another master's control, its statusword, and the devices' heartbeats."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def status_bit(rig: Lockstep, bit: int, *, on: bool) -> None:
     rig.rig.drive.distort(objects.STATUSWORD, 0, lambda raw: raw | bit if on else raw & ~bit)
 
 
-# -- somebody else's drive ---------------------------------------------------------------------------------------
+# -- another master's drive --------------------------------------------------------------------------------------
 def test_a_service_tool_that_drives_while_disarmed_trips_and_is_stopped(rig: Lockstep) -> None:
     rig.events.read()
     before_mm = rig.rig.truth.stroke_mm
@@ -72,7 +72,7 @@ def test_a_tool_that_comes_in_the_very_tick_of_arm_is_seen_before_it(rig: Lockst
 
 @pytest.mark.parametrize("mode", ARMED)
 def test_our_own_drive_is_no_stranger(rig: Lockstep, enter: Enter, mode: Mode) -> None:
-    """Arming, disarming and calling off an arm: the drive is enabled because we asked, or on its way off."""
+    """Arming, disarming and cancelling an arm: the loop has enabled the drive, or switches it off."""
     enter(mode)
     rig.command(Verb.HOLD)
     rig.run(0.1)
@@ -144,12 +144,12 @@ def test_the_simulated_drive_sets_its_bits_as_cia_402_says(rig: Lockstep, enter:
             bool(word & bit) for bit in (objects.STATUS_REMOTE, objects.STATUS_INTERNAL_LIMIT, objects.STATUS_FOLLOWS)
         )
 
-    assert bits() == (True, False, False)  # not enabled: there is nothing to follow
+    assert bits() == (True, False, False)  # not enabled: there is no target to follow
     enter(Mode.HOLD)
     assert bits() == (True, False, True)
     rig.rig.drive._set_mode(0)
     rig.run(0.003)
-    assert bits() == (True, False, False)  # in no mode the target velocity is not followed
+    assert bits() == (True, False, False)  # without a mode of operation the target velocity is not followed
     rig.rig.drive._set_mode(objects.CYCLIC_SYNCHRONOUS_VELOCITY)
     rig.run(0.003)
     assert rig.settings.simulation is not None
@@ -165,7 +165,7 @@ def test_a_heartbeat_that_stops_while_samples_go_on_is_a_fault(rig: Lockstep, en
     gone = objects.HEARTBEAT_BASE + node
     rig.hub.tap = lambda _, frame: () if FRAME.unpack(frame)[0] == gone else (frame,)
     rig.run(0.39)
-    assert rig.loop.machine.fault is Fault.NONE  # a burst of three lost is none
+    assert rig.loop.machine.fault is Fault.NONE  # three lost in a burst are no fault
     rig.run(0.22)
     machine = rig.loop.machine
     assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.NODE_NOT_OPERATIONAL, Action.HOLD)

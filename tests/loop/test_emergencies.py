@@ -1,4 +1,4 @@
-"""Emergency messages, read as CiA 301 says: which begin an error, which end one, and what the operator is told."""
+"""Emergency messages by CiA 301: which begin an error, which end one, and the text for the operator."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Enter = Callable[[Mode], None]
 
 
 def send(rig: Lockstep, node: int, code: int, register: int, manufacturer: bytes = bytes(5)) -> list[str]:
-    """One emergency message; what is then said of it."""
+    """Send one emergency message; returns the resulting events in words."""
     rig.events.read()
     rig.inject(FRAME.pack(objects.EMCY_BASE + node, 8, struct.pack("<HB5s", code, register, manufacturer)))
     rig.run(0.005)

@@ -1,4 +1,4 @@
-"""What the loop believes of its sensors, and what becomes of a sensor it does not believe."""
+"""The loop's estimate from its sensors, and the treatment of a sensor that it rejects."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Enter = Callable[[Mode], None]
 
 
 def with_error(rig: Lockstep, error: Callable[[int], float]) -> None:
-    """Have the cell misread: ``error`` in N by the number of the sample from now on."""
+    """Add ``error``, in N by the number of the sample from now on, to the cell's reading."""
     measurement: Any = rig.rig.cell._measurement
     sample, count = measurement.sample, iter(range(1_000_000))
 
@@ -65,7 +65,7 @@ def test_a_jolt_of_the_mechanism_is_believed(rig: Lockstep, enter: Enter) -> Non
     records = rig.run(1.0)
     assert rig.loop.machine.mode is Mode.COMPENSATING
     assert not np.any(records["tension_verdict"] == Verdict.REJECTED)
-    late = records[450:]  # by 0.37 to 0.41 s, as the cell's noise has it
+    late = records[450:]  # detected after 0.37 to 0.41 s, depending on the cell's noise
     assert np.max(np.abs(late["estimate_n"] - 300.0)) < 0.3  # back within 0.1 %
 
 

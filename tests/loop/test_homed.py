@@ -1,4 +1,4 @@
-"""A drive whose position has lost its zero is not armed: held against the stroke last known, and watched for jumps."""
+"""A drive that has lost its zero position is not armed: compared with the last stroke, and watched for jumps."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def changed(settings: RigSettings, **change: object) -> RigSettings:
 
 @pytest.fixture
 def start(settings: RigSettings, gains: Gains) -> Iterator[Callable[..., Lockstep]]:
-    """A rig at stroke 0, the last one known given."""
+    """Starts a rig at stroke 0 with a given last stroke."""
     opened = []
 
     def begin(last: LastStroke, **change: object) -> Lockstep:

@@ -1,4 +1,4 @@
-"""Identification on the simulated rig, whose truth is known: found within its error, bounded, and ended by anything."""
+"""Identification on the simulated rig with its known truth: within the stated error, bounded, ended by any event."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tests.builders.random_plants import KEYS, identify_all, plants
 from tests.loop.test_trials import cell_reads, give
 
 Enter = Callable[[Mode], None]
-LIMIT_S = 9.5  # within the records any rig file keeps
+LIMIT_S = 9.5  # within the records that any rig file keeps
 
 
 def with_drive(settings: RigSettings, **drive: float) -> RigSettings:
@@ -35,7 +35,7 @@ def with_drive(settings: RigSettings, **drive: float) -> RigSettings:
 
 
 def excite(rig: Lockstep) -> npt.NDArray[Any]:
-    """Identify, and return the records of it."""
+    """Identify, and return the records of that time."""
     rig.read_records()
     assert rig.command(Verb.IDENTIFY, limit_s=LIMIT_S) is Refusal.NONE
     records = rig.read_records()
@@ -50,7 +50,7 @@ def found(rig: Lockstep, records: npt.NDArray[Any]) -> dict[str, Any]:
 
 @pytest.fixture
 def held(rig: Lockstep, enter: Enter) -> Iterator[Lockstep]:
-    """HOLD with 300 N on the rope."""
+    """A rig in HOLD with 300 N on the rope."""
     enter(Mode.COMPENSATING)
     assert rig.command(Verb.HOLD) is Refusal.NONE
     rig.run(1.0)
@@ -98,7 +98,7 @@ def test_a_drive_that_is_not_the_files_is_seen(
     truth = {row["key"]: row["found"] for row in rows}
     assert truth["plant.cylinder_lag_s"] == pytest.approx(lag_s, abs=0.5e-3)
     assert truth["plant.command_delay_s"] == pytest.approx(delay_s, abs=0.2e-3)
-    assert truth["stiffness"] is None  # a slack rope tells nothing of it
+    assert truth["stiffness"] is None  # a slack rope does not show the stiffness
 
 
 def test_a_play_that_the_load_does_not_seat_is_found(settings: RigSettings, gains: Gains) -> None:
@@ -174,7 +174,7 @@ def test_it_does_not_begin_where_the_tension_would_trip(settings: RigSettings, g
 
 @contextlib.contextmanager
 def tight(settings: RigSettings, gains: Gains, tension_n: float, stiffness_n_mm: float = 6.0) -> Iterator[Lockstep]:
-    """In HOLD with this tension on a rig of this stiffness, of which the rig file knows nothing."""
+    """HOLD with this tension on a rig of this stiffness, which the rig file does not have."""
     simulation = settings.simulation
     assert simulation is not None
     scale = {"stiffness_scale": stiffness_n_mm / settings.plant.stiffness_n_mm, "step_us": 50}
@@ -195,7 +195,7 @@ def test_a_rope_far_stiffer_than_the_file_says_is_not_pulled_by_more_than_a_step
         rows = {row["key"]: row for row in proposal.rows(proposal.signals_of(records, 1e-3), settings)}
     assert np.ptp(records["tension_n"]) < STRAY_N
     assert abs(rows["stiffness"]["found"] - stiffness_n_mm) <= rows["stiffness"]["error"]
-    lag = rows["plant.cylinder_lag_s"]  # a stroke of a few units of the drive's position does not tell it
+    lag = rows["plant.cylinder_lag_s"]  # a stroke of a few units of the drive's position does not show the lag
     assert lag["found"] is None
     assert lag["why"].startswith("too uncertain: ")
 
@@ -203,7 +203,7 @@ def test_a_rope_far_stiffer_than_the_file_says_is_not_pulled_by_more_than_a_step
 def test_a_cell_that_is_stuck_does_not_have_a_stiff_rope_pulled(settings: RigSettings, gains: Gains) -> None:
     plant = settings.plant.model_copy(update={"spring_n_mm": None})  # the rig file says so too: 1000 N/mm
     with tight(settings.model_copy(update={"plant": plant}), gains, 250.0, 1000.0) as rig:
-        dither = itertools.cycle((0.0, 0.02))  # one that sends the very same value is found out at once
+        dither = itertools.cycle((0.0, 0.02))  # a sensor that repeats one value is detected at once
         cell_reads(rig, lambda _n: 250.0 + next(dither))
         before = rig.rig.truth.tension_n
         records = excite(rig)
@@ -230,7 +230,7 @@ def test_a_payload_that_is_bumped_makes_it_uncertain_and_not_wrong(settings: Rig
 
 
 def test_twenty_random_plants_are_found_within_what_is_stated() -> None:
-    """Over plants of which the rig file knows nothing; `tests.builders.random_plants` prints them."""
+    """Over plants that differ from the rig file; `tests.builders.random_plants` prints them."""
     results = identify_all(plants(seed=1, count=20))
     for result in results:
         assert abs(result.off("stiffness")) <= 0.01 * result.plant.stiffness
@@ -242,7 +242,7 @@ def test_twenty_random_plants_are_found_within_what_is_stated() -> None:
 
 
 def test_what_cannot_be_told_is_not_told() -> None:
-    """Stiff ropes, slack ones, nuts that the load does not seat: a figure that is told is none that is wrong."""
+    """Stiff ropes, slack ropes, nuts that the load does not seat: no reported figure is wrong."""
     results = identify_all(plants(seed=2, count=8, wide=True))
     told = [(result, name) for result in results for name in KEYS if result.told(name)]
     assert sum(result.inside(name) for result, name in told) >= 0.95 * len(told)

@@ -1,4 +1,4 @@
-"""The emergency stop at an I/O node: pressed or silent, in every mode, and how the node is set up."""
+"""The emergency stop at an I/O node: pressed or silent, in every mode, and the node's start-up."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def fitted(settings: RigSettings, **changes: object) -> RigSettings:
 
 @pytest.fixture
 def rig(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
-    """As every test's here, with an I/O node; ``enter`` takes this one to a mode."""
+    """The rig of the other tests, with an I/O node; ``enter`` takes this one to a mode."""
     with lockstep(fitted(settings), gains) as subject:
         subject.run(0.2)
         yield subject
@@ -45,7 +45,7 @@ def node(rig: Lockstep) -> IoNode:
 
 
 def silence(rig: Lockstep) -> None:
-    """The node's inputs do not get through any more."""
+    """Drop the frames of the node's inputs from now on."""
     inputs = objects.TPDO1_BASE + IO.node
     rig.hub.tap = lambda _, frame: () if FRAME.unpack(frame)[0] == inputs else (frame,)
 
@@ -75,7 +75,7 @@ def test_pressed_at_the_io_node_alone_the_loop_stops_the_drive_and_latches(
     machine = rig.loop.machine
     assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.E_STOP, Action.QUICK_STOP)
     assert trip_value(rig) == EStop.IO_NODE
-    assert not rig.loop.inbox.e_stop  # the drive's input, and the drive knows of nothing
+    assert not rig.loop.inbox.e_stop  # the drive's own input, which is not open
     assert rig.rig.drive.errors == ()
     rig.run(0.5)
     assert rig.rig.drive.control.stage.phase is Phase.BRAKED
@@ -151,12 +151,12 @@ def test_a_silent_node_ends_with_the_stroke_held_until_it_is_heard_again(
     before = rig.rig.truth
     silence(rig)
     ticks = ticks_until_fault(rig, IO.stale_ms + 2)
-    assert ticks > IO.stale_ms - IO.event_ms - 2  # its newest sample may be as old as the event timer when it goes
+    assert ticks > IO.stale_ms - IO.event_ms - 2  # the last sample may be as old as the event timer
     machine = rig.loop.machine
     assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.E_STOP_UNSEEN, Action.HOLD)
     tripped = rig.rig.truth
     rig.run(0.5)
-    assert rig.rig.drive.control.enabled  # under power: nothing says that anybody has pressed it
+    assert rig.rig.drive.control.enabled  # under power: the stop is not known to be pressed
     assert rig.rig.truth.stroke_mm == pytest.approx(tripped.stroke_mm, abs=0.3)
     if mode in (Mode.HOLD, Mode.COMPENSATING):
         assert rig.rig.truth.tension_n == pytest.approx(before.tension_n, abs=1.0)
@@ -184,7 +184,7 @@ def test_pressed_and_then_silent_it_stays_pressed(rig: Lockstep) -> None:
     node(rig).press_e_stop(True)
     rig.run(0.02)
     silence(rig)
-    node(rig).press_e_stop(False)  # which nobody hears
+    node(rig).press_e_stop(False)  # the message does not get through
     rig.run(0.6)
     assert rig.loop.observer.snapshot.e_stop == EStop.IO_NODE
     checks = Check(int(rig.run(0.6)["checks"][-1]))

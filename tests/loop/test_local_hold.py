@@ -1,4 +1,4 @@
-"""HOLD through its own ring: before every command that waits, and not undone by one that was given before it."""
+"""HOLD through its own ring: carried out before every waiting command, and not undone by an earlier one."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_commands_that_wait_neither_delay_nor_undo_a_hold(settings: RigSettings,
         others = found[found["id"] != HOLD_ID]
         assert set(others["reason"]) == {Refusal.ABORTED}
         assert len(others) == 400
-        assert rig.command(Verb.TENSION) is Refusal.NONE  # one given after it is carried out
+        assert rig.command(Verb.TENSION) is Refusal.NONE  # a later command is carried out
 
 
 def test_a_hold_that_is_too_old_is_not_carried_out(settings: RigSettings, gains: Gains) -> None:

@@ -1,4 +1,4 @@
-"""What the loop does, seen through its frames, its records and the plant's truth."""
+"""The loop's behaviour, seen through its frames, its records and the plant's truth."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_two_runs_give_byte_identical_frames(settings: RigSettings, gains: Gains
     assert first == second
 
 
-# -- losing things -----------------------------------------------------------------------------------------------
+# -- losses ------------------------------------------------------------------------------------------------------
 def stop_node(rig: Lockstep, node: int) -> None:
     rig.rig.receive(nmt(2, node))
 
@@ -182,7 +182,7 @@ def test_a_device_that_goes_silent_ends_in_hold_latched(
     limit = rig.settings.safety.inclination_stale_ms if device == "inclinometer" else rig.settings.safety.stale_ms
     records = rig.run((limit + 25) * 1e-3)
     assert records["mode"][-1] == Mode.FAULT
-    stopped = Fault.NODE_NOT_OPERATIONAL  # its heartbeat says so, which may come before its samples are too old
+    stopped = Fault.NODE_NOT_OPERATIONAL  # the heartbeat may report it before the samples are too old
     assert records["fault"][-1] in (fault, stopped)
     tripped = int(np.argmax(records["mode"] == Mode.FAULT))
     assert tripped <= limit + (11 if device == "inclinometer" else 2)
@@ -236,7 +236,7 @@ def test_overload_of_the_cell_trips_and_keeps_the_fault_until_it_is_over(rig: Lo
     rig.inject(overload)
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
     rig.rig.receive(nmt(1, cell))
-    rig.run(1.0)  # its heartbeat says that it is operational again, and its settings are read back
+    rig.run(1.0)  # the heartbeat reports it operational again, and its settings are read back
     assert rig.command(Verb.RESET) is Refusal.NONE
 
 
@@ -371,7 +371,7 @@ def test_stretch_tolerated_in_motion_costs_no_power_once_an_exception_holds_the_
     rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     enter(Mode.COMPENSATING)
-    rig.loop.observer.snapshot.unexplained_mm = 8.0  # below the limit of a mode that moves, above that at rest
+    rig.loop.observer.snapshot.unexplained_mm = 8.0  # below the limit of a mode that moves, above the limit at rest
 
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("made up")
@@ -463,7 +463,7 @@ def test_a_late_or_lost_answer_is_counted_as_missing(rig: Lockstep) -> None:
     assert rig.run(0.05)["frames_lost"][-1] == 0
     stop_node(rig, rig.settings.tension_cell.node)
     records = rig.run(0.05)
-    assert records["frames_lost"][-1] == 49  # the last SYNC's answer is not due yet
+    assert records["frames_lost"][-1] == 49  # the last SYNC's samples are not due yet
 
 
 def test_a_brake_that_slips_is_told_once_and_does_not_keep_the_operator_from_having_the_motor_carry(
@@ -476,7 +476,7 @@ def test_a_brake_that_slips_is_told_once_and_does_not_keep_the_operator_from_hav
     rig.rig.drive.defect = lambda speed, braked: (0.5, False) if braked else (speed, False)
     rig.run(0.5)
     assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.FAULT, Fault.STROKE_MOVES)
-    rig.run(1.5)  # a brake that slips keeps a stop from ending; 2 s after the drive went off nobody waits for it
+    rig.run(1.5)  # a slipping brake keeps a stop from ending; 2 s after the drive went off the loop stops waiting
     assert rig.command(Verb.RESET) is Refusal.NONE
     rig.run(1.0)
     assert rig.loop.machine.mode is Mode.DISARMED

@@ -1,4 +1,4 @@
-"""The real loop on a rig whose sensors send plain frames: the same promises, and the same ways to lose them."""
+"""The real loop on a rig whose sensors send plain frames: the same promises, and the same losses."""
 
 from __future__ import annotations
 

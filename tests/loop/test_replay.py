@@ -1,4 +1,4 @@
-"""A recording played through the loop again comes out the same, bit by bit; what is changed in it is found."""
+"""A replayed recording gives the same results bit by bit; any change in the recording is found."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ STOP_S = 3.0
 def recorded(
     settings: RigSettings, gains: Gains, folder: pathlib.Path, script: Callable[[Lockstep], None]
 ) -> Recording:
-    """What the recorder keeps of a loop in simulated time that goes through ``script`` and is then told to stop."""
+    """The recording of a loop in simulated time that runs ``script`` and is then stopped."""
     recording = settings.recording.model_copy(update={"folder": str(folder / "kept")})
     audit = settings.audit.model_copy(update={"file": str(folder / "audit.jsonl")})
     settings = settings.model_copy(update={"recording": recording, "audit": audit})
@@ -61,9 +61,9 @@ def recorded(
 
 
 def drill(rig: Lockstep) -> None:
-    """Every mode, a changed gain, a refused command, a frame lost, late ticks, a trip and its reset."""
+    """Every mode, a changed gain, a refused command, a lost frame, late ticks, a trip and its reset."""
     rig.run(0.3)
-    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT  # the gateway has not judged the host yet
+    assert rig.command(Verb.ARM) is Refusal.PREFLIGHT  # the gateway has not reported the host checks yet
     rig.command(Setting.HOST_CHECKS, 0.0)
     assert rig.command(Verb.ARM) is Refusal.NONE
     assert rig.command(Verb.TARGET, 5000.0) is Refusal.OUT_OF_RANGE

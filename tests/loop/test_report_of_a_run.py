@@ -1,4 +1,4 @@
-"""A loop on the simulated plant, recorded and reported: the report's error is the plant's, seen through the cell."""
+"""A loop on the simulated plant, recorded and reported: the report's error is the plant's, as the cell measures it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A rig that is the wrong way round is caught in its first tensioning, before it has moved or pulled much."""
+"""A rig with a reversed sign is detected in its first tensioning, before it has moved or pulled much."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Enter = Callable[[Mode], None]
 
 
 def swap_drive(rig: Lockstep) -> None:
-    """The motor's wires are swapped; its encoder tells the truth."""
+    """Swap the motor's wires; the encoder stays right."""
     plain = rig.rig.plant.set_drive
 
     def swapped(velocity_mm_s: float, braked: bool) -> None:
@@ -33,7 +33,7 @@ def swap_drive(rig: Lockstep) -> None:
 
 
 def swap_drive_and_encoder(rig: Lockstep) -> None:
-    """The cylinder lengthens the rope when drive and encoder both say that it shortens it."""
+    """Make the cylinder lengthen the rope where drive and encoder report that it shortens it."""
     swap_drive(rig)
     encoder = type(rig.rig.drive._encoder)
     start = rig.rig.truth.stroke_mm
@@ -78,13 +78,13 @@ def test_a_swapped_cell_is_caught_before_the_rope_pulls_more_than_slack(rig: Loc
     assert rig.command(Verb.TENSION) is Refusal.NONE
     records = rig.run(2.0)
     assert rig.loop.machine.fault is Fault.SIGN_CELL
-    assert rig.rig.truth.tension_n < rig.settings.tension.slack_n + 4.0  # what a stop from 8 mm/s adds
+    assert rig.rig.truth.tension_n < rig.settings.tension.slack_n + 4.0  # added by a stop from 8 mm/s
     assert np.count_nonzero(records["mode"] == Mode.TENSIONING) < 1000
 
 
 @dataclass(frozen=True)
 class Tensioned:
-    """How the tensioning of a rope that was tight before went: largest deviations of the truth in N and mm."""
+    """Tensioning of a rope that was already tight: largest deviations of the truth in N and mm."""
 
     fault: Fault
     off_n: float
@@ -97,10 +97,10 @@ class Tensioned:
 def tight(
     settings: RigSettings, gains: Gains, tension_n: float, spoil: Callable[[Lockstep], None] = lambda _rig: None
 ) -> Tensioned:
-    """A daemon that starts with this tension on the rope, on a rig that is spoilt; no limits but the built-in ones."""
+    """Start a daemon with this tension on the rope, on a rig with a fault; only the built-in limits."""
     with lockstep(settings.model_copy(update={"limits": []}), gains) as rig:
         rig.rig.plant.preload(tension_n)
-        rig.run(1.0)  # the filter has to take in the load, lest it does the finding
+        rig.run(1.0)  # the filter settles on the load, so that it does not detect the fault itself
         assert rig.command(Verb.ARM) is Refusal.NONE
         rig.run(0.1)
         assert rig.loop.observer.snapshot.rejects == 0

@@ -20,7 +20,7 @@ Enter = Callable[[Mode], None]
 
 
 def lose_status(rig: Lockstep, frames: int | None = None) -> None:
-    """The drive's second TPDO does not get through, for so many frames or for good."""
+    """Drop the drive's second TPDO, for so many frames or from now on."""
     status = objects.DRIVE_TPDO2.cob_base + rig.settings.cylinder.node
     left = [frames]
 

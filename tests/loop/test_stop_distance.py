@@ -1,4 +1,4 @@
-"""A loop that dies leaves the drive to stop by itself, within the distance that the rig file is judged by."""
+"""When the loop dies, the drive stops by itself within the distance that the check of the rig file assumes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_a_dead_loops_stroke_stops_within_the_distance_the_check_prints(
     assert abs(speed) > 7.0
     stroke_mm, tension_n = before.stroke_mm, before.tension_n
     rig.clock.skip = DEAD_TICKS
-    rig.clock.next_tick()  # the rig goes on, and nobody commands it
+    rig.clock.next_tick()  # the rig goes on without commands
     stop, tension = Stop.of(rig.settings), rig.settings.tension
     assert rig.rig.drive.control.stage.phase is Phase.BRAKED
     moved_mm = abs(rig.rig.truth.stroke_mm - stroke_mm)

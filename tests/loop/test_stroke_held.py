@@ -1,4 +1,4 @@
-"""HOLD, FAULT and DISARMED keep the stroke: a drive that creeps is corrected or taken off power, within 1 mm."""
+"""HOLD, FAULT and DISARMED keep the stroke: a creeping drive is corrected or loses its power, within 1 mm."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from rigctl.control.tension import Gains
 
 Floats = npt.NDArray[np.float64]
 HELD_MM = 1.0
-STEADY_MM = 0.15  # a creep that is corrected: 0.45 mm/s until the integral action has it, and the dead zone
-SLOW = {0.02: 12.0, 0.1: 6.0, 0.45: 4.0}  # mm/s, and s to be watched: 0.24 mm and more where nobody holds
+STEADY_MM = 0.15  # a corrected creep: 0.45 mm/s until the integral action corrects it, and the dead zone
+SLOW = {0.02: 12.0, 0.1: 6.0, 0.45: 4.0}  # mm/s, and s of observation: 0.24 mm and more without a correction
 FAST = {0.55: 3.5, 2.0: 1.0, 8.0: 0.6}
 
 
 @pytest.fixture
 def held(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
-    """HOLD, 300 N on the rope."""
+    """A rig in HOLD, 300 N on the rope."""
     with lockstep(settings, gains) as rig:
         bring(rig, Mode.HOLD)
         yield rig
@@ -46,7 +46,7 @@ def put_in(rig: Lockstep, fault: Injector) -> Callable[[float], None] | None:
 
 
 def moved_mm(rig: Lockstep, fault: Injector, seconds: float) -> Floats:
-    """True stroke from where it was, once a millisecond, from the fault's beginning on."""
+    """True stroke from its start, once a millisecond, from the fault's beginning on."""
     before, way = rig.rig.truth.stroke_mm, list[float]()
     step = put_in(rig, fault)
     rig.on_advance = lambda: way.append(rig.rig.truth.stroke_mm - before)
@@ -105,7 +105,7 @@ def test_a_creep_that_is_corrected_is_told_with_its_speed_once(held: Lockstep) -
 
 
 def test_a_stroke_that_leaves_its_latch_is_told_once_and_again_once_it_was_back(held: Lockstep) -> None:
-    """The correction is switched off by a position that contradicts its speed; what creeps then is only watched."""
+    """A position that contradicts its speed switches the correction off; what creeps then is only watched."""
     held.loop._stroke_hold._doubted = True
     moved_mm(held, creeps(-0.2), 2.0)
     (text,) = told(held, Kind.STROKE_LEFT)
@@ -170,7 +170,7 @@ def test_a_healthy_drive_in_hold_gets_commands_of_no_speed(held: Lockstep) -> No
 
 @pytest.mark.parametrize("creep", [0.3, -0.3])
 def test_a_drive_that_creeps_is_off_within_a_millimetre_once_it_is_disarmed(held: Lockstep, creep: float) -> None:
-    """It never stands, so it does not close its brake by itself: its power is cut."""
+    """The drive never stands still, so it does not close its brake by itself: its power is cut."""
     before = held.rig.truth.stroke_mm
     moved_mm(held, creeps(creep), 3.0)
     assert held.command(Verb.DISARM) is Refusal.NONE
@@ -201,7 +201,7 @@ def test_a_stroke_that_slips_slowly_while_disarmed_is_a_fault(settings: RigSetti
         assert rig.command(Verb.ARM) is Refusal.NONE
 
 
-# -- an encoder that lies -----------------------------------------------------------------------------------------
+# -- a wrong encoder ----------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("speed", [0.2, -0.45, 0.55, 1.2])
 @pytest.mark.parametrize("too", [False, True], ids=["its speed is true", "its speed drifts with it"])
 def test_a_position_that_drifts_does_not_take_the_load_along(
@@ -236,7 +236,7 @@ def test_a_quick_stop_that_does_not_stop_ends_with_the_power_off(held: Lockstep)
 
 
 def test_a_tension_that_goes_on_rising_is_not_only_held(settings: RigSettings, gains: Gains) -> None:
-    """The position lies as well: the stroke is not seen to move."""
+    """The position is wrong too: the stroke does not seem to move."""
     with lockstep(settings, gains) as rig:
         stand.start(rig, Mode.HOLD, 394.0)
         stand.enter(rig, Mode.HOLD)
@@ -246,4 +246,4 @@ def test_a_tension_that_goes_on_rising_is_not_only_held(settings: RigSettings, g
         assert rig.loop.machine.fault is Fault.TENSION_HIGH
         assert "quick stop, then power off" in told(rig, Kind.ESCALATION)[0]
         assert rig.rig.drive.control.stage.braked
-        assert rig.rig.truth.tension_n < 408.0  # 3 N until it is found, 1.2 s for a drive that does not go off
+        assert rig.rig.truth.tension_n < 408.0  # 3 N until detection, 1.2 s for a drive that does not switch off

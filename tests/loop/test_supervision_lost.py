@@ -1,4 +1,4 @@
-"""What safety hangs on in the devices stays as start-up wrote it: heard, read back at every arm, and sampled."""
+"""Device settings that safety depends on stay as start-up wrote them: watched, read back at every arm and sampled."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rigctl.devices import busload, sdo
 from rigctl.devices import objects as od
 
 Enter = Callable[[Mode], None]
-WRITES = (  # those of the issue: index, sub-index, size
+WRITES = (  # objects of the drive's supervision: index, sub-index, size
     (od.CONSUMER_HEARTBEAT, 1, 4),
     (od.RPDO1_COMMUNICATION, 5, 2),
     (od.ABORT_CONNECTION_OPTION, 0, 2),
@@ -35,7 +35,7 @@ def write(rig: Lockstep, index: int, sub: int, size: int, value: int = 0) -> Non
 
 
 def set_unheard(rig: Lockstep, index: int, sub: int = 0, value: int = 0) -> None:
-    """The same by the drive's own service connection: no frame on the bus."""
+    """Write through the drive's own service connection: no frame on the bus."""
     entry = rig.rig.drive.device.sdo[index]
     (entry[sub] if sub else entry).raw = value
 
@@ -121,7 +121,7 @@ def test_a_drive_that_does_not_take_commands_as_it_should_loses_its_power(
     set_unheard(rig, index, sub, value)
     rig.run(rotation_s(rig) + 0.5)
     machine = rig.loop.machine
-    # A drive that leaves cyclic synchronous velocity says so itself, before it is asked (statusword bit 12).
+    # A drive that leaves cyclic synchronous velocity shows it itself (statusword bit 12) before it is read back.
     assert machine.fault in (Fault.SUPERVISION_LOST, Fault.DRIVE_REFUSES)
     assert machine.action is Action.POWER_OFF
     assert not rig.rig.drive.control.enabled
@@ -208,13 +208,13 @@ def test_a_slow_loop_asks_less_often(settings: RigSettings) -> None:
 
 
 def test_the_load_is_held_when_the_loop_dies_after_such_a_write(rig: Lockstep, enter: Enter) -> None:
-    """The issue's case: without a watch the drive would have gone on for 70 mm."""
+    """Without supervision the drive would have gone on for 70 mm."""
     enter(Mode.TENSIONING)
     for index, sub, size in WRITES:
         write(rig, index, sub, size)
     rig.run(0.1)
     before_mm = rig.rig.truth.stroke_mm
-    for _ in range(3000):  # the loop is dead: nobody sends anything any more
+    for _ in range(3000):  # the loop is dead: no frame is sent any more
         rig.clock.skip = 1
         rig.clock.next_tick()
     assert rig.rig.truth.stroke_mm == pytest.approx(before_mm, abs=1.0)

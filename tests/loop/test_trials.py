@@ -24,7 +24,7 @@ GOOD = AiStatus(0)
 
 
 def cell_reads(rig: Lockstep, change: Callable[[float], float], status: AiStatus = GOOD) -> None:
-    """From now on the cell reads ``change`` of what it should."""
+    """From now on the cell reads ``change`` of the right value."""
     measurement = rig.rig.cell._measurement
     plain = type(measurement).sample
 
@@ -36,7 +36,7 @@ def cell_reads(rig: Lockstep, change: Callable[[float], float], status: AiStatus
 
 
 def give(rig: Lockstep, verb: Verb, value: float = 0.0) -> None:
-    """Give a command and do not wait for its answer."""
+    """Give a command without waiting for its reply."""
     rig._id += 1
     rig._commands.write(rig.clock.now(), rig._id, verb, value)
 
@@ -140,7 +140,7 @@ def test_a_known_weight_reads_as_it_is_and_a_scale_corrects_it(rig: Lockstep, en
     assert rig.reply["value"] == pytest.approx(0.99 * weight_n, abs=0.05)
     assert rig.command(Setting.SCALE, weight_n / float(rig.reply["value"])) is Refusal.NONE
     assert rig.run(0.2)["tension_n"].mean() == pytest.approx(weight_n, abs=0.05)
-    assert rig.loop.machine.fault is Fault.NONE  # the step in what is seen is no innovation
+    assert rig.loop.machine.fault is Fault.NONE  # the step in the reading is no innovation
     assert rig.command(Verb.TENSION) is Refusal.NONE
     rig.run_until(Mode.COMPENSATING, 5.0)
     rig.run(1.0)
@@ -156,7 +156,7 @@ def test_an_overdue_calibration_blocks_arming_and_nothing_else(settings: RigSett
         assert rig.command(Verb.CALIBRATE) is Refusal.NONE
         assert rig.command(Setting.OVERDUE, 0.0) is Refusal.NONE
         assert rig.command(Verb.ARM) is Refusal.NONE
-        assert rig.command(Setting.OVERDUE, 1.0) is Refusal.NONE  # while it runs: the next arming is refused
+        assert rig.command(Setting.OVERDUE, 1.0) is Refusal.NONE  # during the trial: the next arming is refused
         rig.run(0.1)
         assert rig.loop.machine.mode is Mode.HOLD
 
@@ -167,4 +167,4 @@ def test_a_tare_cannot_hide_an_overload(rig: Lockstep, enter: Enter) -> None:
     cell_reads(rig, lambda n: n + 401.0)
     rig.run(0.1)
     assert rig.loop.inbox.tension_n < rig.settings.safety.tension_high_n
-    assert rig.loop.machine.fault in (Fault.LIMIT, Fault.TENSION_HIGH)  # its rate is a limit of the rig file
+    assert rig.loop.machine.fault in (Fault.LIMIT, Fault.TENSION_HIGH)  # the tension's rate is a limit of the rig file

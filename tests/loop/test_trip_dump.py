@@ -1,4 +1,4 @@
-"""A trip leaves a file with everything around it, which a reader that is not ours decodes."""
+"""A trip leaves a file with all data around it, which an independent reader decodes."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Kept:
 
 @pytest.fixture
 def kept(settings: RigSettings, gains: Gains, tmp_path: pathlib.Path) -> Iterator[Kept]:
-    """Compensating at 60 N, with every frame of the bus kept by the bus itself."""
+    """COMPENSATING at 60 N, with every frame of the bus logged by the bus itself."""
     with lockstep(settings, gains, log=True) as rig:
         found = Kept(rig, tmp_path)
         rig.run(0.2)
@@ -81,14 +81,14 @@ def kept(settings: RigSettings, gains: Gains, tmp_path: pathlib.Path) -> Iterato
 
 
 def trip(rig: Lockstep) -> int:
-    """Make the cell fall silent; when that has tripped, on the loop's clock."""
+    """Silence the cell; returns the time of the trip on the loop's clock."""
     stop_node(rig, rig.settings.tension_cell.node)
     rig.run_until(Mode.FAULT, 0.1)
     return rig.clock.now()
 
 
 def read(file: pathlib.Path) -> tuple[dict[str, list[tuple[int, Any]]], dict[str, bytes], dict[str, dict[str, str]]]:
-    """Messages by topic with their time on the loop's clock, attachments, metadata: by mcap's own reader."""
+    """Messages by topic with their time on the loop's clock, attachments, metadata, read with mcap's own reader."""
     topics: dict[str, list[tuple[int, Any]]] = {}
     with file.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
@@ -110,7 +110,7 @@ def test_a_dump_holds_every_record_and_frame_from_10_s_before_to_2_s_after(kept:
     kept.poll()
     rig.run(1.9)
     kept.poll()
-    assert kept.files() == []  # its time is not over
+    assert kept.files() == []  # the dump's time is not over
     rig.run(0.5)
     kept.poll()
     (file,) = kept.files()
@@ -145,7 +145,7 @@ def test_a_dump_holds_every_record_and_frame_from_10_s_before_to_2_s_after(kept:
             on_bus[can_id, data[:dlc]] += 1
     in_file = Counter((frame.can_id, frame.data) for frame in frames)
     assert sum(on_bus.values()) > 45_000
-    assert not on_bus - in_file  # nothing that was on the bus is missing
+    assert not on_bus - in_file  # every frame of the bus is in the file
     assert not {key[0] for key in in_file} - {key[0] for key in on_bus}
     assert all(frame.dlc == len(frame.data) for frame in frames)
     assert np.all(np.diff([frame.seq for frame in frames]) == 1)
@@ -187,7 +187,7 @@ def test_a_dump_of_a_young_loop_comes_out_bit_identical(
         rig.runtime.write_json(ACTIVE, {**active, "design": {"gains": msgspec.to_builtins(gains)}})
         rig.runtime.write_json("control.json", {**rig.report.as_json(), "host_checks": int(Check.HOST)})
         rig.run(0.3)
-        rig.command(Setting.HOST_CHECKS, 0.0)  # as the gateway tells it
+        rig.command(Setting.HOST_CHECKS, 0.0)  # as the gateway does
         assert rig.command(Verb.TARGET, 60.0) is Refusal.NONE
         assert rig.command(Verb.ARM) is Refusal.NONE
         assert rig.command(Verb.TENSION) is Refusal.NONE
@@ -213,7 +213,7 @@ def test_two_trips_within_seconds_are_both_covered(kept: Kept) -> None:
     rig = kept.rig
     first_ns = trip(rig)
     rig.rig.receive(nmt(1, rig.settings.tension_cell.node))
-    rig.run(1.0)  # its settings are read back by then
+    rig.run(1.0)  # the device's settings are read back by then
     assert rig.command(Verb.RESET) is Refusal.NONE
     rig.run(0.3)
     second_ns = trip(rig)
@@ -224,11 +224,11 @@ def test_two_trips_within_seconds_are_both_covered(kept: Kept) -> None:
     topics, _, words = read(file)
     first, second = words["rigctl"]["trips"].split()
     assert first == "CELL_STALE"
-    assert second in ("CELL_STALE", "NODE_NOT_OPERATIONAL")  # its heartbeat may say first that it has stopped
+    assert second in ("CELL_STALE", "NODE_NOT_OPERATIONAL")  # the heartbeat may report first that the node has stopped
     times = [t_ns for t_ns, _ in topics["/records"]]
     assert times[-1] - second_ns == pytest.approx(2e9, abs=2 * TICK_NS)
     rig.rig.receive(nmt(1, rig.settings.tension_cell.node))
-    rig.run(1.0)  # its settings are read back by then
+    rig.run(1.0)  # the device's settings are read back by then
     assert rig.command(Verb.RESET) is Refusal.NONE
     trip(rig)
     rig.run(2.1)
@@ -241,7 +241,7 @@ def test_a_trip_whose_recorder_was_killed_is_dumped_by_the_next_and_only_once(ke
     trip(kept.rig)
     kept.poll()
     kept.rig.run(2.1)
-    kept.start()  # the one before has not written anything
+    kept.start()  # the previous recorder has written nothing
     (kept.folder).mkdir()
     (kept.folder / ".paper_rig-2023-BROKEN.mcap.part").touch()
     kept.start()
@@ -310,7 +310,7 @@ def test_a_folder_that_takes_no_dump_is_told_and_tried_again_and_given_up_in_the
     again = kept.log()[-1]
     assert (again.what, again.details["what"]) == ("written_again", "trip dump")
     rig.rig.receive(nmt(1, rig.settings.tension_cell.node))
-    rig.run(1.0)  # its settings are read back by then
+    rig.run(1.0)  # the device's settings are read back by then
     assert rig.command(Verb.RESET) is Refusal.NONE
     trip(rig)
     rig.run(0.1)

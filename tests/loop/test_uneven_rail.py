@@ -1,4 +1,4 @@
-"""A rail encoder on the bus, and what the run-out table makes of it."""
+"""A rail encoder on the bus, and the run-out table learnt from it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_error_on_an_uneven_rail_shrinks_from_move_to_move(settings: RigSett
         kind="out_and_back", angle_deg=13.0, speed_deg_s=6.0, acceleration_deg_s2=12.0, start_s=0.5, dwell_s=1.5,
         repeats=4,
     )  # fmt: skip
-    # 0.07 mm over 3 deg is 8 mm/rad: a steeper rail would, with its friction of 0.012, roll downhill by itself
+    # 0.07 mm over 3 deg is 8 mm/rad: on a steeper rail, with its friction of 0.012, the pulley would roll downhill
     rail = disturbances.level_wave(kinds.LevelWave(kind="sine", amplitude_mm=0.07, period_deg=3.0))
     tracks = {MECHANISM: disturbances.rotation(move), RUN_OUT: rail}
     one_s = (tracks[MECHANISM].end + move.dwell_s - move.start_s) / move.repeats
@@ -56,7 +56,7 @@ def test_the_error_on_an_uneven_rail_shrinks_from_move_to_move(settings: RigSett
         return [float(np.sqrt(np.mean(error[index == i] ** 2))) for i in range(move.repeats)]
 
     without, learning = rms_by_move(settings), rms_by_move(fitted(settings))
-    assert learning[0] == pytest.approx(without[0], rel=0.02)  # nothing is known on the first move
+    assert learning[0] == pytest.approx(without[0], rel=0.02)  # the table is empty on the first move
     assert learning[-1] < 0.6 * learning[0]
     assert learning[-1] < 0.7 * without[-1]
 
@@ -78,7 +78,7 @@ def test_an_encoder_alone_changes_no_command(settings: RigSettings, gains: Gains
         return [data for can_id, _, data in frames if can_id == objects.RPDO1_BASE + settings.cylinder.node]
 
     bare, encoder, empty = (commands(s) for s in (settings, fitted(settings, table=None), fitted(settings)))
-    assert bare == encoder == empty  # an empty table says nothing, on its first way
+    assert bare == encoder == empty  # an empty table has no effect, on the first way
 
 
 def test_records_show_the_rails_angle_and_no_frame_is_missed(settings: RigSettings, gains: Gains) -> None:
@@ -123,7 +123,7 @@ def test_a_lost_encoder_ends_the_feed_forward_and_nothing_else(settings: RigSett
         assert (records["rail_quality"] == Quality.STALE).all()
         assert not records["run_out_mm_s"].any()
 
-        rig.rig.receive(FRAME.pack(objects.NMT_COB, 2, bytes([0x81, NODE])))  # back with a scale nobody has checked
+        rig.rig.receive(FRAME.pack(objects.NMT_COB, 2, bytes([0x81, NODE])))  # it returns with an unverified scale
         rig.rig.receive(FRAME.pack(objects.NMT_COB, 2, bytes([0x01, NODE])))
         records = rig.run(0.5)[10:]
         assert (records["rail_quality"] == Quality.INVALID).all()

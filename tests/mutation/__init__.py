@@ -1,1 +1,1 @@
-"""Mutation testing of what nothing may get wrong: modes, safety table, tension law."""
+"""Mutation testing of the modules that safety depends on: modes, safety table, tension law."""

@@ -26,7 +26,7 @@ LEAST = 0.9
 
 
 def main() -> int:
-    """Run what is asked for, print a line for each survivor and the score of each module."""
+    """Run the requested modules, print a line for each survivor and the score of each module."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__)
     parser.add_argument("modules", nargs="*", help="modes, safety, tension; all without a word")
     parser.add_argument("--write", action="store_true", help="bring docs/mutation.md up to date, keeping its arguments")

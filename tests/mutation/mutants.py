@@ -1,4 +1,4 @@
-"""Mutants of a module: the operators of Cosmic Ray, and two of our own for what tables and laws are made of."""
+"""Mutants of a module: the operators of Cosmic Ray, and two of our own for tables and laws."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ ENUMS = ("Mode", "Event", "Verb", "Refusal", "Action", "Fault", "EStop", "Check"
 
 
 class OtherMember:
-    """``Mode.HOLD`` becomes the member that comes next in the enumeration; ``members`` holds them by class."""
+    """``Mode.HOLD`` becomes the next member of its enumeration; ``members`` holds them by class."""
 
     def __init__(self, members: dict[str, list[str]]) -> None:
         self._members = members
 
     def mutation_positions(self, node: Any) -> Iterator[Any]:
-        """The member's name, where it is taken from its enumeration."""
+        """The member's name, where it follows its enumeration."""
         if isinstance(node, Name) and self._owner(node) is not None:
             yield node.start_pos, node.end_pos
 
     def mutate(self, node: Any, _index: int) -> Any:
-        """Another name in its place."""
+        """Replace the name by another."""
         names = self._members[str(self._owner(node))]
         node.value = names[(names.index(node.value) + 1) % len(names)]
         return node
@@ -44,7 +44,7 @@ class OtherMember:
 
 
 class Dropped:
-    """A statement that only has an effect (an assignment to an attribute, a call) is left out."""
+    """A statement with only a side effect (an assignment to an attribute, a call) is left out."""
 
     def mutation_positions(self, node: Any) -> Iterator[Any]:
         """Assignments to attributes and items, and calls; nothing that defines a name."""
@@ -56,7 +56,7 @@ class Dropped:
             yield node.start_pos, node.end_pos
 
     def mutate(self, node: Any, _index: int) -> Any:
-        """``pass`` in its place."""
+        """Replace the statement by ``pass``."""
         first = node.get_first_leaf()
         return Name("pass", node.start_pos, prefix=first.prefix)
 
@@ -72,7 +72,7 @@ class Mutant:
 
 @dataclass(frozen=True)
 class Change:
-    """What a mutant changes: the first line that differs, 1-based, as it was and as it is."""
+    """The change of a mutant: the first line that differs, 1-based, before and after."""
 
     line: int
     before: str
@@ -80,7 +80,7 @@ class Change:
 
 
 def members_of(sources: Iterable[str]) -> dict[str, list[str]]:
-    """Members of the enumerations the sources define."""
+    """Members of the enumerations defined in the sources."""
     found = {}
     for source in sources:
         for node in ast.parse(source).body:
@@ -101,7 +101,7 @@ class Workshop:
         self._operators |= {"OtherMember": OtherMember(members_of(sources.values())), "Dropped": Dropped()}
 
     def mutants(self, file: str) -> Iterator[Mutant]:
-        """All of a module."""
+        """All mutants of a module."""
         nodes = list(ast_nodes(get_ast(self.sources[file])))
         for name, operator in self._operators.items():
             places = sum(1 for node in nodes for _ in operator.mutation_positions(node))
@@ -109,26 +109,26 @@ class Workshop:
                 yield Mutant(file, name, occurrence)
 
     def source_of(self, mutant: Mutant) -> str | None:
-        """Its text; None where what runs would be the same: a change of annotations alone is none."""
+        """The mutant's text; None where the program stays the same: a change of annotations alone does not count."""
         before = self.sources[mutant.file]
         after: str = mutate_code(before, self._operators[mutant.operator], mutant.occurrence)
         return None if _program(after) in (None, _program(before)) else after
 
     def change_of(self, mutant: Mutant) -> Change:
-        """What it changes."""
+        """The change of a mutant."""
         before, after = self.sources[mutant.file].splitlines(), (self.source_of(mutant) or "").splitlines()
         pairs = enumerate(zip(before, after, strict=False), 1)
         return next(Change(line, old.strip(), new.strip()) for line, (old, new) in pairs if old != new)
 
 
 def _alike(name: str) -> bool:
-    """Not ``+`` for ``<<``: what fails on the first number it meets would only flatter the tests."""
+    """Whether two operators are similar: a mutant that fails on its first number would only flatter the tests."""
     found = re.fullmatch(r"ReplaceBinaryOperator_(\w+)_(\w+)", name)
     return found is None or any({found[1], found[2]} <= kind for kind in _ALIKE)
 
 
 def _program(source: str) -> str | None:
-    """What runs, without annotations; None if it is no Python."""
+    """The program without annotations; None if it is not valid Python."""
     try:
         tree = ast.parse(source)
     except SyntaxError:

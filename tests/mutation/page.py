@@ -1,4 +1,4 @@
-"""docs/mutation.md: the survivors with an argument each, which a run keeps and never makes up."""
+"""docs/mutation.md: the survivors with an argument each, which a run keeps and never writes itself."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def document(results: list[Result], known: dict[tuple[str, str, str], str]) -> s
 
 
 def arguments(text: str) -> dict[tuple[str, str, str], str]:
-    """The arguments a page holds, by module and change."""
+    """The arguments of a page, by module and change."""
     found, file = {}, ""
     for line in text.splitlines():
         if line.startswith("## "):

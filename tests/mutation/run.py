@@ -1,4 +1,4 @@
-"""Each mutant against the tests, in a process forked off one that has the libraries loaded; nothing on disk changes."""
+"""Each mutant against the tests, in a process forked from one with the libraries loaded; nothing on disk changes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import pytest
 
 from tests.mutation.mutants import Mutant, Workshop
 
-LIMIT_CPU_S = 60  # far above all tests of a module: a mutant that takes longer hangs
+LIMIT_CPU_S = 60  # far above the time of all tests of a module: a mutant that takes longer hangs
 PARTS = ("rigctl", "hil", "tests", "config", "docs", "pyproject.toml")
 _HEAVY = ("numpy", "yaml", "msgspec", "can", "hypothesis.strategies", "rigctl.config.rig_file", "rigctl.ipc.record")
 SURVIVED, KILLED, SAME = "survived", "killed", "the same program"
@@ -28,7 +28,7 @@ _SAME_CODE = 77
 
 
 def copy_tree(root: pathlib.Path, folder: pathlib.Path) -> None:
-    """What the tests need of the tree as it is now: they run on this copy, whatever happens to the original."""
+    """Copy the files that the tests need: the tests run on the copy, so later changes of the tree do not matter."""
     leave = shutil.ignore_patterns("__pycache__", "*.mcap", "fuzz", "mutation", "calibration", "audit")
     for part in PARTS:
         if (root / part).is_dir():
@@ -38,40 +38,40 @@ def copy_tree(root: pathlib.Path, folder: pathlib.Path) -> None:
 
 
 class _Instead(importlib.abc.MetaPathFinder, importlib.abc.InspectLoader):
-    """One module comes from a text instead of its file."""
+    """Loads one module from a text instead of its file."""
 
     def __init__(self, name: str, source: str, file: pathlib.Path) -> None:
         self._name, self._source, self._file = name, source, file
 
     def find_spec(self, fullname: str, _path: object, _target: object = None) -> importlib.machinery.ModuleSpec | None:
-        """Ours, if it is the one."""
+        """The spec of that module, None for others."""
         if fullname != self._name:
             return None
         return importlib.util.spec_from_file_location(fullname, self._file, loader=self)
 
     def get_source(self, _fullname: str) -> str:
-        """The text."""
+        """The module's text."""
         return self._source
 
     def exec_module(self, module: ModuleType) -> None:
-        """Run the text."""
+        """Run the module's text."""
         exec(compile(self._source, str(self._file), "exec"), module.__dict__)
 
 
 class _Repeatable:
-    """Hypothesis makes the same examples for every mutant, and remembers none."""
+    """Hypothesis makes the same examples for every mutant, and stores none."""
 
     def pytest_sessionstart(self) -> None:
-        """After the profile of conftest.py."""
+        """Register the profile after that of conftest.py."""
         hypothesis.settings.register_profile("mutation", deadline=None, derandomize=True, database=None)
         hypothesis.settings.load_profile("mutation")
 
 
 class Runner:
-    """Runs mutants on a copy of the tree in ``folder``, some at a time."""
+    """Runs mutants on a copy of the tree in ``folder``, several at once."""
 
     def __init__(self, folder: pathlib.Path, workshop: Workshop, tests: Mapping[str, Sequence[str]]) -> None:
-        """``tests``: for each module the files that test it."""
+        """``tests``: for each module, the files that test it."""
         self._folder, self._workshop, self._tests = folder, workshop, tests
         os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
         sys.path.insert(0, str(folder))
@@ -81,12 +81,12 @@ class Runner:
         self._loaded = frozenset(sys.modules)
 
     def passes_unchanged(self, file: str) -> bool:
-        """The tests of a module pass as it is; this also leaves their byte code in the copy."""
+        """Whether the tests of a module pass without a mutant; this also leaves their byte code in the copy."""
         _, status = os.waitpid(self._fork(lambda: self._test(file, None)), 0)
         return status == 0
 
     def run(self, mutants: Iterable[Mutant], at_once: int) -> Iterator[tuple[Mutant, str]]:
-        """Each mutant with what became of it, in the order in which they end."""
+        """Each mutant with its outcome, in the order in which they end."""
         running: dict[int, Mutant] = {}
         for mutant in mutants:
             if len(running) >= at_once:
@@ -134,7 +134,7 @@ class Runner:
 
 
 def _forget(but: frozenset[str] = frozenset()) -> None:
-    """Have the project's own modules loaded anew, from the copy."""
+    """Unload the project's own modules, so that they are loaded again from the copy."""
     own = [name for name in sys.modules if name.split(".")[0] in ("rigctl", "hil", "tests") and name not in but]
     for name in own:
         if not name.startswith("tests.mutation"):

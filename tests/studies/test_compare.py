@@ -48,7 +48,7 @@ def said(done: subprocess.CompletedProcess[str], folder: pathlib.Path) -> dict[s
 
 
 def test_every_law_has_every_figure_in_every_scenario(said: dict[str, Any]) -> None:
-    assert list(said["scenarios"]) == ["shake_3hz", "jolt"]  # the table's order, whatever is asked for first
+    assert list(said["scenarios"]) == ["shake_3hz", "jolt"]  # the table's order, not that of the options
     for laws in said["scenarios"].values():
         assert list(laws) == [controller.name for controller in CONTROLLERS]
         assert all(set(figures) == FIGURES for figures in laws.values())
@@ -102,7 +102,7 @@ def test_the_terminal_says_where_ours_does_not_win(done: subprocess.CompletedPro
     after = lines[lines.index("Where ours does not win") + 1 :]
     assert any(line.startswith("  jolt, settle: P ") for line in after)
     assert any("shake_3hz" in line and "at most" not in line for line in lines)
-    assert not done.stderr  # no bar where nobody watches
+    assert not done.stderr  # no progress bar without a terminal
 
 
 def test_a_picture_of_all_and_one_per_trace(said: dict[str, Any], folder: pathlib.Path) -> None:

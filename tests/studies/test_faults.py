@@ -1,4 +1,4 @@
-"""The fault catalogue: its table, some rows on the real loop, and that a broken safety table makes rows fail."""
+"""The fault catalogue: its table, some rows on the real loop, and rows that fail with a broken safety table."""
 
 from __future__ import annotations
 
@@ -62,9 +62,9 @@ def test_what_is_expected_is_possible_in_that_mode(fault: InjectedFault) -> None
 
 
 def test_no_fault_is_expected_to_end_in_a_release() -> None:
-    """Hold is safe, release is not: nothing but riding it through, holding or losing power is ever expected."""
+    """Hold is safe, release is not: only riding through, holding or losing power is ever expected."""
     moves = {(fault.id, mode) for fault in WHOLE for mode in fault.expected if fault.expected[mode] is Reaction.MOVES}
-    # Nothing may switch a motor on by itself to hold what the brake does not, and nothing on the bus stops that tool.
+    # The loop must not switch a motor on by itself to hold the load for a bad brake, and no frame stops that tool.
     at_rest = ("brake_stuck_open", "brake_slips_slowly", "drive_tool_deaf")
     assert moves == {(name, Mode.DISARMED) for name in at_rest}
     for fault in WHOLE:
@@ -157,7 +157,7 @@ def test_a_safety_table_without_a_row_makes_rows_fail(
 def test_a_rig_that_releases_the_load_after_a_trip_is_found_out(
     bench: Bench, settings: RigSettings, monkeypatch: pytest.MonkeyPatch, escalates: bool, reaction: Reaction
 ) -> None:
-    """The escalation ends such a release by taking the drive's power away: too late for the row, and said."""
+    """The escalation ends such a release by taking the drive's power away: too late for the row, which reports it."""
     monkeypatch.setitem(modes.TRANSITIONS, (Mode.COMPENSATING, modes.Event.TRIP), modes.Transition(Mode.RELEASING))
     if not escalates:
         monkeypatch.setattr(Escalator, "look", lambda *_: None)

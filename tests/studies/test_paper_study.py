@@ -42,7 +42,7 @@ def said(done: subprocess.CompletedProcess[str], folder: pathlib.Path) -> dict[s
 
 def test_every_claim_agrees_but_those_known_to_differ(said: dict[str, Any]) -> None:
     differing = {row["id"] for row in said["rows"] if not row["ok"]}
-    assert differing == {claim.id for claim in CLAIMS if claim.shortfall}  # an excuse that is not needed goes
+    assert differing == {claim.id for claim in CLAIMS if claim.shortfall}  # a shortfall that is not needed must go
     assert said["total"] == len(said["rows"]) == len(CLAIMS)
     assert said["ok_count"] == said["total"] - len(differing)
 
@@ -61,7 +61,7 @@ def test_the_loop_holds_every_case_an_order_better_than_the_locked_cylinder(said
     for k in (6, 13, 20, 27, 34):
         assert 10.0 * closed[f"k={k}"]["eta_max_pct"] < rows[f"fig6_k{k}_peak_eta"]
     assert closed[NO_SPRING]["waived"]
-    assert closed[FIGURE_9]["stroke_mm"] == pytest.approx(1.5, abs=0.3)  # it takes the level error, and the lag
+    assert closed[FIGURE_9]["stroke_mm"] == pytest.approx(1.5, abs=0.3)  # it takes up the level error and the lag
 
 
 def test_a_picture_per_figure(said: dict[str, Any], folder: pathlib.Path) -> None:
@@ -77,7 +77,7 @@ def test_the_terminal_shows_a_table_per_figure(done: subprocess.CompletedProcess
         assert any(line.startswith(title) for line in lines), title
     assert max(map(len, lines)) <= 80
     assert "DIFFERS" in done.stdout
-    assert not done.stderr  # no bar where nobody watches
+    assert not done.stderr  # no progress bar without a terminal
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""``python -m hil scenario`` as its users meet it: real processes, files in, figures out."""
+"""``python -m hil scenario`` as users run it: real processes, files in, figures out."""
 
 from __future__ import annotations
 
@@ -71,14 +71,14 @@ def test_the_papers_passive_case_has_the_papers_figures(tmp_path: pathlib.Path) 
     assert set(run) == {figure.name for figure in TRUTH_FIGURES}
     assert said["loop"] is None
     assert said["ended"] == {"mode": "LOCKED", "fault": "NONE", "tripped": False, "tripped_at_s": None}
-    # section 2: eta 0.31 %, lag 0.69 to 0.70 deg and its plateau below, normal +-0.07 deg; the paper's own texts differ
+    # section 2: eta 0.31 %, lag 0.69 to 0.70 deg, its plateau below, normal +-0.07 deg; the paper's texts differ
     assert run["eta_max_pct"] == pytest.approx(0.31, abs=0.05)
     assert run["tangential_peak_deg"] == pytest.approx(0.70, abs=0.08)
     assert 0.45 < plateau["tangential_mean_deg"] < 0.72
     assert abs(run["normal_peak_deg"]) < 0.08
     assert run["vertical_first_peak_at_s"] == pytest.approx(4.5, abs=1.0)
     assert run["stroke_used_mm"] == run["speed_max_mm_s"] == 0.0
-    # what is printed is what is written, and fits a terminal
+    # the table shows the figures of the file and fits a terminal
     assert f"{run['eta_max_pct']:.4f}" in done.stdout
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert "\x1b" not in done.stdout
@@ -215,7 +215,7 @@ def test_locked_starts_at_exactly_the_target_and_stays_without_disturbance() -> 
     settings = config.load(ROOT / "config/paper_rig.yaml")
     played = play(settings, {}, seconds=1.0, controller="locked", target_n=300.0)
     assert len(played.truth) == 1001
-    assert np.allclose(played.truth["vertical_n"], 300.0, rtol=1e-6)  # a hair below the tension: plumb to 0.07 deg
+    assert np.allclose(played.truth["vertical_n"], 300.0, rtol=1e-6)  # slightly below the tension: plumb to 0.07 deg
 
 
 def test_figures_of_a_known_force() -> None:

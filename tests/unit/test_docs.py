@@ -1,6 +1,6 @@
-"""The documentation against the code: commands parse, links lead somewhere, paths and names exist, settings validate.
+"""The documentation against the code: commands parse, links resolve, paths and names exist, settings validate.
 
-Python blocks are run by ``tests/telemetry/test_readme.py`` and ``tests/hil/test_docs_examples.py``.
+Python blocks are run by ``tests/live/telemetry/test_readme.py`` and ``tests/live/hil/test_docs_examples.py``.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ KINDS = frozenset({
     "python",  # run against a live gateway
     "python test",  # run by pytest, on a rig in lockstep
     "python recording",  # run beside a recording
-    "python serve",  # run beside a rig that is served
+    "python serve",  # run beside a served rig
     "console",  # `$ ` and a command; every other line is output of it
-    "text",  # a picture, or how a command is called
-    "yaml",  # a file, whole
+    "text",  # a picture, or the form of a command
+    "yaml",  # a whole file
     "yaml rig",  # sections of a rig file, to lay over config/paper_rig.yaml
     "json",
     "mermaid",
 })  # fmt: skip
 PROGRAMS = frozenset({"rigctl", "python", "make", "ip", ".venv/bin/python"})
-"""What a command in a block may begin with."""
+"""Words that a command in a block may begin with."""
 README_LINES = 150
 PICTURE_BYTES = 150_000
 GROUPS = {"rigctl": typer.main.get_group(rigctl_app), "hil": typer.main.get_group(hil_app)}
@@ -89,7 +89,7 @@ BLOCKS = [block for page in PAGES for block in split(page)[0]]
 
 
 def code_spans(page: pathlib.Path) -> list[str]:
-    """What stands between single backticks, outside blocks, on one line each."""
+    """The text between single backticks, outside blocks, on one line each."""
     prose = re.sub(r"``.*?``", "", split(page)[1])
     return [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", prose)]
 
@@ -129,7 +129,7 @@ def test_python_is_python(block: Block) -> None:
 
 # -- commands -------------------------------------------------------------------------------------------------------
 class ReachedTheParserError(Exception):
-    """The program has got as far as to parse its command line."""
+    """Raised where the program parses its command line."""
 
     def __init__(self, parser: argparse.ArgumentParser, words: list[str]) -> None:
         super().__init__(parser.prog)
@@ -137,7 +137,7 @@ class ReachedTheParserError(Exception):
 
 
 def parser_of(module: str, words: list[str], monkeypatch: pytest.MonkeyPatch) -> ReachedTheParserError:
-    """The parser ``python -m MODULE WORDS`` makes, which then goes no further."""
+    """The parser that ``python -m MODULE WORDS`` makes, stopped there."""
 
     def reached(self: argparse.ArgumentParser, args: list[str] | None = None, _into: object = None) -> None:
         raise ReachedTheParserError(self, sys.argv[1:] if args is None else list(args))
@@ -189,7 +189,7 @@ def targets() -> set[str]:
 
 
 def check_command(line: str, monkeypatch: pytest.MonkeyPatch, *, whole: bool) -> None:
-    """Command, options and, if ``whole``, values are those of the program itself."""
+    """Check that command, options and, if ``whole``, values are valid for the program itself."""
     words = shlex.split(line if whole else re.sub(r"[\[\]]|\.\.\.", "", line), comments=True)
     for end in (">", "|"):
         words = words[: words.index(end)] if end in words else words
@@ -239,7 +239,7 @@ def test_a_console_begins_with_a_command(block: Block) -> None:
 
 # -- links, paths, names --------------------------------------------------------------------------------------------
 def anchors(page: pathlib.Path) -> set[str]:
-    """As GitHub makes them of the headings."""
+    """The anchors that GitHub makes of the headings."""
     headings = re.findall(r"^#+ (.*)$", split(page)[1], re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
@@ -269,7 +269,7 @@ def test_paths_exist(page: pathlib.Path) -> None:
 
 
 def resolves(name: str) -> bool:
-    """Whether a dotted name is a module, or something in one."""
+    """Whether a dotted name is a module, or a name in one."""
     parts = name.split(".")
     for count in range(len(parts), 0, -1):
         try:
@@ -303,7 +303,7 @@ def test_functions_are_in_the_files_they_are_said_to_be_in() -> None:
         assert {*name.split(".")} <= defined_in(ROOT / file), f"{file} has no {name}"
 
 
-# -- what the pages promise to have ---------------------------------------------------------------------------------
+# -- promises of the pages ------------------------------------------------------------------------------------------
 def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) <= README_LINES
 
@@ -328,7 +328,7 @@ def test_the_table_of_layers_has_every_folder() -> None:
 
 
 def test_the_table_of_layers_goes_down() -> None:
-    """Each row imports rows only from which no way leads back to it."""
+    """Each row imports only rows that do not lead back to it."""
     table, done = layers(), set[str]()
     while len(done) < len(table):
         next_ = {folder for folder, below in table.items() if {*below} <= done}

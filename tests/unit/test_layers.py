@@ -1,4 +1,4 @@
-"""Imports go down only: the code is held to the table of ``docs/architecture.md``, and circles to none."""
+"""Imports go down only, by the table of ``docs/architecture.md``, and no modules form a circle."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def allowed() -> dict[str, set[str]]:
 
 
 def row_of(file: pathlib.Path) -> str | None:
-    """The row a module stands in: the longest that is its path, or a folder above it."""
+    """The row of a module: the longest one that is its path, or a folder above it."""
     path = file.relative_to(ROOT).as_posix()
     fitting = [row for row in allowed() if path == row or path.startswith(f"{row}/")]
     return max(fitting, key=len, default=None)
@@ -33,7 +33,7 @@ def modules() -> list[pathlib.Path]:
 
 
 def walk(node: ast.AST) -> Iterator[ast.AST]:
-    """Every node but those that only a type checker sees."""
+    """Every node except those that only a type checker reads."""
     yield node
     for child in ast.iter_child_nodes(node):
         if not (isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING"):
@@ -41,7 +41,7 @@ def walk(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def imported(file: pathlib.Path) -> set[pathlib.Path]:
-    """Modules of ours that a module imports, at its top or anywhere in it."""
+    """Modules of the project that a module imports, at its top or anywhere in it."""
     found = set()
     for node in walk(ast.parse(file.read_text())):
         if isinstance(node, ast.ImportFrom) and node.module is not None:
@@ -52,7 +52,7 @@ def imported(file: pathlib.Path) -> set[pathlib.Path]:
 
 
 def module(name: str) -> pathlib.Path | None:
-    """The file of a module or package of ours."""
+    """The file of a module or package of the project."""
     path = ROOT / name.replace(".", "/")
     files = (
         (path.with_suffix(".py"), path / "__init__.py") if name.split(".", maxsplit=1)[0] in ("rigctl", "hil") else ()
@@ -92,7 +92,7 @@ def test_no_module_stands_loose_at_the_root() -> None:
 
 
 def test_modules_of_a_folder_import_each_other_in_one_direction() -> None:
-    """No circle, between any two modules."""
+    """No circle between modules."""
     below = {file: imported(file) for file in modules()}
     while below:
         lowest = {file for file, others in below.items() if not others & below.keys()}

@@ -1,4 +1,4 @@
-"""The laws that are compared: what each is called, how it is tuned, and how it is made."""
+"""The compared laws: their names, tuning rules and constructors."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class Controller(NamedTuple):
     name: str
     title: str
     rule: str
-    """By what it is tuned, and after whom."""
+    """The tuning rule and its author."""
     make: Callable[[RigSettings], Feedback] | None
-    """None where nothing is to be made: the cylinder locked, or our own law."""
+    """None where there is nothing to make: the cylinder locked, or our own law."""
 
     def law(self, settings: RigSettings, gains: Gains, inbox: Inbox) -> TensionLaw:
-        """The law as `rigctl.control.loop.Loop` asks for one."""
+        """The law in the form that `rigctl.control.loop.Loop` takes."""
         if self.make is None:
             return TensionLaw(settings, gains)
         return Rival(settings, gains, inbox, self.make(settings))

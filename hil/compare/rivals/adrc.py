@@ -10,7 +10,7 @@ from hil.compare.rivals.feedback import Feedback, Model, Sample
 BANDWIDTH_DELAY = 0.12
 """Controller's bandwidth times delay; at the observer's the delay then costs 28 deg of phase."""
 OBSERVER_RATIO = 4.0
-"""Observer's bandwidth over the controller's; Gao has 3 to 5."""
+"""Observer's bandwidth over the controller's; Gao gives 3 to 5."""
 
 
 class Adrc(Feedback):
@@ -37,7 +37,7 @@ class Adrc(Feedback):
         self._stiffness = model.stiffness_n_mm
 
     def start(self, sample: Sample) -> None:
-        """See `Feedback`; the cylinder's speed is taken for what was commanded."""
+        """See `Feedback`; the cylinder's speed stands for the earlier commands."""
         speed = sample.speed_mm_s
         self._under_way.extend([speed] * len(self._under_way))
         rate = self._stiffness * speed

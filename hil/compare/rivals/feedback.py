@@ -1,4 +1,4 @@
-"""What every rival is made of, and how it is put in the place of our law."""
+"""The interface of every rival, and its place in our law."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rigctl.control.tension import Estimate, Gains, TensionLaw
 
 
 class Sample(NamedTuple):
-    """What a rival sees in one tick: the newest measurements as they came, and the set-point on its ramp."""
+    """Input of a rival in one tick: the newest measurements, unfiltered, and the set-point on its ramp."""
 
     tension_n: float  # along the rope, the cell's sample
     speed_mm_s: float  # the drive's own
@@ -39,7 +39,7 @@ class Model:
 
     @classmethod
     def of(cls, settings: RigSettings) -> Model:
-        """What the rig file says of the plant; the rig as built may be another."""
+        """The plant by the rig file; the rig as built may differ."""
         plant, period_s = settings.plant, 1.0 / settings.loop.rate_hz
         return cls(
             plant.stiffness_n_mm,
@@ -51,21 +51,21 @@ class Model:
 
 
 class Feedback(ABC):
-    """A feedback law without limits: those are the same for all, and stand in `TensionLaw`."""
+    """A feedback law without limits: these are the same for all and are part of `TensionLaw`."""
 
     @abstractmethod
     def start(self, sample: Sample) -> None:
-        """Begin from rest or from a steady pull, with nothing remembered."""
+        """Begin from rest or from a steady pull, with no memory of earlier ticks."""
 
     @abstractmethod
     def wanted(self, sample: Sample) -> float:
         """Speed to command beside the ramp's own, mm/s; positive shortens the rope."""
 
-    def sent(self, command_mm_s: float) -> None:  # noqa: B027 - some keep nothing
-        """Note what the limits let through to the drive, the ramp's own speed included."""
+    def sent(self, command_mm_s: float) -> None:  # noqa: B027 - some keep no state
+        """Receive the command after the limits, the ramp's own speed included."""
 
     def integrate(self, error_n: float) -> None:  # noqa: B027 - some have no integral
-        """Take in the error (set-point less tension) of this tick; not called while it would wind up."""
+        """Integrate this tick's error (set-point less tension); not called while it would wind up."""
 
 
 class Rival(TensionLaw):
@@ -78,7 +78,7 @@ class Rival(TensionLaw):
         self._fresh = True
 
     def start_ramp(self, vertical_n: float, speed_mm_s: float) -> None:
-        """See `TensionLaw`; the feedback forgets."""
+        """See `TensionLaw`; the feedback loses its memory."""
         super().start_ramp(vertical_n, speed_mm_s)
         self._fresh = True
 

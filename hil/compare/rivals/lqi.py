@@ -14,16 +14,16 @@ STRETCH_MM = 0.05
 """Largest error to be accepted, as stretch, so that the loop's shape does not depend on the spring; at 6 N/mm it is the
 0.1 % of 300 N of the demo and of the settling time ..."""
 HELD_S = 0.1
-"""... and how long."""
+"""... for this long."""
 
 
 class Lqi(Feedback):
     """Weights by Bryson's rule (Bryson, Ho: Applied Optimal Control, 1975): 1 / (largest value accepted)^2.
 
-    Accepted are an error of 0.05 mm of stretch, that error for 0.1 s, and the speed limit as a command. With the
-    weights of our own law, which leaves disturbances to its feed-forward, LQI would be a tenth as good. To the filter a
+    The accepted values are 0.05 mm of stretch, that error for 0.1 s, and the speed limit as a command. With the
+    weights of our own law, which leaves disturbances to its feed-forward, LQI would be a tenth as good. In the filter a
     disturbance is white noise, as in the standard LQG problem: another speed in every tick, rms the speed limit.
-    Integrated is the measured error, so that what the filter does not know of leaves no bias.
+    The measured error is integrated, so that the filter's model errors leave no bias.
     """
 
     def __init__(self, settings: RigSettings) -> None:
@@ -43,7 +43,7 @@ class Lqi(Feedback):
         self._integral_mm_s = 0.0
 
     def wanted(self, sample: Sample) -> float:
-        """See `Feedback`; the state is predicted to the instant at which the command acts, as ours is."""
+        """See `Feedback`; the state is predicted to the instant at which the command acts, as in our law."""
         missed = np.array([sample.tension_n, sample.speed_mm_s]) - self._x
         ahead = self._x = self._f @ (self._x + self._kalman @ missed) + self._b * self._under_way[0]
         for command in self._under_way[1:]:
@@ -66,7 +66,7 @@ class Lqi(Feedback):
 
 
 def bryson(settings: RigSettings) -> Gains:
-    """Gains by Bryson's rule; our weights are of stretch, with that of the command 1."""
+    """Gains by Bryson's rule; our weights apply to stretch, with a weight of 1 on the command."""
     weight = (settings.tension.speed_max_mm_s / STRETCH_MM) ** 2
     weights = {"stretch_weight": weight, "integral_weight": weight / HELD_S**2, "command_weight": 1.0}
     return design(settings.model_copy(update={"design": settings.design.model_copy(update=weights)}))

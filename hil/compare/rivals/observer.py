@@ -11,14 +11,14 @@ from hil.compare.rivals.proportional import ProportionalIntegral
 BANDWIDTH_DELAY = 1.0 / 3.0
 """Bandwidth of Q times delay: there the delay costs 19 deg of phase."""
 RATIO = 5.0
-"""Bandwidth of Q over the PI's crossover: what the observer rejects is not for the PI to reject again."""
+"""Bandwidth of Q over the PI's crossover: the PI does not reject again what the observer rejects."""
 
 
 class DisturbanceObserver(Feedback):
     """SIMC-PI inside, and the disturbance observer of Ohnishi (1987; Sariyildiz, Oboe, Ohnishi, IEEE TIE 2020).
 
     ``d = Q (s (lag s + 1) / k T - e^(-delay s) u)`` with ``Q = (g / (s + g))^2``, subtracted from the PI's command:
-    the disturbance's speed as if it came in beside the command. The PI has SIMC's other parameter, ``tau_c``, so long
+    the disturbance's speed as if it were added to the command. The PI has SIMC's other parameter, ``tau_c``, so long
     that its crossover ``1 / (tau_c + theta)`` is a fifth of g; at ``tau_c = theta`` Ms would be 1.8.
     """
 
@@ -33,7 +33,7 @@ class DisturbanceObserver(Feedback):
         self._command = [0.0, 0.0]
 
     def start(self, sample: Sample) -> None:
-        """See `Feedback`; the cylinder's speed is taken for what was commanded."""
+        """See `Feedback`; the cylinder's speed stands for the earlier commands."""
         self._inner.start(sample)
         speed = sample.speed_mm_s
         self._under_way.extend([speed] * len(self._under_way))

@@ -11,15 +11,15 @@ from hil.compare.rivals.feedback import Feedback, Model, Sample
 FILTER_RATIO = 3.0
 """Derivative time over filter time; 2 to 20 is usual (Astrom, Haegglund: Advanced PID Control, 2006, section 3.3)."""
 STRETCH_LAG_S = 0.1
-"""Low-pass of the stretch: one quantum of 0.01 deg at 0.7 deg of lag, 4 um, then asks for 0.04 mm/s."""
+"""Low-pass of the stretch: one quantum of 0.01 deg at 0.7 deg of lag, 4 um, then causes 0.04 mm/s."""
 
 
 class PidFeedForward(Feedback):
     """SIMC-PID (Skogestad 2003) for an integrating process with lag, series form, tightest ``tau_c = theta``.
 
     ``Kc = 1 / (k (tau_c + theta))``, ``tau_I = 4 (tau_c + theta)``, ``tau_D = lag``; the measurement is filtered, and
-    by the half rule half the filter counts as delay and half as lag. Fed forward is the rope's stretch in position
-    form, ``L (1 / cos theta - 1)``, low-passed, whose rate the cylinder gives way to.
+    by the half rule half the filter counts as delay and half as lag. The rope's stretch is fed forward in position
+    form, ``L (1 / cos theta - 1)``, low-passed; the cylinder follows its rate.
     """
 
     def __init__(self, model: Model, speed_max_mm_s: float, rope_length_mm: float) -> None:
@@ -55,7 +55,7 @@ class PidFeedForward(Feedback):
         self._tension_n += self._share * (sample.tension_n - self._tension_n)
         self._pid.setpoint = sample.setpoint_n
         speed_mm_s = self._pid(self._tension_n, dt=self._dt)
-        assert speed_mm_s is not None  # it is in automatic mode
+        assert speed_mm_s is not None  # simple-pid is in automatic mode
         growth_mm_s = (self._stretch(sample) - self._stretch_mm) / STRETCH_LAG_S
         self._stretch_mm += growth_mm_s * self._dt
         return speed_mm_s - growth_mm_s

@@ -10,9 +10,9 @@ from hil.compare.rivals.feedback import Feedback, Model, Sample
 
 
 def ultimate(model: Model) -> tuple[float, float]:
-    """Gain (mm/s per N) and frequency (rad/s) at which a proportional loop on the model keeps swinging.
+    """Gain (mm/s per N) and frequency (rad/s) at which a proportional loop on the model oscillates steadily.
 
-    The phase of ``1/s e^(-delay s)/(lag s + 1)`` is half a turn where ``w delay + atan(w lag)`` is a quarter.
+    The phase of ``1/s e^(-delay s)/(lag s + 1)`` is -180 deg where ``w delay + atan(w lag)`` is 90 deg.
     """
 
     def short_of(w: float) -> float:
@@ -29,7 +29,7 @@ class Proportional(Feedback):
         self.gain = 0.5 * ultimate(model)[0]  # mm/s per N
 
     def start(self, _sample: Sample) -> None:
-        """Nothing is remembered."""
+        """See `Feedback`; the law has no memory."""
 
     def wanted(self, sample: Sample) -> float:
         """See `Feedback`."""
@@ -44,7 +44,7 @@ class ProportionalIntegral(Feedback):
     """
 
     def __init__(self, model: Model, slowness_s: float | None = None) -> None:
-        """``slowness_s``: another ``tau_c + theta`` than the tightest."""
+        """``slowness_s`` replaces the tightest ``tau_c + theta``."""
         slowness_s = slowness_s or 2.0 * (model.delay_s + 0.5 * model.lag_s)
         self.gain = 1.0 / (model.stiffness_n_mm * slowness_s)  # mm/s per N
         self.integral_time_s = 4.0 * slowness_s

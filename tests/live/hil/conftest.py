@@ -24,7 +24,7 @@ Start = Callable[..., "subprocess.Popen[str]"]
 
 @pytest.fixture
 def rig_file() -> Iterator[pathlib.Path]:
-    """A copy of the paper's rig with a socket in a folder of its own (short: a socket's path has 107 characters)."""
+    """A copy of the paper's rig with a socket in its own folder (short: a socket's path has at most 107 characters)."""
     with tempfile.TemporaryDirectory(prefix="rig", dir="/tmp") as name:
         folder = pathlib.Path(name)
         shutil.copytree(REPOSITORY / "config/eds", folder / "eds")
@@ -43,9 +43,9 @@ def channel(rig_file: pathlib.Path) -> str:
 
 @pytest.fixture
 def start() -> Iterator[Start]:
-    """Starts ``python -m ARGUMENTS`` with its output piped; whatever still runs at the end is killed."""
+    """Starts ``python -m ARGUMENTS`` with its output piped; processes that still run at the end are killed."""
     running: list[subprocess.Popen[str]] = []
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and so would ours
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and passes that on
 
     def start(*arguments: object) -> subprocess.Popen[str]:
         command = [sys.executable, "-m", *map(str, arguments)]
@@ -63,7 +63,7 @@ def start() -> Iterator[Start]:
 
 @pytest.fixture
 def served(rig_file: pathlib.Path, start: Start) -> subprocess.Popen[str]:
-    """``python -m hil serve``, ready."""
+    """A ``python -m hil serve`` that is ready."""
     process = start("hil", "serve", rig_file, "--truth", rig_file.with_name("truth.bin"))
     assert process.stdout is not None
     ready = process.stdout.readline()
@@ -85,7 +85,7 @@ def network(served: subprocess.Popen[str], channel: str) -> Iterator[canopen.Net
 
 @pytest.fixture
 def finish() -> Callable[[subprocess.Popen[str]], tuple[int, str, str]]:
-    """Ends a process with SIGTERM; its exit code, and what it had still to say."""
+    """Ends a process with SIGTERM; returns its exit code and the rest of its output."""
 
     def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
         process.send_signal(signal.SIGTERM)

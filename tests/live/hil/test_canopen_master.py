@@ -1,4 +1,4 @@
-"""The served devices against canopen's own master: SDO, NMT, EMCY, and its PDO decoder as the oracle of our layouts."""
+"""The served devices against canopen's own master: SDO, NMT, EMCY, and its PDO decoder as the oracle of the layouts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CELL, SLOPE, DRIVE, BENCH = 2, 3, 4, 112
 
 
 class Rig:
-    """A controller made of canopen's parts: it sends a SYNC and waits for the answers."""
+    """A controller made of canopen's parts: it sends a SYNC and waits for the samples."""
 
     def __init__(self, network: canopen.Network) -> None:
         self.network = network
@@ -53,7 +53,7 @@ class Rig:
 
 
 def until(condition: Any) -> None:
-    """Wait for what must come; 10 s is for a machine that is busy with something else."""
+    """Wait for a condition; 10 s allow for a busy machine."""
     deadline = time.monotonic() + 10.0
     while not condition():
         assert time.monotonic() < deadline, "it never came"
@@ -109,7 +109,7 @@ def test_the_drive_moves_and_the_truth_follows(rig: Rig) -> None:
     rig.sync()
     stroke_um = rig.network[DRIVE].sdo[objects.POSITION_ACTUAL].raw
     true_um = truth[objects.SIM_TRUE_STROKE_UM].raw
-    assert stroke_um == pytest.approx(true_um, abs=4)  # the encoder is on the motor: it does not see the screw's ripple
+    assert stroke_um == pytest.approx(true_um, abs=4)  # the encoder on the motor does not see the screw's ripple
     assert true_um > 2000
     newton = objects.CELL_TPDO.codec.unpack(rig.payloads[CELL])[0] * objects.N_PER_CELL_UNIT
     assert newton == pytest.approx(truth[objects.SIM_TRUE_VERTICAL_MN].raw / 1000, abs=0.2)  # the noise, 6 sigma

@@ -1,4 +1,4 @@
-"""The Python blocks of the documentation that need a rig or a recording, as they stand there."""
+"""The Python blocks of the documentation that need a rig or a recording, unchanged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The handles faults are put in by do what they say, and nothing when nobody uses them."""
+"""The injectors of faults have their stated effect, and none while unused."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ GAINS = design_and_check(RIG).gains
 
 @pytest.fixture
 def rig() -> Iterator[Lockstep]:
-    """In HOLD, 300 N on the rope."""
+    """A rig in HOLD, 300 N on the rope."""
     with lockstep(RIG, GAINS) as subject:
         stand.start(subject, Mode.HOLD, None)
         stand.enter(subject, Mode.HOLD)

@@ -1,4 +1,4 @@
-"""Faults of the daemon's processes: how they are judged, and a few of them on the real daemon."""
+"""Faults of the daemon's processes: their judgement, and a few of them on the real daemon."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rigctl.ipc.record import RECORD
 from tests.builders.paths import ROOT
 
 RIG = ROOT / "config/paper_rig.yaml"
-# The machine is shared with other tests: patience with it, none with the drive's own stop.
+# The machine is shared with other tests: limits of time are wide, except for the drive's own stop.
 PATIENT = (
     ("safety.stale_ms", 100), ("safety.bus_silent_ms", 100), ("safety.inclination_stale_ms", 500),
     ("safety.overrun_ticks", 900), ("cylinder.command_deadline_ms", 60), ("cylinder.heartbeat_timeout_ms", 90),
@@ -29,7 +29,7 @@ PATIENT = (
 STILL = Seen(Mode.DISARMED, "NONE", 40.0, 0.2, 1.0, 0.0, 299.0, 300.0, tripped=False, carried=True)
 
 
-# -- how they are judged --------------------------------------------------------------------------------------------
+# -- judgement ------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("seen", "words"),
     [
@@ -75,7 +75,7 @@ def test_the_truth_tells_when_the_stroke_stopped_and_how_far_it_went() -> None:
     truth["stroke_mm"] = np.minimum(np.arange(300), 140) * 8e-3
     truth["tension_n"] = 200.0 + 6.0 * truth["stroke_mm"]
     seen = processes.seen(truth, np.zeros(0, RECORD.dtype), 100_000_000, Mode.DISARMED, "NONE")
-    assert seen.stopped_ms == pytest.approx(27.0)  # from there on within 0.1 mm of where it stays
+    assert seen.stopped_ms == pytest.approx(27.0)  # the stroke stays within 0.1 mm from there on
     assert seen.moved_mm == pytest.approx(0.32)
     assert seen.tension_off_n == pytest.approx(1.92)
     assert seen.carried

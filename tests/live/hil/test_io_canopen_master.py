@@ -1,4 +1,4 @@
-"""The served I/O node against canopen's own master: what it is, its PDO as canopen saves it, and what is then read."""
+"""The served I/O node against canopen's own master: its identity, its PDO as canopen saves it, and the inputs read."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def node(network: canopen.Network) -> Any:
 
 
 def received(pdo: Any) -> list[tuple[int, bool]]:
-    """The next frame: each input byte as canopen reads it, and whether ours says that the stop is pressed."""
+    """The next frame: each input byte as canopen reads it, and whether our decoder sees the stop pressed."""
     assert pdo.wait_for_reception(10.0) is not None
     data = bytes(pdo.data)
     decode = codecs.inputs_decoder(objects.inputs_tpdo(1))
@@ -64,7 +64,7 @@ def test_a_pdo_as_canopen_saves_it_is_sent_by_timer_and_on_a_press_and_read_alik
     network[objects.SIMULATOR_NODE].sdo[objects.SIM_IO_E_STOP].raw = 1
     frames = [received(pdo) for _ in range(5)]
     assert frames[-1] == [(0, True)]
-    assert node.emcy.log == network[4].emcy.log == []  # it is no fault of the node's, and the drive's contact is closed
+    assert node.emcy.log == network[4].emcy.log == []  # no fault of the node, and the drive's contact is closed
     network[objects.SIMULATOR_NODE].sdo[objects.SIM_IO_E_STOP].raw = 0
     assert [received(pdo) for _ in range(5)][-1] == [(IO.mask, False)]
 

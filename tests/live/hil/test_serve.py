@@ -1,4 +1,4 @@
-"""``python -m hil serve`` as its users meet it: real processes, real sockets."""
+"""``python -m hil serve`` as users run it: real processes, real sockets."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_python_cans_logger_records_while_the_rig_runs(
         bus.send(START_ALL)
         assert syncs_answered(bus, 100) == 100
         deadline = time.monotonic() + 20.0
-        # It writes in order, but in blocks: push until a later frame is in the file.
+        # The writer keeps the order, but writes in blocks: send until a later frame is in the file.
         while not log.exists() or "7F0" not in log.read_text():
             assert time.monotonic() < deadline
             bus.send(can.Message(arbitration_id=0x7F0, data=bytes(8), is_extended_id=False))

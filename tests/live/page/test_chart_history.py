@@ -1,4 +1,4 @@
-"""What the charts keep of the past: every extreme, bounded memory, gaps as gaps."""
+"""The charts' history: every extreme, bounded memory, gaps as gaps."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_every_window_is_whole_and_none_holds_more() -> None:
         assert level.newest - first + 1 == BUCKETS
         assert level.width_ns * BUCKETS == window_s * 1_000_000_000
     _, minute = history.levels[0].since(0)
-    assert np.nanmin(minute[:, 0]) > 9_000  # the first 9 s have left it
+    assert np.nanmin(minute[:, 0]) > 9_000  # the first 9 s are outside the minute
     _, hour = history.levels[-1].since(0)
     assert np.nanmin(hour[:, 0]) == 0
 
@@ -157,7 +157,7 @@ def test_every_tick_is_in_the_lateness_histogram_once() -> None:
 
 def test_missed_deadlines_are_counted_through_a_restart_of_the_loop() -> None:
     lateness, found = Lateness(), records(6)
-    found["skipped"] = [4, 4, 7, 7, 2, 3]  # 3 while we look; then a new loop, which has missed 2, and 1 more
+    found["skipped"] = [4, 4, 7, 7, 2, 3]  # 3 during the window; then a new loop, which has missed 2, and 1 more
     lateness.add(START + found["t_ns"], found)
     assert lateness.window(60)["missed"] == 6
 

@@ -1,4 +1,4 @@
-"""Commands given in the browser to a real daemon on the simulated rig, and the page a daemon keeps alive itself."""
+"""Commands given in the browser to a real daemon on the simulated rig, and the page that a daemon restarts itself."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def listed(seen: PageView, words: str) -> None:
 
 
 def give(seen: PageView, verb: str) -> None:
-    """Click, read, confirm."""
+    """Click a command, read the question and confirm it."""
     seen.until(f"!document.querySelector('[data-verb={verb}]').disabled")
     seen.page.click(f"[data-verb={verb}]")
     seen.until("!document.querySelector('#confirm').hidden")
@@ -116,7 +116,7 @@ def test_commands_go_through_lease_and_confirmation(seen: PageView, running: Run
     said(seen, "given back")
     seen.until("rigctl.state.lease.text === 'nobody holds it'")
     listed(seen, "HOLD -> DISARMED")
-    errors = [error for error in seen.errors if "409" not in error]  # the browser notes each refusal
+    errors = [error for error in seen.errors if "409" not in error]  # the browser logs each refusal
     assert not errors
     assert running.server.process.poll() is None
 
@@ -127,7 +127,7 @@ def test_hold_is_taken_from_the_page_whoever_holds_the_lease(seen: PageView, run
     try:
         seen.until("rigctl.state.lease.text.startsWith('anna')")
         seen.page.click("#hold")
-        said(seen, "HOLD refused: hold is not possible in DISARMED")  # by the loop, not for want of a lease
+        said(seen, "HOLD refused: hold is not possible in DISARMED")  # by the loop, not for lack of a lease
         seen.page.click("#take")
         said(seen, "anna holds the lease")
         seen.page.fill("#reason", "she has gone home")
@@ -147,7 +147,7 @@ def test_a_confirmation_holds_for_the_rig_as_it_was(seen: PageView, running: Run
         assert (status, first["accepted"]) == (200, True)
         status, second = server.command("command", {"verb": "disarm"})
         status, answer = server.command("confirm", {"confirm": first["confirm"]})
-        assert status == 409  # another one waits
+        assert status == 409  # another command waits
         assert "ask again" in answer["text"]
         assert server.command("confirm", {"confirm": second["confirm"]})[0] == 409  # and is spent
         proposals = [server.command("command", {"verb": "disarm"})[1]["confirm"]]
@@ -158,7 +158,7 @@ def test_a_confirmation_holds_for_the_rig_as_it_was(seen: PageView, running: Run
         _, arming = server.command("command", {"verb": "arm"})
         _, done = server.command("confirm", {"confirm": arming["confirm"]})
         assert done["accepted"], done
-        mode(seen, "HOLD")  # what the browser shows the page's server has heard of
+        mode(seen, "HOLD")  # the page's server has received the mode that the browser shows
         _, waiting = server.command("command", {"verb": "tension"})
         take = daemons.rigctl("lease", "take", "--reason", "test", "--operator", "anna", file=running.file)
         assert take.returncode == 0, take.stderr
@@ -182,7 +182,7 @@ def test_the_daemons_own_page_is_read_only_and_comes_back(chromium: Browser, run
     assert seen.text("#rights") == "read-only"
     before, lost = daemons.state(running.file), daemons.frames_lost(running.file)
     os.kill(own_page(running), signal.SIGKILL)
-    seen.until("!rigctl.stale && rigctl.link.opened > 1")  # it may be back before the page has called itself stale
+    seen.until("!rigctl.stale && rigctl.link.opened > 1")  # the page may be back before it has shown the data as stale
     os.kill(daemons.process_with("rigctl.gateway.gateway_process", daemons.name_of(running.file)), signal.SIGKILL)
     newest = seen.run("rigctl.store.newestMs")
     seen.until(f"!rigctl.stale && rigctl.store.newestMs > {newest} + 3000")
@@ -203,7 +203,7 @@ def test_a_page_whose_port_is_taken_warns_once_and_waits(running: Running) -> No
         taken.listen()
         until(lambda: running.log.read_text().count("it is in use") > already, "the warning")
         waiting = own_page(running)
-        time.sleep(3.0)  # longer than it waits between tries
+        time.sleep(3.0)  # longer than the wait between two attempts
         assert running.log.read_text().count("it is in use") == already + 1
         assert own_page(running) == waiting
     until(lambda: running.log.read_text().count(f"page: http://127.0.0.1:{running.page_port}/") >= 2, "the page")

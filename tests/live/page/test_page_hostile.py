@@ -1,4 +1,4 @@
-"""Somebody publishes anything on the rig's keys: the page goes on showing the real rig, and says what it refused."""
+"""A peer publishes invalid data on the rig's keys: the page goes on showing the real rig, and reports the refusals."""
 
 from __future__ import annotations
 

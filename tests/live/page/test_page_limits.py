@@ -1,4 +1,4 @@
-"""Connections that say nothing, say it slowly or watch: each ends in time, and the operator's HOLD is served."""
+"""Idle, slow and watching connections: each ends in time, and the operator's HOLD is served."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def opened(server: Server, count: int, said: bytes) -> Iterator[list[socket.sock
 
 
 def is_ended(connection: socket.socket) -> bool:
-    """Whether the server ends it; what it says before is read."""
+    """Whether the server closes the connection; its earlier output is read."""
     try:
         while connection.recv(65536):
             pass

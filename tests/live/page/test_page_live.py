@@ -1,4 +1,4 @@
-"""The page in a real browser, over real sessions: charts that move, restarts it survives, data that are stale."""
+"""The page in a real browser, over real sessions: charts that move, restarts that it survives, stale data."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_what_the_page_says_is_what_the_daemon_says(chromium: Browser, readonly:
 
 
 def test_a_page_opened_late_shows_the_past_at_once(chromium: Browser, readonly: Server) -> None:
-    """The server's history; and beyond its start what the daemon's rings still held."""
+    """It has the server's history and, before the server's start, the content of the daemon's rings."""
     with view(chromium, readonly) as seen:
         seconds = seen.run("rigctl.store.low[0].filter((value) => value === value).length") * 0.05
         oldest = seen.run("performance.now()") / 1000
@@ -136,7 +136,7 @@ def test_the_page_survives_a_killed_gateway(chromium: Browser, own: Daemon) -> N
         before, draws = seen.run("rigctl.store.newestMs"), seen.run("rigctl.draws")
         own.start_gateway()
         seen.until(f"!rigctl.stale && rigctl.store.newestMs > {before} + 2000 && rigctl.draws > {draws}")
-        assert seen.run("rigctl.state.samples_lost") == 0  # the gap was asked for again, and filled
+        assert seen.run("rigctl.state.samples_lost") == 0  # the gap was queried again, and filled
         assert seen.run("rigctl.link.opened") == 1
         assert not seen.errors
 
@@ -149,7 +149,7 @@ def test_the_page_survives_a_killed_page_server(chromium: Browser, daemon: Daemo
         assert "page server" in seen.text("#stale-why")
         drawn = seen.run(DRAWN)
         time.sleep(0.5)
-        assert seen.run(DRAWN) == drawn  # old data do not go on moving
+        assert seen.run(DRAWN) == drawn  # stale data do not move the charts
         with serving(daemon.endpoint, port=port):
             before = seen.run("rigctl.store.newestMs")
             seen.until(f"!rigctl.stale && rigctl.link.opened === 2 && rigctl.store.newestMs > {before} + 1000")

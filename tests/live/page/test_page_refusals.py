@@ -33,7 +33,7 @@ COMMANDS = [
 
 
 def leases_and_orders(daemon: Daemon) -> tuple[Any, int]:
-    """Who holds the lease, and how many commands the loop has been given (HOST_CHECKS of the gateway aside)."""
+    """Holder of the lease, and the number of commands given to the loop (except HOST_CHECKS of the gateway)."""
     with daemon.client() as client:
         state = client.state()
     commands = daemon.runtime.request_reader()
@@ -84,7 +84,7 @@ def test_commands_are_posted_or_nothing(commanding: Server, method: str) -> None
 
 
 def test_a_name_made_to_point_here_gets_nothing(commanding: Server) -> None:
-    """DNS rebinding: the browser believes evil.example is this host, and Origin and Host agree."""
+    """DNS rebinding: for the browser, evil.example is this host, and Origin and Host agree."""
     evil = f"evil.example:{commanding.port}"
     for method, path in (("GET", "/"), ("GET", "/static/page.js"), ("POST", "/api/command")):
         status, _, body = commanding.ask(

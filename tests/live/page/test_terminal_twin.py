@@ -1,4 +1,4 @@
-"""The terminal's screen says what the page says, and both say which limits are passed."""
+"""The terminal's screen and the page show the same, and both show which limits are exceeded."""
 
 from __future__ import annotations
 

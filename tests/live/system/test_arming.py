@@ -26,7 +26,7 @@ def running(folder: pathlib.Path, changes: dict[str, dict[str, Any]]) -> Iterato
 
 
 def press_e_stop(rig: Running, pressed: int) -> None:
-    """As somebody at the simulated rig."""
+    """Press or release the emergency stop of the simulated rig."""
     network = canopen.Network()
     network.NOTIFIER_CYCLE = 0.02
     network.connect(interface="rigsim", channel=str(rig.file.with_name("bus.sock")))
@@ -96,6 +96,6 @@ def test_arming_is_refused_with_everything_that_stands_against_it_and_doctor_say
         }  # fmt: skip
         assert found["rig file"]["ok"]
         assert "rigctl tare" in found["tare: in force"]["fix"]
-        rig.do("tare")  # what is done about one of them leaves the others
+        rig.do("tare")  # tare removes one finding and leaves the others
         said = daemons.wait_for(lambda: (text := rig.refused("arm")) and "tare" not in text and text, log=rig.log)
         assert "no calibration" in said

@@ -1,4 +1,4 @@
-"""`rigctl bench`: real loop, simulated rig, cyclictest; what it judges, and what it refuses."""
+"""`rigctl bench`: real loop, simulated rig, cyclictest; its verdicts and its refusals."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_beside_a_daemon_nothing_is_measured(tmp_path: pathlib.Path) -> None:
     [
         ({}, OTHER, []),
         ({"skipped_ticks": 4}, OTHER, ["1000 Hz: periods skipped"]),
-        ({"skipped_ticks": 1}, None, ["1000 Hz: periods skipped"]),  # nothing to excuse it
+        ({"skipped_ticks": 1}, None, ["1000 Hz: periods skipped"]),  # without an excuse
         ({"skipped_ticks": 0}, None, []),
         ({"lateness_us": {**LATE, "p999": 80.5}}, OTHER, ["1000 Hz: lateness p99.9 over cyclictest's"]),
         ({"work_us": {**LATE, "p999": 921.0}}, OTHER, ["1000 Hz: lateness and work, p99.9, us"]),
@@ -83,7 +83,7 @@ def test_nothing_of_the_rigs_own_is_touched(tmp_path: pathlib.Path) -> None:
     for ours, theirs in ((played.audit_log, settings.audit_log), (played.ledger, settings.ledger)):
         assert ours != theirs
         assert ours is not None
-        assert ours.is_relative_to(tmp_path)  # of the rig file, which is another one then
+        assert ours.is_relative_to(tmp_path)  # the default place, beside the rig file
     assert played.safety == settings.safety
     demo = own_settings(settings, tmp_path / "here")
     assert (demo.rig, demo.telemetry.join, demo.page) == (f"demo_{settings.rig}", [], None)

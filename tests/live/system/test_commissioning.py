@@ -51,7 +51,7 @@ def rig_file(folder: pathlib.Path, **calibration: Any) -> pathlib.Path:
 
 @pytest.fixture
 def file(tmp_path: pathlib.Path) -> pathlib.Path:
-    """A rig file that waives nothing, a tare, and a check that passed."""
+    """A rig file without waivers, a tare, and a check that passed."""
     made = rig_file(tmp_path, waiver=None)
     check_of(made)
     return made
@@ -66,14 +66,14 @@ def running(file: pathlib.Path) -> Iterator[Running]:
 
 @contextlib.contextmanager
 def moving(file: pathlib.Path) -> Iterator[Client]:
-    """A client, once the stroke is told to move: steps of an identification last a quarter of a second."""
+    """A client, once the stroke moves: steps of an identification last a quarter of a second."""
     with Client(daemons.endpoint(file), daemons.name_of(file)) as client:
         daemons.wait_for(lambda: client.state()["command_mm_s"] != 0.0)
         yield client
 
 
 def identified(running: Running, file: pathlib.Path) -> dict[str, Any]:
-    """What an identification in tension answers, repeated as it says where the host stopped the loop meanwhile."""
+    """The reply to an identification in tension, repeated where it reports that the host stopped the loop meanwhile."""
     words = ("identify", "--in", "tension", "--json", "--file", str(file))
     for _ in range(IDENTIFICATIONS):
         answer: dict[str, Any] = json.loads(daemons.rigctl(*words, file=running.file).stdout)
@@ -102,10 +102,10 @@ def test_an_operator_commissions_the_rig(running: Running, tmp_path: pathlib.Pat
     assert answer["accepted"], answer["text"]
     found = {row["key"]: row["found"] for row in answer["entry"]["figures"]["rows"]}
     assert found["plant.cylinder_lag_s"] == pytest.approx(0.02, abs=0.002)
-    # Loop and drive run free of each other here, and where in the drive's millisecond a command falls is not the loop's
-    # to choose: one tick, which is what identification promises.
+    # Loop and drive are not synchronised here, so a command falls anywhere in the drive's millisecond: an error of one
+    # tick, which is what identification promises.
     assert found["plant.command_delay_s"] == pytest.approx(0.002, abs=0.001)
-    # The mean over one of the drive's own milliseconds, which may have ended one ago.
+    # The drive's speed is a mean over one of its own milliseconds, which may have ended a millisecond ago.
     assert found["age of the drive's speed"] == pytest.approx(0.0011, abs=0.0009)
     assert found["stiffness"] == pytest.approx(5.964, rel=0.01)
     assert found["tension_cell.noise_n"] == pytest.approx(0.03, rel=0.2)
@@ -152,7 +152,7 @@ def test_the_operator_who_interrupts_an_identification_ends_it(running: Running)
     assert complained == "rigctl: interrupted; identify was ended, the stroke is held\n"
     assert daemons.state(running.file)["command_mm_s"] == 0.0
     assert [entry.what for entry in entries(running.file)] == ["tare", "calibrate"]
-    assert running.do("tare").startswith("TARE: ")  # nothing is left of it
+    assert running.do("tare").startswith("TARE: ")  # nothing of the failed trial remains
 
 
 def test_a_tare_on_record_whose_gateway_was_killed_is_put_in_force_by_the_next(running: Running) -> None:
@@ -190,7 +190,7 @@ def test_a_failed_check_blocks_the_next_arming(running: Running) -> None:
 def test_what_cannot_be_written_down_is_not_done(running: Running) -> None:
     path = config.load(running.file).ledger
     assert path is not None
-    path.with_name(f"{path.name}.new").mkdir()  # root may write anywhere, but not over a folder
+    path.with_name(f"{path.name}.new").mkdir()  # root may write anywhere, but cannot replace a folder by a file
     assert "cannot be written" in running.refused("tare")
     assert daemons.state(running.file)["calibration"]["zero_n"] == 0.0
     assert running.log.read_text().count("tension cell: zero") == 1
@@ -217,7 +217,7 @@ def test_a_due_date_that_passes_while_the_daemon_runs_blocks_arming(tmp_path: pa
         with daemons.daemon(file, tmp_path / "daemon.log"):
             assert daemons.rigctl("arm", file=file).returncode == 0
             daemons.wait_for(lambda: daemons.state(file)["calibration"]["overdue"], 40.0)
-            assert daemons.mode(file) == "HOLD"  # what is held stays held
+            assert daemons.mode(file) == "HOLD"  # the hold stays in force
             assert daemons.rigctl("disarm", file=file).returncode == 0
             refused = daemons.rigctl("arm", file=file)
     assert refused.returncode == 1

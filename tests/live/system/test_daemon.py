@@ -1,4 +1,4 @@
-"""Daemon, rig and operator as real processes, used rightly and wrongly."""
+"""Daemon, rig and operator as real processes, in right and wrong use."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rigctl.ipc.runtime_folder import Runtime
 from tests.builders import daemons
 from tests.builders.paths import ROOT
 
-# The rig PC is shared with other tests here: patience in time, not in function.
+# The rig PC is shared with other tests: limits of time are wide, those of function are not.
 PATIENT: dict[str, dict[str, Any]] = {
     "safety": {
         "stale_ms": 100,
@@ -39,7 +39,7 @@ PATIENT: dict[str, dict[str, Any]] = {
 }
 
 
-# A loop without real time waits for a processor like everybody else.
+# A loop without real-time scheduling waits for a processor as any process does.
 UNPRIVILEGED: dict[str, dict[str, Any]] = {
     "safety": {
         "stale_ms": 500,
@@ -159,7 +159,7 @@ def test_sigterm_in_the_closed_loop_ends_in_hold_with_the_load_carried(running: 
     after = running.truth()
     assert after[0] == pytest.approx(before[0], abs=1.0)
     assert after[1] == pytest.approx(before[1], abs=0.1)
-    # The drive was let go of in good order: the next daemon finds no fault, and takes the load over.
+    # The daemon has switched the drive off in order: the next one finds no fault and takes the load over.
     with daemons.daemon(running.file, running.log.with_name("next.log")):
         assert "HOLD" in running.do("arm")
         assert running.truth()[0] == pytest.approx(before[0], abs=1.0)
@@ -188,7 +188,7 @@ def test_the_gateway_is_killed_and_comes_back_and_the_loop_does_not_notice(runni
     parts: list[np.ndarray[Any, Any]] = []
 
     def compensates() -> bool:
-        parts.append(records.read())  # before the ring is written over
+        parts.append(records.read())  # before the ring overwrites them
         return daemons.mode(running.file) == "COMPENSATING"
 
     for _ in range(2):
@@ -314,7 +314,7 @@ def test_without_privileges_it_runs_and_says_what_is_missing(tmp_path: pathlib.P
             for setting in ("scheduler", "memory", "affinity"):
                 assert f"real time: {setting}" in said
             warnings = [line for line in said.splitlines() if "WARNING" in line]
-            # A busy machine adds skipped ticks, rightly; the bounds this file waives are said too.
+            # A busy machine rightly adds skipped ticks; the rig file's waivers are listed too.
             missing = [line for line in warnings if "skipped" not in line and "waived:" not in line]
             assert len(missing) == 3, said
             assert daemons.rigctl("arm", file=file).returncode == 0

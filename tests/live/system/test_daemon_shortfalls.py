@@ -1,4 +1,4 @@
-"""What the daemon does when something it stands on is taken away, or runs short: files, memory, its terminal."""
+"""The daemon without, or short of, a resource it needs: files, memory, its terminal."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def running(tmp_path: pathlib.Path) -> Iterator[Running]:
 
 
 def tensioned(running: Running) -> tuple[float, float]:
-    """Arm, tension; true vertical tension and stroke."""
+    """Arm and tension; returns true vertical tension and stroke."""
     running.do("arm")
     running.do("target", "100")
     running.do("tension", "--wait")
@@ -39,7 +39,7 @@ def tensioned(running: Running) -> tuple[float, float]:
 
 
 def ended(running: Running, code: int, before: tuple[float, float]) -> str:
-    """It ended with this code, nothing running, no traceback, the load where it was; what it said."""
+    """Check that the daemon ended with this code, with no process, traceback or motion left; returns its output."""
     assert running.daemon.wait(daemons.STOP_LIMIT_S) == code, running.log.read_text()
     said = running.log.read_text()
     assert "Traceback" not in said

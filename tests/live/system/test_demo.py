@@ -1,4 +1,4 @@
-"""The demo, in simulated and in real time: its figures, its keys, its verdict."""
+"""The demo in simulated and in real time: its figures, its keys, its verdict."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def play(tmp_path: pathlib.Path, changes: dict[str, dict[str, Any]], *options: s
 
 
 def replayed(file: str) -> tuple[int, bool]:
-    """Ticks that a replay finds the same, and whether that is all of them."""
+    """Ticks that a replay finds equal, and whether those are all ticks."""
     answer = daemons.rigctl("replay", file, "--json")
     assert answer.returncode in (0, 1), answer.stderr
     found = json.loads(answer.stdout)
@@ -82,7 +82,7 @@ def test_in_real_time_every_part_runs_in_its_own_process(tmp_path: pathlib.Path)
             "waiver": "a simulated rig on a busy machine",
         },
         "cylinder": {"command_deadline_ms": 150, "heartbeat_timeout_ms": 200},
-        "telemetry": {"lease_s": 15},  # shorter than the time between two of its commands: it has to renew it
+        "telemetry": {"lease_s": 15},  # shorter than the time between two of its commands: it has to renew the lease
     }
     code, figures, said = play(tmp_path, changes)
     assert set(figures) >= KEYS
@@ -131,7 +131,7 @@ def test_beside_a_daemon_of_the_same_rig_the_demo_commands_its_own(tmp_path: pat
 
 
 def test_a_computer_that_stops_the_loop_is_named_and_the_demo_plays_once_more(tmp_path: pathlib.Path) -> None:
-    """Stopped for longer than the overrun's limit, twice: exit 1 with the reason and the way without real time."""
+    """Stopped for longer than the overrun limit, twice: exit 1 with the reason and the command without real time."""
     file = daemons.rig_file(tmp_path, {"demo": SHORT})
     command = [sys.executable, "-m", "rigctl", "demo", str(file), "--recordings", str(tmp_path / "recordings")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as demo:

@@ -1,4 +1,4 @@
-"""Other gains on a rig that compensates: judged first, on record, in force without a bump."""
+"""Other gains in COMPENSATING: checked first, recorded, and put in force without a bump."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_gains_change_while_it_compensates_and_outlive_the_control_process(runni
     wanted = yaml.safe_load(pathlib.Path(softer).read_text())["gains"]
     assert (written.what, written.operator, written.after) == ("gains", "kim", wanted)
     assert f"{written.before['k_tension']:.4g} -> {wanted['k_tension']:.4g}" in said
-    daemons.wait_for(lambda: "softer.gains.yaml" in daemons.state(file)["design"])  # it is looked up now and then
+    daemons.wait_for(lambda: "softer.gains.yaml" in daemons.state(file)["design"])  # the state is renewed at intervals
     assert daemons.mode(file) == "COMPENSATING"
     runtime = Runtime.of(daemons.name_of(file))
     assert runtime.read_json(ACTIVE)["design"]["gains"] == wanted

@@ -1,4 +1,4 @@
-"""HOLD on the local socket while one peer floods the daemon, and while the gateway hangs or is gone: none is lost."""
+"""HOLD on the local socket while a peer floods the daemon, and while the gateway hangs or is gone: none is lost."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HOLDS, FLOOD_S = 20, 60.0
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[pathlib.Path]:
-    """A rig whose daemon is armed."""
+    """A rig file whose daemon is armed."""
     folder = tmp_path_factory.mktemp("flood")
     found = daemons.rig_file(folder, PATIENT)
     with daemons.simulated_rig(found, folder / "rig.log"), daemons.daemon(found, folder / "daemon.log"):
@@ -45,7 +45,7 @@ def test_every_hold_is_answered_and_in_the_record(file: pathlib.Path, kind: str)
             taken = records.read()
             held += 1
             first = taken[taken["hold_seq"] == held][0]
-            assert (first["t_ns"], first["mode"]) == (answer["t_ns"], Mode.HOLD)  # the very tick
+            assert (first["t_ns"], first["mode"]) == (answer["t_ns"], Mode.HOLD)  # the same tick
 
 
 def test_rigctl_hold_needs_no_gateway_that_answers(file: pathlib.Path) -> None:

@@ -1,4 +1,4 @@
-"""An emergency stop seen by an I/O node alone, with real processes: pressed, said by status and doctor, and silent."""
+"""An emergency stop at the I/O node alone, with real processes: pressed, shown by status and doctor, and silent."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RELEASED, SEEN = "emergency stop, I/O node: released", "emergency stop, I/O node
 
 @contextlib.contextmanager
 def bus(rig: Running) -> Iterator[canopen.Network]:
-    """As somebody at the simulated rig, or with a laptop on its bus."""
+    """A foreign node on the simulated rig's bus."""
     network = canopen.Network()
     network.NOTIFIER_CYCLE = 0.02
     network.connect(interface="rigsim", channel=str(rig.file.with_name("bus.sock")))
@@ -61,12 +61,12 @@ def test_it_is_latched_and_told_apart_from_the_drives_and_its_silence_bars_armin
         code, found = doctor(rig)
         assert code == 1
         assert found[RELEASED]["severity"] == "fails"
-        assert found["emergency stop: released"]["ok"]  # the drive's
+        assert found["emergency stop: released"]["ok"]  # the drive's contact
         assert "cause still present: E_STOP" in rig.refused("reset")
         open_contact(rig, 0)
         daemons.wait_for(lambda: daemons.rigctl("reset", file=rig.file).returncode == 0, log=rig.log)
         daemons.wait_for(lambda: daemons.mode(rig.file) == "DISARMED", log=rig.log)
-        nmt(rig, 0x02)  # stopped by somebody else
+        nmt(rig, 0x02)  # another master stops the node
         unseen = "emergency stop's input on the I/O node is not seen"
         daemons.wait_for(lambda: unseen in rig.do("status"), log=rig.log)
         assert unseen in rig.refused("arm")

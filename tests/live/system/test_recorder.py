@@ -1,4 +1,4 @@
-"""What is kept of a daemon's running: by real processes, with a rig that fails and a disk that is full."""
+"""Audit log and trip dumps of a real daemon, with a rig that fails and a full disk."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.live.system.test_daemon import PATIENT, Running
 
 
 def entries(file: pathlib.Path) -> list[chain.Entry]:
-    """Of a log whose chain holds."""
+    """Entries of a log, whose chain must hold."""
     lines = config.load(file).audit_log.read_bytes().splitlines(keepends=True)
     report = chain.verify(lines)
     assert report.good, report
@@ -31,7 +31,7 @@ def entries(file: pathlib.Path) -> list[chain.Entry]:
 
 
 def missing(found: list[chain.Entry], runtime: Runtime) -> dict[str, int]:
-    """How many slots of each ring are neither in the log, once, nor counted there as a repeat."""
+    """Number of slots of each ring that are neither in the log, once, nor counted there as a repeat."""
     rings = {
         "events": runtime.event_reader(), "notes": runtime.note_reader(), "replies": runtime.reply_reader(),
         "commands": runtime.command_reader(), "desk": runtime.request_reader(),
@@ -69,7 +69,7 @@ def test_a_session_with_a_trip_is_on_record_and_the_recorders_death_changes_noth
     parts: list[np.ndarray[Any, Any]] = []
 
     def state() -> dict[str, Any]:
-        parts.append(records.read())  # before the ring is written over
+        parts.append(records.read())  # before the ring overwrites them
         return daemons.state(file)
 
     os.kill(recorder_of(file), signal.SIGKILL)

@@ -61,7 +61,7 @@ def test_a_session_with_kills_is_recorded_whole(tmp_path: pathlib.Path) -> None:
     assert found.commands[np.isin(found.commands["seq"], given["seq"])].tobytes() == given.tobytes()
     assert 61.5 in found.commands["value"]
 
-    # each frame that was counted is there, of the loop that ran to its end
+    # every counted frame of the loop that ran to its end is there
     first_ns, second_ns = found.control_starts
     last = found.records[-1]
     assert found.frames["sent"][found.frames["t_ns"] >= second_ns].sum() >= last["frames_sent"] - 20
@@ -76,7 +76,7 @@ def test_a_session_with_kills_is_recorded_whole(tmp_path: pathlib.Path) -> None:
     assert ("anna", "command_accepted") in [(entry.who, entry.what) for entry in found.audit]
     assert [event.seq for event in found.events] == list(range(1, len(found.events) + 1))
 
-    with found.files[-1].path.open("rb") as stream:  # the last part by mcap's own reader
+    with found.files[-1].path.open("rb") as stream:  # the last part with mcap's own reader
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         ticks = [item.decoded_message.tick for item in reader.iter_decoded_messages(topics=["/records"])]
     alone = recording.read(found.files[-1].path)
@@ -113,7 +113,7 @@ def test_a_full_disk_ends_the_recording_alone_and_it_comes_back_by_itself(tmp_pa
             def warned() -> bool:
                 return any(text.startswith("recorder: ") for text in daemons.state(file).get("warnings", []))
 
-            daemons.wait_for(warned, log=log)  # the gateway looks at the recorder's word now and then
+            daemons.wait_for(warned, log=log)  # the gateway reads the recorder's status at intervals
             assert daemons.mode(file) == "DISARMED"
             filler.unlink()
             daemons.wait_for(lambda: told().get("file") and not runtime.read_json(RECORDED)["warnings"], log=log)
@@ -125,7 +125,7 @@ def test_a_full_disk_ends_the_recording_alone_and_it_comes_back_by_itself(tmp_pa
         files = sorted(disk.glob("*.mcap"))
         found = recording.read(*files)
         assert found.records["seq"][0] == 1
-        assert found.gaps == []  # the rings held what came meanwhile
+        assert found.gaps == []  # the rings held the data of the meantime
         assert found.records["mode"][-1] == Mode.DISARMED
         assert found.files[-1].complete
     finally:

@@ -1,4 +1,4 @@
-"""The public client, against real gateways: samples with units, states, events, commands, what runs, who is there."""
+"""The public client against real gateways: samples with units, states, events, commands, settings, presence."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_state_config_and_schema_are_answered_and_followed(shared: Daemon) -> No
     with shared.rig() as rig, rig.states() as states:
         ticks = [state["tick"] for state in (states.read(PATIENCE_S) for _ in range(10)) if state is not None]
         assert len(ticks) == 10
-        assert ticks == sorted(ticks)  # a loop that has no processor for 20 ms is in two states with the same tick
+        assert ticks == sorted(ticks)  # a loop without a processor for 20 ms gives two states of one tick
         assert ticks[-1] > ticks[0]
         assert rig.state()["tick"] >= ticks[-1]
         assert rig.config()["settings"]["rig"] == "paper_rig"
@@ -54,7 +54,7 @@ def test_what_happens_after_a_command_is_not_missed_by_a_late_wait(own: Daemon) 
     with own.rig() as rig:
         answer = rig.command("arm", operator="kim")
         assert answer["accepted"]
-        time.sleep(0.3)  # it has long happened
+        time.sleep(0.3)  # the event is long past
         event = rig.wait_event(kind="MODE", timeout_s=PATIENCE_S)
         assert event is not None
         assert event["text"] == "DISARMED -> HOLD: drive enabled"
@@ -62,7 +62,7 @@ def test_what_happens_after_a_command_is_not_missed_by_a_late_wait(own: Daemon) 
         trip = rig.wait_event(severity="error", where=lambda e: e["value"] > 400, timeout_s=PATIENCE_S)
         assert trip is not None
         assert (trip["kind"], trip["limit"]) == ("TRIP", 400.0)
-        assert rig.wait_event(kind="TRIP", timeout_s=0.2) is None  # each is looked at once
+        assert rig.wait_event(kind="TRIP", timeout_s=0.2) is None  # each event is examined once
         assert rig.command("reset", operator="kim")["accepted"]
         assert rig.wait_event(kind="TRIP", timeout_s=0.2) is None  # older than the command
         with rig.events(past=True) as events:
@@ -81,11 +81,11 @@ def test_one_lease_is_shown_by_two_connections(own: Daemon) -> None:
 
 
 def test_events_made_while_nobody_could_tell_of_them_are_told_later(own: Daemon) -> None:
-    """The gateway is away, the very first event after connecting among what it did not publish to this client."""
+    """While the gateway is away; the very first event after connecting is among those not published to this client."""
     with own.rig() as rig, rig.events() as events:
-        assert events.read(0.2) is None  # it knows now where the sequences are
+        assert events.read(0.2) is None  # sets the client's position in the sequences
         own.kill_gateway()
-        with own.replaced_gateway() as other:  # publishes to a listener of its own, then is gone
+        with own.replaced_gateway() as other:  # publishes to another listener, then ends
             other.command("arm", operator="kim")
             other.command("disarm", operator="kim")
             assert other.wait_event(kind="MODE", timeout_s=PATIENCE_S)
@@ -135,7 +135,7 @@ def test_the_active_configuration_is_published_when_it_changes(own: Daemon) -> N
         changed = until(lambda: (c := configs.read(1.0)) and c["calibration"] and c, "another calibration")
         assert (changed["calibration"]["zero_n"], changed["calibration"]["scale"]) == (0.25, 1.001)
         assert rig.config() == changed
-        assert configs.read(1.2) is None  # and not otherwise
+        assert configs.read(1.2) is None  # and at no other time
 
 
 def test_closing_ends_an_iteration_in_another_thread(shared: Daemon) -> None:
@@ -159,7 +159,7 @@ def test_a_newer_daemon_with_more_fields_is_read() -> None:
         daemon.spawn("-m", "tests.builders.another_version", str(daemon.runtime.directory))
         with daemon.rig() as rig, rig.fast() as samples:
             assert rig.fields["gusts_mm_s"].unit == "mm/s"
-            assert "tag" not in rig.fields  # of a type nobody here knows
+            assert "tag" not in rig.fields  # of an unknown type
             block = samples.read(PATIENCE_S)
             assert block is not None
             assert np.all(block["tension_n"] == 300.0)

@@ -1,4 +1,4 @@
-"""The public client on an event loop: nothing blocks it, and nothing is lost by whatever is cancelled."""
+"""The public client on an event loop: it never blocks, and no cancellation loses data."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_what_waits_for_the_daemon_does_not_block_the_event_loop(own: Daemon) ->
             stop(gateway)
             try:
                 with pytest.raises(rigctl.client.NoDaemonError):
-                    await rig.state()  # waits two seconds for an answer
+                    await rig.state()  # waits two seconds for the reply
                 assert len(ticks) > 50
                 assert await rig.wait_event(timeout_s=0.3) is None
                 assert not [sample async for sample in _for(rig.fast(), 0.3)]
@@ -84,14 +84,14 @@ async def _for(samples: rigctl.client.AsyncSamples, seconds: float) -> AsyncIter
 
 
 def test_no_sample_is_lost_by_steps_that_are_cancelled(own: Daemon) -> None:
-    """Cancelled while it waits, and while it asks again for what a full mailbox dropped and a killed gateway owes."""
+    """Cancelled while waiting, and while querying what a full mailbox dropped and a killed gateway did not publish."""
     numbers: list[int] = []
 
     async def session() -> rigctl.client.Count:
         async with connected(own) as rig, rig.fast(depth=8) as samples:
             cancelled = 0
             for round_ in range(3):
-                time.sleep(0.5)  # a program that blocks its own loop: eight blocks are left of these
+                time.sleep(0.5)  # a program that blocks its own event loop: eight blocks of these remain
                 if round_ == 1:
                     own.kill_gateway()
                     own.start_gateway()

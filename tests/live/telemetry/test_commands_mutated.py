@@ -1,4 +1,4 @@
-"""Mutated commands over a real session: every one is answered in words, and the gateway goes on."""
+"""Mutated commands over a real session: every one gets a reply in words, and the gateway goes on."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SEED, COUNT, EACH_S = 11, 150, 30.0
 
 
 def with_lease(payload: bytes | None, lease: str | None) -> bytes | None:
-    """A body that is one, as the holder of the lease gives it."""
+    """A valid body with the lease of its holder; an invalid one unchanged."""
     try:
         body = msgspec.json.decode(payload or b"")
     except (msgspec.MsgspecError, ValueError, RecursionError):
@@ -37,9 +37,9 @@ def test_every_mutated_command_is_answered_and_none_ends_the_gateway(own: Daemon
             try:
                 key = zenoh.KeyExpr(client.keys.command(name))
             except zenoh.ZError:
-                continue  # no key at all: it never leaves the client
+                continue  # not a key: it never leaves the client
             if "*" in name or "/" in name or name.lower() in ("identify", "calibrate", "tare", "gains"):
-                continue  # several at once, or another key; trials take their time
+                continue  # several at once, or another key; trials take time
             shown = with_lease(payload, client.leases.get("anna"))
             replies = list(client.session.get(key, payload=shown, timeout=EACH_S))
             assert len(replies) == 1, (name, payload)

@@ -1,4 +1,4 @@
-"""What the gateway publishes and answers, over real sessions between processes."""
+"""The gateway's publications and replies, over real sessions between processes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tests.builders.paths import ROOT
 @pytest.mark.brief
 def test_fast_stream_is_complete(shared: Daemon) -> None:
     with shared.client() as client:
-        reader = FastReader(client, recover=False)  # what the publications alone bring
+        reader = FastReader(client, recover=False)  # the publications alone
         ticks: list[int] = []
 
         def enough() -> bool:
@@ -40,7 +40,7 @@ def test_fast_stream_is_complete(shared: Daemon) -> None:
 
 
 def test_fast_stream_is_decoded_by_the_schema_alone(shared: Daemon) -> None:
-    """A plain Zenoh client: nothing of ours but the keys and the JSON schema."""
+    """A plain Zenoh client with nothing of this package but the keys and the JSON schema."""
     shared.client().close()
     session = open_client(shared.endpoint)
     try:

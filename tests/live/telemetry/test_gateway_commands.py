@@ -54,7 +54,7 @@ def test_a_trip_is_worded_in_state_and_events(own: Daemon) -> None:
         assert trip["text"] == "trip TENSION_HIGH: tension 412.0 N above 400.0 N"
         assert (trip["kind"], trip["severity"], trip["value"], trip["limit"]) == ("TRIP", "error", 412.0, 400.0)
         assert change["text"] == "DISARMED -> FAULT: trip"
-        past = client.past_events()  # by time, and a loop that is late tells of its tick as of when that was due
+        past = client.past_events()  # by time; a late loop stamps a tick's event with the time the tick was due
         assert [event["kind"] for event in past if event["source"] == "loop"] == ["STARTED", "TRIP", "MODE"]
         assert [event["kind"] for event in past if event["source"] == "gateway"] == ["LEASE_TAKEN"]
         assert client.past_events(after=trip["seq"], after_note=1) == [
@@ -73,7 +73,7 @@ def test_preflight_refusal_lists_the_checks(refusing: Daemon) -> None:
 
 
 def test_two_at_once(own: Daemon) -> None:
-    """Arming takes a while; a command given meanwhile is answered meanwhile, each to who gave it."""
+    """Arming takes a while; a command given meanwhile gets its reply meanwhile, each at its own client."""
     answers: list[tuple[float | None, dict[str, Any]]] = []
     with own.client() as first:
         lease = first.take_lease("kim")["lease"]["id"]
@@ -140,7 +140,7 @@ def test_malformed_is_refused_and_survived(shared: Daemon, payload: bytes, says:
 
 @pytest.mark.parametrize("verb", ["fly", "*", "**", "arm/now"])
 def test_no_command_by_another_key(shared: Daemon, verb: str) -> None:
-    """A wildcard would give every command at once."""
+    """A wildcard key would give every command at once."""
     with shared.client() as client:
         replies = list(client.session.get(client.keys.command(verb), payload=b'{"operator": "kim"}', timeout=2))
         assert all(reply.ok is None for reply in replies)

@@ -1,4 +1,4 @@
-"""The gateway is killed and comes back: nobody who listens loses anything."""
+"""The gateway is killed and comes back: no listener loses data."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def test_killed_gateway_costs_no_sample_and_no_event(own: Daemon) -> None:
         fast = FastReader(client)
         plain = client.session.declare_subscriber(client.keys.fast, zenoh.handlers.RingChannel(4096))
         events = client.follow(client.keys.event("*"), 1000)
-        # Long enough that the gateway has noted its listeners.
+        # Long enough that the gateway has recorded its listeners.
         until(lambda: list(fast.read()) and fast.count.blocks > 10, "the stream")
         seen = []
         for _ in range(3):
             own.kill_gateway()
             time.sleep(0.5)
-            list(fast.read())  # what was still on its way
+            list(fast.read())  # blocks still on their way
             own.start_gateway()
             until(lambda: list(fast.read()), "the stream to go on")
             until(lambda: client.state()["loop_alive"], "the gateway to answer")
-            # Killed right after these, a gateway may not have published them yet: the next one does.
+            # A gateway killed right after these may not have published them; the next one does.
             seen.append(client.command("arm", "kim")["accepted"])
             seen.append(client.command("disarm", "kim")["accepted"])
         head = client.state()["seq"]
@@ -44,7 +44,7 @@ def test_killed_gateway_costs_no_sample_and_no_event(own: Daemon) -> None:
             while (event := events.take()) is not None:
                 if event["source"] == "loop":
                     sequence.append(event["seq"])
-            return len(set(sequence)) >= 6  # killed between publishing and noting it: published again
+            return len(set(sequence)) >= 6  # killed between publishing and recording it: published again
 
         until(six_events, "two events each time")
         numbers: list[int] = []
@@ -54,9 +54,9 @@ def test_killed_gateway_costs_no_sample_and_no_event(own: Daemon) -> None:
     assert all(seen)
     assert count.lost == 0
     assert count.received == count.produced == count.last_seq - count.first_seq + 1
-    assert count.streams == 1  # the same daemon all along
+    assert count.streams == 1  # the same daemon throughout
     assert sorted(set(sequence)) == list(range(min(sequence), max(sequence) + 1))
-    # Even without asking again: the new gateway goes on where the killed one stopped, once its listener is back.
+    # Even without queries: the new gateway goes on where the killed one stopped, once its listener is back.
     assert len(set(numbers)) >= 0.9 * (numbers[-1] - numbers[0] + 1)
 
 
@@ -67,7 +67,7 @@ def test_events_made_while_no_gateway_runs_come_with_the_next(own: Daemon) -> No
         first = until(lambda: (e := events.take()) and e["source"] == "loop" and e, "an event: it knows that we listen")
         own.kill_gateway()
         disarm = (time.monotonic_ns(), 1, int(Verb.DISARM), 0.0)
-        own.runtime.command_writer().write(*disarm)  # nobody else writes now
+        own.runtime.command_writer().write(*disarm)  # no other process writes now
         head = own.runtime.event_reader()
         until(lambda: head.head > first["seq"], "the event")
         own.start_gateway()
@@ -99,7 +99,7 @@ def test_records_overwritten_before_they_were_published_are_counted() -> None:
             block = decode(client.ask(f"{client.keys.fast}?after=0")[1])
     finally:
         daemon.close()
-    # Of the newest `capacity` slots one is being written over.
+    # Of the newest `capacity` slots one is being overwritten.
     assert lost == fast.count.lost == writer.head - 101 - (capacity - 1)
     assert fast.count.produced == writer.head - 100
     assert fast.count.received == fast.count.produced - lost

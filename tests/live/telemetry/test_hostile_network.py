@@ -1,4 +1,4 @@
-"""Somebody publishes and answers anything on the rig's keys: `rigctl watch` and programs go on showing the real rig."""
+"""A peer publishes and answers invalid data on the rig's keys: `rigctl watch` and programs still show the real rig."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def daemon() -> Iterator[Daemon]:
 
 
 def send_everything(intruder: Hostile, daemon: Daemon) -> int:
-    """Every kind of message on every key; how many."""
+    """Send every kind of message on every key; returns their number."""
     keys = intruder.keys
     with daemon.client() as client:
         state, schema = client.state(), client.schema()
@@ -63,7 +63,7 @@ class Watch:
         self.said = b""
 
     def hears(self, *words: bytes) -> bool:
-        """Whether something of this is said from now on."""
+        """Whether one of these words is printed from now on."""
         self.said, end = b"", time.monotonic() + PATIENCE_S
         while time.monotonic() < end and not all(word in self.said for word in words):
             if select.select([self._read], [], [], 0.1)[0]:

@@ -1,4 +1,4 @@
-"""Leases over real sessions: who is refused, what is told, what survives; and that none of it moves the rig."""
+"""Leases over real sessions: refusals, notices, what survives a restart; and none of it moves the rig."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HOW = "to take it over: rigctl lease take --reason TEXT"
 
 
 def shorten(daemon: Daemon, left_s: float) -> None:
-    """A new gateway, on a lease that has so much time left."""
+    """Restart the gateway on a lease with this much time left."""
     daemon.kill_gateway()
     written = daemon.runtime.read_json(IN_FORCE)
     daemon.runtime.write_json(IN_FORCE, {**written, "until_ns": time.monotonic_ns() + round(left_s * 1e9)})
@@ -44,7 +44,7 @@ def answers(client: Client) -> None:
 
 
 def commands(daemon: Daemon) -> int:
-    """How many the loop has been given so far."""
+    """Number of commands given to the loop so far."""
     return daemon.runtime.command_reader().head
 
 
@@ -73,14 +73,14 @@ def test_a_second_operator_is_refused_by_name_and_may_hold(own: Daemon) -> None:
             options = more.pop("options", {})
             refused = kim.command(verb.name.lower(), "kim", **more, **options)
             assert refused["accepted"] is False
-            if refused["reason"] == "not_possible":  # for anyone on this rig
+            if refused["reason"] == "not_possible":  # for every operator on this rig
                 continue
             assert refused["reason"] == "lease_held"
             assert refused["text"].startswith(f"{verb.name} refused: anna holds the lease, since ")
             assert refused["text"].endswith(HOW)
             assert refused["lease"]["holder"] == "anna"
             assert "id" not in refused["lease"]
-        assert commands(own) == given  # the loop has heard of none of them
+        assert commands(own) == given  # none of them reached the loop
         assert anna.command("tension", "anna")["accepted"]
         held = kim.command("hold", "kim")
         assert held["accepted"]
@@ -90,10 +90,10 @@ def test_a_second_operator_is_refused_by_name_and_may_hold(own: Daemon) -> None:
         event = until(of_kind(events, "HOLD_WITHOUT_LEASE"), "the note")
         assert (event["severity"], event["source"]) == ("warning", "gateway")
         assert event["text"] == "HOLD given by kim without the lease, which anna holds"
-        assert anna.command("tension", "anna")["accepted"]  # hers all along
+        assert anna.command("tension", "anna")["accepted"]  # still her lease
         state = own.state(kim)
         assert state["lease"]["holder"] == "anna"
-        assert "id" not in state["lease"]  # everyone may see this
+        assert "id" not in state["lease"]  # the state is public
         assert lease["id"] not in msgspec.json.encode([state, kim.active(), kim.past_events()]).decode()
 
 
@@ -155,14 +155,14 @@ def test_a_lapse_is_told_and_moves_nothing(own: Daemon) -> None:
         with own.client() as kim:
             assert kim.command("hold", "kim")["accepted"]
             until(lambda: client.state()["mode"] == "HOLD", "the hold")
-            assert client.state()["lease"] is None  # hold takes none
+            assert client.state()["lease"] is None  # hold takes no lease
             assert kim.command("release", "kim")["lease"]["holder"] == "kim"
 
 
 def test_a_dead_terminal_leaves_the_rig_as_it_is_and_the_lease_to_the_next(own: Daemon) -> None:
     with own.client() as client:
         command = [sys.executable, "-m", "rigctl.cli.app", "target", "111", "--operator", "anna"]
-        waiting = subprocess.Popen(command, cwd=ROOT, env=own.environment())  # the loop does not answer this one
+        waiting = subprocess.Popen(command, cwd=ROOT, env=own.environment())  # the loop does not answer this command
         given_to_loop = own.runtime.command_reader(from_start=True)
         until(lambda: 111.0 in given_to_loop.read()["value"], "the lease to be taken, kept, and the command given")
         waiting.kill()
@@ -201,7 +201,7 @@ def test_a_lease_survives_the_gateway(own: Daemon) -> None:
         assert [e["kind"] for e in anna.past_events() if e["source"] == "gateway"] == ["LEASE_TAKEN"]
         anna.return_lease("anna")
         told = until(lambda: (e := events.take()) and e["source"] == "gateway" and e, "the next note")
-        assert told["kind"] == "LEASE_RETURNED"  # the one before is not told again
+        assert told["kind"] == "LEASE_RETURNED"  # the earlier notice is not repeated
 
 
 def test_of_any_sequence_the_loop_hears_the_holder_and_every_hold_and_nothing_else(own: Daemon) -> None:
@@ -277,16 +277,16 @@ def test_a_bad_lease_is_one_line_and_keeps_nobody_from_holding(shared: Daemon, l
             assert f"found lease: {says}" in answer["text"]
             assert "\n" not in answer["text"]
         _, raw = client.ask(client.keys.command("hold"), body)
-        assert msgspec.json.decode(raw)["reason"] == "wrong_mode"  # the loop's own word: nothing is held in DISARMED
+        assert msgspec.json.decode(raw)["reason"] == "wrong_mode"  # the loop's own refusal: nothing is held in DISARMED
         assert client.state()["lease"] is None
 
 
 def test_hold_comes_through_a_crowd(own: Daemon) -> None:
-    """As many commands unanswered as the commands keeps: the next is turned away, HOLD is not."""
+    """With as many unanswered commands as the server holds, the next one is refused, HOLD is not."""
     with own.client() as client:
         client.command("arm", "anna")
         lease = client.leases["anna"]
-        body = msgspec.json.encode({"operator": "anna", "lease": lease, "value": 111.0})  # is never answered
+        body = msgspec.json.encode({"operator": "anna", "lease": lease, "value": 111.0})  # never answered
         replies = [client.session.get(client.keys.command("target"), payload=body, timeout=5) for _ in range(70)]
         with own.client() as kim:
             assert kim.command("hold", "kim")["accepted"]
@@ -320,7 +320,7 @@ def test_the_lease_typed(own: Daemon) -> None:
     assert own.cli("lease", "return", "--operator", "kim", user="kim").returncode == 0
     nothing = own.cli("lease", "return", "--operator", "kim", user="kim")
     assert (nothing.returncode, nothing.stderr) == (1, "rigctl: LEASE refused: nobody holds the lease\n")
-    # Her id has long been worth nothing; who types a command looks at the rig.
+    # Her lease id has long expired; an operator who types a command watches the rig.
     assert own.cli("arm", "--operator", "anna").stdout.startswith("ARM: armed")
     with Client(own.endpoint) as client:
         texts = [event["text"] for event in client.past_events() if event["source"] == "gateway"]

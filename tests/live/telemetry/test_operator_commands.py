@@ -150,7 +150,7 @@ def test_watch_waits_for_a_daemon(options: tuple[str, ...]) -> None:
         late.start_gateway()
         assert "DISARMED" in watching.stdout.readline()
         watching.send_signal(signal.SIGINT)
-        assert watching.communicate(timeout=PATIENCE_S)[1] == ""  # it was said once
+        assert watching.communicate(timeout=PATIENCE_S)[1] == ""  # it was printed once
         assert watching.returncode == 0
     finally:
         watching.kill()
@@ -217,7 +217,7 @@ def test_watch_screen_survives_a_restart_and_ends_with_ctrl_c(own: Daemon) -> No
 
 def test_one_of_several_rigs_must_be_chosen(own: Daemon) -> None:
     with own.client() as client:
-        token = client.session.liveliness().declare_token("rigctl/other_rig/live/daemon")  # a second daemon behind it
+        token = client.session.liveliness().declare_token("rigctl/other_rig/live/daemon")  # a duplicate rig name
         result = own.cli("status")
         assert result.returncode == 2
         assert result.stderr == (

@@ -1,4 +1,4 @@
-"""The examples of README and docs/telemetry.md as they stand there, each a process of its own on a real gateway."""
+"""The examples of README and docs/telemetry.md, unchanged, each in a process of its own on a real gateway."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_the_first_of_three_only_reads() -> None:
 
 
 def ran(example: str, daemon: Daemon, folder: pathlib.Path) -> list[str]:
-    """Lines the example printed, a process of its own that ends well and complains of nothing."""
+    """Lines printed by the example, in a process of its own that must end without an error or a warning."""
     script = folder / "example.py"
     script.write_text(example)
     where = {"RIGCTL_CONNECT": daemon.endpoint, "RIGCTL_RIG": daemon.settings.rig, "PYTHONPATH": str(ROOT)}
@@ -85,7 +85,7 @@ def test_the_schema_in_the_documentation_is_the_one_served(shared: Daemon) -> No
 
 
 def assert_within(part: Any, whole: Any, where: str) -> None:
-    """Whether all that ``part`` says is in ``whole``: of objects some keys, of lists some elements."""
+    """Check that ``part`` is contained in ``whole``: some keys of objects, some elements of lists."""
     if isinstance(part, dict):
         for key, value in part.items():
             assert key in whole, f"{where}.{key}"

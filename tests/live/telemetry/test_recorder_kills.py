@@ -1,4 +1,4 @@
-"""The recorder is killed at random instants while the rings fill: the chain holds, and nothing is missing or double."""
+"""The recorder is killed at random instants while the rings fill: the chain holds, without gap or repetition."""
 
 from __future__ import annotations
 

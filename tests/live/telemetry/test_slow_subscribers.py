@@ -1,4 +1,4 @@
-"""Subscribers that stop or cannot keep up, each a process of its own: the healthy ones do not pay for it."""
+"""Subscribers that stop or are too slow, each in a process of its own: the healthy ones are not affected."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def silent() -> Iterator[Daemon]:
 
 @contextlib.contextmanager
 def filling(daemon: Daemon) -> Iterator[RingReader]:
-    """Empty records at 5 kHz."""
+    """Write empty records at 5 kHz."""
     stop, writer, nothing = threading.Event(), daemon.runtime.record_writer(), [0] * len(RECORD.fields)
 
     def write() -> None:
@@ -97,7 +97,7 @@ def test_one_that_is_stopped_costs_the_others_no_sample_and_itself_none_the_ring
     its = told(stalled)
     for one in figures:
         assert nothing_missing(one)
-        assert (one["lost"], one["recovered"]) == (0, 0)  # by publication alone, without asking again
+        assert (one["lost"], one["recovered"]) == (0, 0)  # by publication alone, without a query
         assert one["last_seq"] > start + 7900
     assert its["lost"] == 0
     assert nothing_missing(its)
@@ -105,7 +105,7 @@ def test_one_that_is_stopped_costs_the_others_no_sample_and_itself_none_the_ring
 
 
 def test_one_stopped_for_longer_than_the_ring_holds_counts_just_what_is_gone(silent: Daemon) -> None:
-    """Records at five times the usual rate fill the ring, and every queue on the way, so much sooner."""
+    """At five times the usual rate, records fill the ring, and every queue on the way, sooner."""
     with filling(silent) as records:
         silent.start_gateway()
         silent.rig().close()
@@ -124,7 +124,7 @@ def test_one_stopped_for_longer_than_the_ring_holds_counts_just_what_is_gone(sil
 
 
 def test_a_slow_one_gets_everything_from_the_ring_and_the_others_all_they_want(own: Daemon) -> None:
-    """Ten blocks may wait, and it reads one in 60 ms, a third of what comes."""
+    """Ten blocks may wait, and the subscriber reads one in 60 ms, a third of the rate."""
     own.rig().close()
     healthy = counters(own, HEALTHY)
     slow = own.spawn("-c", _SLOW, own.endpoint, "10", "0.06")
@@ -142,7 +142,7 @@ def test_a_slow_one_gets_everything_from_the_ring_and_the_others_all_they_want(o
 
 
 def test_clients_of_all_kinds_come_back_by_themselves_after_a_restart(own: Daemon) -> None:
-    """Counters, a slow one and one that is stopped while the gateway is away: no sample lost that the ring held."""
+    """Counters, a slow one and one that is stopped while the gateway is away lose no sample that the ring held."""
     own.rig().close()
     stopped, *others = counters(own, HEALTHY)
     slow = own.spawn("-c", _SLOW, own.endpoint, "50", "0.03")

@@ -1,4 +1,4 @@
-"""Who has heard an event and then asks for the state is shown what the event led to."""
+"""A state queried after an event already shows the event's effect."""
 
 from __future__ import annotations
 

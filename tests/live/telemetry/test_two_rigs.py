@@ -1,4 +1,4 @@
-"""Two rigs side by side: one network of routers, each stream, state and command with the rig it belongs to."""
+"""Two rigs on one network of routers: each stream, state and command belongs to its own rig."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def commands(daemon: Daemon) -> int:
 
 
 def read_on(samples: Samples, more: int) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
-    """Sequence numbers of at least so many records more."""
+    """Sequence numbers of at least ``more`` further records."""
     numbers: list[int] = []
     end = time.monotonic() + PATIENCE_S
     while len(numbers) < more:
@@ -84,7 +84,7 @@ def test_a_command_reaches_only_the_rig_it_names(two: tuple[Daemon, Daemon]) -> 
         told = commands(first)
         heard = north.events()
         assert heard.read(0.2) is None
-        assert south.command("arm", operator="kim")["accepted"]  # by the other one's router
+        assert south.command("arm", operator="kim")["accepted"]  # by the other rig's router
         assert south.command("target", 222.0, operator="kim")["accepted"]  # the stand-in trips
         trip = south.wait_event(kind="TRIP", timeout_s=PATIENCE_S)
         assert trip is not None
@@ -104,7 +104,7 @@ def test_the_joined_router_dies_and_the_other_rig_streams_on(two: tuple[Daemon, 
         first.kill_gateway()
         numbers = np.concatenate([start, read_on(samples, 1500)])
         assert np.all(np.diff(numbers) == 1)
-        assert (samples.count.recovered, samples.count.lost) == (0, 0)  # it did not even notice
+        assert (samples.count.recovered, samples.count.lost) == (0, 0)  # the lost router had no effect on the stream
         assert _rigs(second) == ["south_rig"]
         first.start_gateway()
         until(lambda: _rigs(second) == ["north_rig", "south_rig"], "the other rig to be back, by itself")
@@ -137,7 +137,7 @@ def test_the_joining_gateway_dies_and_its_clients_behind_the_other_router_lose_n
 
 @contextlib.contextmanager
 def answering_late(endpoint: str, seconds: float) -> Iterator[str]:
-    """Another way to an endpoint; who comes by it is let through after a while."""
+    """Another address of an endpoint, which connects its clients after a delay."""
     host, port = endpoint.removeprefix("tcp/").split(":")
 
     def through(visitor: socket.socket) -> None:
@@ -164,7 +164,7 @@ def answering_late(endpoint: str, seconds: float) -> Iterator[str]:
 
 @pytest.mark.parametrize("late_s", [0.0, 0.8])
 def test_a_namesake_behind_the_joined_router_is_refused(two: tuple[Daemon, Daemon], late_s: float) -> None:
-    """A command would reach both. On a busy computer the router is a while in coming."""
+    """A command would reach both daemons. On a busy computer the router connects late."""
     first, _ = two
     with answering_late(first.endpoint, late_s) as way:
         twin = Daemon("north_rig", join=[way])

@@ -1,4 +1,4 @@
-"""What every command line offers: its version, help by -h as by --help, and completion."""
+"""Common options of every command line: its version, help by -h as by --help, and completion."""
 
 from __future__ import annotations
 

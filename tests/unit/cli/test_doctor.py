@@ -1,4 +1,4 @@
-"""rigctl doctor: each finding from what the kernel shows, no line too long, and what ends the command with 1."""
+"""rigctl doctor: each finding from the kernel's files, no line too long, and the conditions of exit code 1."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_other_daemons_are_told_and_one_on_the_same_processor_is_a_warning(tmp_p
     assert doctor_host.other_daemons(None, tmp_path).severity is OK
 
 
-# As `ip -details -json link show` of iproute2 6 gives it.
+# Output of `ip -details -json link show` of iproute2 6.
 LINK: dict[str, Any] = {
     "ifname": "can0", "flags": ["NOARP", "UP", "LOWER_UP", "ECHO"], "operstate": "UP", "txqlen": 10,
     "link_type": "can",
@@ -179,7 +179,7 @@ def test_without_a_kernel_can_it_says_so(tmp_path: pathlib.Path) -> None:
     (found,) = doctor_can.link(can)
     assert (found.severity, "no kernel CAN" in found.found) == (WARNING, True)
     (absent,) = doctor_can.link(RIG.can.model_copy(update={"channel": "can_not_there"}))
-    assert absent.severity in (FAILS, WARNING)  # without iproute2 it cannot be asked
+    assert absent.severity in (FAILS, WARNING)  # without iproute2 its state is unknown
 
 
 # -- the preflight ----------------------------------------------------------------------------------------------
@@ -228,7 +228,7 @@ def test_without_a_daemon_the_files_are_judged_and_the_system_is_tried(tmp_path:
     assert found["tare: in force"].severity is FAILS
     assert found["margins: accepted"].severity is OK
     assert found["real time: timer slack"].found == "1 ns"
-    assert os.sched_getscheduler(0) == os.SCHED_OTHER  # tried elsewhere
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER  # tried in a process of its own
 
 
 @pytest.mark.parametrize("width", [80, 100])
@@ -258,7 +258,7 @@ def test_the_command_without_a_daemon(in_process: Command, tmp_path: pathlib.Pat
     (daemon,) = [row for row in listed if row["name"] == "daemon"]
     assert (daemon["severity"], "only what needs no daemon" in daemon["found"]) == ("warning", True)
     said = in_process("rigctl", "doctor", "--connect", "tcp/127.0.0.1:9")
-    assert said.returncode == 1  # asked for that one
+    assert said.returncode == 1  # --connect demands a daemon
     assert max(map(len, said.stdout.splitlines())) <= 80
     assert "no preflight" in " ".join(said.stdout.split())
 

@@ -1,4 +1,4 @@
-"""An option that is given says something: a script's variable that was never set must not choose the default rig."""
+"""An empty option is refused: a script's variable that was never set must not choose the default rig."""
 
 from __future__ import annotations
 

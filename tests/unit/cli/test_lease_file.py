@@ -48,7 +48,7 @@ def test_what_is_no_id_is_not_shown(own_folder: pathlib.Path, found: bytes) -> N
 def test_a_file_another_could_have_put_there_is_not_read(own_folder: pathlib.Path, tmp_path: pathlib.Path) -> None:
     kept = LeaseFile("paper_rig", ENDPOINT, "anna")
     kept.write(ID)
-    own_folder.chmod(0o755)  # others may look in
+    own_folder.chmod(0o755)  # readable by others
     assert kept.read() is None
     own_folder.chmod(0o700)
     assert kept.read() == ID

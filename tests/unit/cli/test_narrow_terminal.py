@@ -1,4 +1,4 @@
-"""What fits into a narrow terminal: values before words."""
+"""The layout of a narrow terminal: values before words."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_check_shows_every_value_at_any_width(width: int) -> None:
     text = "".join("".join(lines).split())
     for key, value in (("rate_hz", "1000"), ("stroke_max_mm", f"{RIG.cylinder.stroke_max_mm:g}"),
                        ("bitrate_bit_s", str(RIG.can.bitrate_bit_s))):  # fmt: skip
-        assert f"{key}{value}" in text or width < 40  # below, keys are broken over lines
+        assert f"{key}{value}" in text or width < 40  # in narrower terminals, keys are broken over lines
     values = [line for line in lines if line.startswith("   ") and len(line.split()) >= 2]
     assert len(values) >= 0.8 * leaves(RIG.model_dump(exclude={"directory", "plain"}))
     assert max(map(len, lines)) <= max(width, 32)

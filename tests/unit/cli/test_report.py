@@ -1,4 +1,4 @@
-"""``rigctl report``: verdict, exit codes, what it refuses, and the same page for the same data."""
+"""``rigctl report``: verdict, exit codes, refusals, and the same page for the same data."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def constant(newtons: float) -> Any:
 
 
 def report(in_process: Command, file: pathlib.Path, *more: object) -> tuple[int, dict[str, Any], str]:
-    """Exit code, figures, complaint."""
+    """Exit code, figures, standard error."""
     done = in_process("rigctl", "report", file, "--json", *more)
     return done.returncode, json.loads(done.stdout) if done.stdout else {}, done.stderr
 
@@ -65,7 +65,7 @@ def test_an_error_beyond_a_limit_fails(
 
 
 def test_a_limit_is_passed_only_after_its_persistence(tmp_path: pathlib.Path, in_process: Command) -> None:
-    def burst(t_s: Floats) -> Floats:  # 1.5 N may be passed for 1 s
+    def burst(t_s: Floats) -> Floats:  # 1.5 N may be exceeded for 1 s
         return np.where((t_s > 5.0) & (t_s < 5.9), 2.0, 0.0)
 
     code, figures, _ = report(in_process, write(tmp_path / "burst.mcap", compensating(burst)))

@@ -1,4 +1,4 @@
-"""Standard output that is full, closed or left by its reader: the run goes on, and the exit code says what is so."""
+"""Standard output that is full, closed or left by its reader: the run goes on, and the exit code reports it."""
 
 from __future__ import annotations
 

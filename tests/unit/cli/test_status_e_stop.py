@@ -1,4 +1,4 @@
-"""What ``rigctl status`` says of the emergency stop: which input is pressed or not seen, and nothing it cannot know."""
+"""The emergency stop in ``rigctl status``: which input is pressed or not seen, and no more than the records show."""
 
 from __future__ import annotations
 

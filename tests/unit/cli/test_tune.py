@@ -48,7 +48,7 @@ def test_everything_at_once(tmp_path: pathlib.Path, in_process: Command) -> None
     assert plot.read_bytes().startswith(b"\x89PNG")
     made = json.loads(figures.read_text())["provenance"]["inputs_sha256"]
     assert made in gains.read_text()
-    # Written again over itself, and used from a rig file beside it.
+    # The file is overwritten, and used from a rig file beside it.
     assert in_process("rigctl", "tune", PAPER, "--gains", str(gains)).returncode == 0
     rig = daemons.rig_file(tmp_path, {"design": {"gains_file": gains.name}})
     assert f"takes the gains of {gains}, not these" in in_process("rigctl", "tune", str(rig)).stdout

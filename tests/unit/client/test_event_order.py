@@ -1,4 +1,4 @@
-"""Events of two sources put in order: each once, what was missed asked for, a new daemon noticed."""
+"""Events of two sources put in order: each once, missed ones queried, a new daemon noticed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ KEYS = Keys("paper_rig")
 
 
 class Daemon:
-    """Holds events, and publishes those it is told to: a session, to a mailbox."""
+    """A session that holds events and publishes given ones to a mailbox."""
 
     def __init__(self, loop: int, gateway: int, stream: int = 1) -> None:
         self.heads, self.stream = {"loop": loop, "gateway": gateway}, stream
@@ -55,7 +55,7 @@ class Daemon:
         return msgspec.json.encode(found)
 
     def spoof(self, **wrong: Any) -> None:
-        """Somebody else publishes on the daemon's key."""
+        """Publish on the daemon's key as another peer."""
         self.put(SimpleNamespace(payload=msgspec.json.encode(self.message("loop", 1) | wrong)))
 
 
@@ -85,14 +85,14 @@ def test_even_the_first_event_may_have_been_missed() -> None:
     daemon.heads["gateway"] = 5
     daemon.publish("loop", 13)
     assert sorted(given_by(source, daemon)) == [("gateway", 5), ("loop", 11), ("loop", 12), ("loop", 13)]
-    daemon.publish("loop", 13)  # a gateway killed before it noted that it had published it
+    daemon.publish("loop", 13)  # a gateway was killed after publishing it and before recording that
     assert given_by(source, daemon) == []
 
 
 def test_what_came_before_the_sequences_were_known_counts() -> None:
     daemon = Daemon(10, 4)
     source = EventSource(daemon.mailbox, KEYS)
-    daemon.publish("loop", 11)  # the state, asked for only now, says 11 already
+    daemon.publish("loop", 11)  # the state, queried only now, already has 11
     assert given_by(source, daemon) == [("loop", 11)]
 
 

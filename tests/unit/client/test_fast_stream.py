@@ -24,7 +24,7 @@ from rigctl.wire.schema import schema
 
 
 def made(first: int, last: int, stream: int = 1, head: int | None = None) -> bytes:
-    """Records from first to last; ``head``: the newest there is, else the last."""
+    """Records from first to last; ``head``: the newest record of the ring, else the last."""
     data = b"".join(struct.pack("<QQ", seq, seq * 7) for seq in range(first, last + 1))
     return block.encode(data, 16, first_seq=first, lost=0, stream=stream, head_seq=last if head is None else head)
 
@@ -61,7 +61,7 @@ def test_schema_describes_the_record() -> None:
 
 
 class Gateway:
-    """Holds records ``held`` and answers for what was missed; publishes what it is told to."""
+    """Holds records ``held``, answers queries for missed ones, and publishes given ones."""
 
     def __init__(self, held: range, stream: int = 1) -> None:
         self.held, self.stream, self.asked, self.silent = held, stream, 0, False
@@ -138,7 +138,7 @@ def test_a_gateway_that_is_away_is_asked_again_when_it_is_back() -> None:
     reader = reading(gateway)
     gateway.publish((1, 10), (21, 30), (31, 40))
     assert numbers(reader.read()) == list(range(1, 11))
-    assert numbers(reader.read()) == []  # too soon: not even asked
+    assert numbers(reader.read()) == []  # too soon for another query
     assert gateway.asked == 1
     gateway.silent = False
     time.sleep(AGAIN_S)
@@ -155,7 +155,7 @@ def test_a_new_daemon_counts_from_one_again() -> None:
     gateway.publish((3, 5))
     assert numbers(reader.read()) == [*range(1001, 1011), *range(1, 6)]
     assert (reader.count.streams, reader.count.lost, reader.count.malformed, reader.count.produced) == (2, 0, 1, 15)
-    assert reader.count.recovered == 2  # made before this subscriber was back
+    assert reader.count.recovered == 2  # written before this subscriber was back
 
 
 def test_records_the_daemon_knows_nothing_of_are_refused() -> None:
@@ -163,7 +163,7 @@ def test_records_the_daemon_knows_nothing_of_are_refused() -> None:
     reader = reading(gateway)
     gateway.publish((1, 10))
     gateway.put(SimpleNamespace(payload=made(2**60, 2**60 + 1)))  # from the far future
-    gateway.put(SimpleNamespace(payload=made(1, 5, stream=9)))  # as if the daemon had been started anew
+    gateway.put(SimpleNamespace(payload=made(1, 5, stream=9)))  # as after a restart of the daemon
     gateway.publish((11, 20))
     assert numbers(reader.read()) == list(range(1, 21))
     assert (reader.count.malformed, reader.count.lost, reader.count.streams) == (2, 0, 1)

@@ -1,4 +1,4 @@
-"""Whatever somebody on the network publishes is refused in one line, or shown without a traceback and printable."""
+"""Invalid messages from the network are refused in one line, or shown without a traceback and printable."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ SCHEMA = msgspec.json.decode(msgspec.json.encode(schema("paper_rig")))
 
 
 def shown(view: watch.View) -> str:
-    """Everything the operator's programs make of a view."""
+    """Everything the operator's programs show of a view."""
     assert view.state is not None
     picture = Picture(view.endpoint)
     picture.take_state(view.state)
@@ -156,6 +156,6 @@ def test_a_schema_that_no_client_may_go_by_is_refused(name: str) -> None:
 def test_a_block_that_is_none_is_refused(name: str) -> None:
     payload = blocks(RECORD.dtype.itemsize, 1)[name]
     if name in ("from a far future", "of another daemon", "records of one byte"):
-        return  # like a block: the stream asks the daemon about it, see test_hostile_network.py
+        return  # like a block: the stream queries the daemon about it, see test_hostile_network.py
     with pytest.raises(MessageRefusedError):
         block(payload)

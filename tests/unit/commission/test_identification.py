@@ -1,4 +1,4 @@
-"""The fits against signals made by other means: a drive integrated in small steps, a rope with play and noise."""
+"""The fits against independent signals: a drive integrated in small steps, a rope with play and noise."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rigctl.commission.identification import IdentificationError, Signals
 from rigctl.commission.proposal import LAG_SHARE, rounded, signals_of
 from rigctl.ipc.record import RECORD
 
-SETTLING_S = 0.05  # a slower drive is far from its speed when the step is over, and what is stated of it grows
+SETTLING_S = 0.05  # a slower drive is far from its speed at the end of a step, and its stated error grows
 STEPS = 50  # per tick: the reference is integrated with 20 us
 
 
@@ -26,7 +26,7 @@ def steps(pairs: int = 6, speed: float = 3.0) -> motion.Array:
 
 
 def simulated(lag_s: float, delay_s: float, *, noise_mm_s: float = 0.0, play_mm: float = 0.0) -> Signals:
-    """Speed and tension (6 N/mm, 0.03 N noise) as a loop would read them: one tick after they were latched."""
+    """Speed and tension (6 N/mm, 0.03 N noise) as a loop reads them: one tick after they were latched."""
     rng, command = np.random.default_rng(7), steps()
     fine = np.repeat(command, STEPS)
     late = np.concatenate([np.zeros(round(delay_s * 1e3 * STEPS)), fine])[: len(fine)]
@@ -48,11 +48,11 @@ def simulated(lag_s: float, delay_s: float, *, noise_mm_s: float = 0.0, play_mm:
 @example(lag_s=0.06, delay_s=0.01172)
 @settings(max_examples=8, deadline=None)
 def test_lag_and_delay_are_found_between_the_ticks(lag_s: float, delay_s: float) -> None:
-    delay_s = round(delay_s * 5e4) / 5e4  # on the reference's own steps
+    delay_s = round(delay_s * 5e4) / 5e4  # on the reference's own grid
     found = ident.drive(simulated(lag_s, delay_s))
     for estimate, truth in ((found.lag_s, lag_s), (found.delay_s, delay_s)):
         assert abs(estimate.value - truth) <= estimate.error
-        # Seven tenths of the position's unit, at this speed; of a slow drive a share, for it has not settled in a step.
+        # Seven tenths of the position's unit, at this speed; of a slow drive a share, for it does not settle in a step.
         share = 0.05 if lag_s <= SETTLING_S else LAG_SHARE
         assert estimate.error < max(0.7e-3 / 3.0, share * lag_s)
     assert found.gain.value == pytest.approx(1.0, abs=1e-3)

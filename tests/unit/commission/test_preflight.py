@@ -1,4 +1,4 @@
-"""The host's part of the preflight: a check fails on what it is about, says what to do, and may be waived in words."""
+"""The host's part of the preflight: a check fails for its own cause, names the remedy, and may be waived in words."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_nothing_stands_against_a_rig_in_order() -> None:
             Check.TARE,
             ["of 2026-05-01", "30 days", "rigctl tare"],
         ),
-        ({"standing": Standing(due=stamp(-9), tared=stamp(-3))}, Check.TARE, ["of 2026-06-04"]),  # not yet made
+        ({"standing": Standing(due=stamp(-9), tared=stamp(-3))}, Check.TARE, ["of 2026-06-04"]),  # in the future
         ({"active": {}}, Check.MARGINS, ["not known"]),
         ({"active": {"design": {"ms": 1}}}, Check.MARGINS, ["not known"]),
         ({"active": {"design": REFUSED}}, Check.MARGINS, ["Ms 1.9", "rigctl tune"]),
@@ -125,7 +125,7 @@ def test_a_waiver_in_words_excuses_what_it_is_for_and_is_repeated() -> None:
         Check.REALTIME: PAPER.loop.realtime_waiver,
     }
     assert set(verdict(**bare).failing) == {Check.CALIBRATION, Check.TARE, Check.REALTIME}
-    assert verdict(settings=PAPER).waived == {}  # what is in order needs none
+    assert verdict(settings=PAPER).waived == {}  # a check that passes needs no waiver
     assert verdict(folders=[Folder(pathlib.Path("/"), 0)], settings=PAPER).failing.keys() == {Check.DISK}
 
 
@@ -179,7 +179,7 @@ def test_it_looks_by_itself_and_sees_what_changes(settings: RigSettings, tmp_pat
         assert watched.verdict(time.monotonic_ns()).host_checks == Check.TARE
     finally:
         watched.close()
-    assert watched.verdict(time.monotonic_ns() + 2 * preflight.STALE_NS).host_checks == Check.HOST  # it looks no more
+    assert watched.verdict(time.monotonic_ns() + 2 * preflight.STALE_NS).host_checks == Check.HOST  # renewed no more
 
 
 def test_a_file_that_cannot_be_read_is_not_known(settings: RigSettings, tmp_path: pathlib.Path) -> None:
@@ -191,7 +191,7 @@ def test_a_file_that_cannot_be_read_is_not_known(settings: RigSettings, tmp_path
 
 @pytest.fixture
 def another_user() -> Iterator[pathlib.Path]:
-    """A folder this process may look into and not write to; root is somebody else meanwhile."""
+    """A folder this process may read but not write; root takes another user's id meanwhile."""
     with tempfile.TemporaryDirectory() as name:
         folder = pathlib.Path(name)
         root = os.geteuid() == 0

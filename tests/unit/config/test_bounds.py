@@ -1,4 +1,4 @@
-"""No legal value of a setting disarms a protection: every bound refuses what lies beyond it and says why."""
+"""No legal value of a setting disables a protection: every bound refuses values beyond it and gives the reason."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_every_shipped_rig_is_within_its_bounds(name: str) -> None:
 
 @pytest.mark.parametrize("bound", BOUNDS, ids=lambda bound: f"{bound.key}-{'least' if bound.least else 'most'}")
 def test_each_bound_holds_at_its_limit_and_refuses_what_lies_beyond_with_its_reason(bound: Bound) -> None:
-    """The limit may move with the value (a speed changes every way): it is found by halving, not computed."""
+    """The limit may move with the value (a speed changes every way), so the test finds it by halving."""
 
     def refused(value: float) -> bool:
         return any(f.key == bound.key and bound.why in f.allowed for f in findings(with_value(bound, value)))
@@ -112,7 +112,7 @@ def test_a_value_that_disarms_a_protection_is_refused_in_words(
 ) -> None:
     sections = {name: values for name, values in sections.items() if values is not None}
     lines = refusals(tmp_path, **sections)
-    if key == "safety.tension_low_n":  # the tare's limit is held against it first
+    if key == "safety.tension_low_n":  # the tare's limit is compared with it first
         assert len(lines) == 1
         found = [f for f in findings(changed(safety={"tension_low_n": 0.0})) if f.key == key]
         assert why in found[0].allowed

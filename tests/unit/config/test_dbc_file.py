@@ -1,4 +1,4 @@
-"""A device's DBC section is read exactly, or refused with one line that says what and where."""
+"""A device's DBC section is read exactly, or refused with one line that gives place and reason."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Write = Callable[[str, str], pathlib.Path]
 
 @pytest.fixture
 def write(tmp_path: pathlib.Path) -> Write:
-    """Put a rig file and its DBC file beside the EDS file of the drive, the only one a plain rig needs."""
+    """Write a rig file and its DBC file beside the EDS file of the drive, the only one a plain rig needs."""
     (tmp_path / "eds").mkdir()
     (tmp_path / "eds/cylinder_drive.eds").symlink_to(CONFIG / "eds/cylinder_drive.eds")
 
@@ -52,7 +52,7 @@ def refusal(file: pathlib.Path) -> str:
 
 
 def line_of(section: str, key: str, rig: str = RIG) -> int:
-    """1-based line of ``key`` in ``section``, found by looking, not by parsing."""
+    """1-based line of ``key`` in ``section``, found by text search, without the parser."""
     lines = rig.splitlines()
     start = next(i for i, line in enumerate(lines) if line.startswith(section + ":"))
     return next(i for i in range(start, len(lines)) if lines[i].strip().startswith(key + ":")) + 1
@@ -279,7 +279,7 @@ def test_bus_load_counts_plain_frames_at_their_cycle_time_or_the_loops_rate(writ
     found = rates(DBC.replace("BO_ 272 1;", "BO_ 272 2;"))
     assert found["tension (Tension)"] == 500.0
     assert found["inclination (Inclination)"] == 100.0
-    assert found["heartbeats, devices"] == 10.0  # the drive's alone
+    assert found["heartbeats, devices"] == 10.0  # those of the drive alone
     found = rates(DBC.replace('BA_ "GenMsgCycleTime" BO_ 273 10;\n', ""))
     assert found["inclination (Inclination)"] == 1000.0
 

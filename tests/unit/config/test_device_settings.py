@@ -1,4 +1,4 @@
-"""Settings of devices as they are sold: read exactly, or refused in one line with what is expected."""
+"""Settings of commercial devices: read exactly, or refused in one line with the expected value."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The `io` section: read exactly or refused in one line; what the check says of its frames."""
+"""The `io` section: read exactly or refused in one line; its frames in the check of the rig file."""
 
 from __future__ import annotations
 

@@ -20,11 +20,11 @@ from rigctl.wire import state_words as figures
 
 VALUES = st.floats(allow_nan=True, allow_infinity=True) | st.sampled_from([-0.0, -1e-9, 37090.0, 1e17, 3.4e38, -0.004])
 EXPONENT = re.compile(r"\d[eE][+-]?\d")
-OTHERS = (Kind.STROKE_LEFT, Kind.ESCALATION)  # whose numbers are of other enums
+OTHERS = (Kind.STROKE_LEFT, Kind.ESCALATION)  # whose numbers are members of other enumerations
 NEGATIVE_ZERO = re.compile(r"-0(\.0+)?(?![.\d])")
 
 
-HEXADECIMAL = re.compile(r"\b0x[0-9A-F]+\b")  # a code, no figure: 0x7E00
+HEXADECIMAL = re.compile(r"\b0x[0-9A-F]+\b")  # a code, not a figure: 0x7E00
 
 
 def reads_well(text: str) -> bool:

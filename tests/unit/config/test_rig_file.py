@@ -1,4 +1,4 @@
-"""A rig file is read exactly, or refused with one line that says what and where."""
+"""A rig file is read exactly, or refused with one line that gives place and reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The grid is absolute; what is missed is skipped and counted, never run in a burst."""
+"""The grid is absolute; missed ticks are skipped and counted, never run in a burst."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MS = 1_000_000
 
 
 class FakeTime:
-    """A clock that moves only by sleeping, or when it is told to."""
+    """A clock that moves only by sleeping or by the test."""
 
     def __init__(self) -> None:
         self.now = 123_456_789

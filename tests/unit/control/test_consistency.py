@@ -14,7 +14,7 @@ from tests.builders.paths import ROOT
 
 SEEDS = 60
 TICKS = 1500
-SETTLE = 500  # the gain has settled, and the first covariance is forgotten
+SETTLE = 500  # ticks until the gain has settled and the first covariance has no effect
 MODEL = filter_model(config.load(ROOT / "config/paper_rig.yaml"))
 
 
@@ -70,7 +70,7 @@ def test_mean_nis_over_the_seeds_is_inside_its_interval(runs: list[Run]) -> None
 
 
 def test_mean_nees_over_the_seeds_is_inside_its_interval(runs: list[Run]) -> None:
-    # Errors of one seed hang together over its ticks; seeds do not: their means have the spread of the mean of all.
+    # Errors of one seed are correlated over its ticks; seeds are not: their means have the spread of the mean of all.
     means = [run.nees for run in runs]
     assert abs(np.mean(means) - 3.0) < 1.96 * np.std(means, ddof=1) / np.sqrt(SEEDS)
 

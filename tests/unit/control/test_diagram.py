@@ -1,4 +1,4 @@
-"""The page about the modes is the tables."""
+"""The page about the modes is made from the tables."""
 
 from __future__ import annotations
 

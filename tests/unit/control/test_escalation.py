@@ -1,4 +1,4 @@
-"""A reaction that did not help is followed by the next stronger one, once its time is over; one that helped stays."""
+"""A reaction without effect is followed by the next stronger one, after its time; an effective one stays."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ BAD = {
 
 
 def watched(step: Step, *, bad_from_ms: int, until_ms: int, fault: Fault = Fault.LIMIT) -> list[tuple[int, Escalation]]:
-    """What is found, and when, in ms from the reaction on."""
+    """The escalations found, with their times in ms from the reaction on."""
     subject, found = Escalator(SETTINGS, STOP_NS), []
     for ms in range(until_ms):
         snapshot = replace(HELPED[step.action], t_ns=ms * MS)

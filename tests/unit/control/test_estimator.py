@@ -1,4 +1,4 @@
-"""The filter against the equations it stands for."""
+"""The filter against its equations."""
 
 from __future__ import annotations
 

@@ -15,11 +15,11 @@ from rigctl.control.gate import Gate, Verdict
 from tests.builders.paths import ROOT
 
 MODEL = filter_model(config.load(ROOT / "config/paper_rig.yaml"))
-BURST_N = MODEL.f.item(0, 2) * MODEL.burst_mm_s  # tension a burst makes in a tick
+BURST_N = MODEL.f.item(0, 2) * MODEL.burst_mm_s  # tension that a burst causes in a tick
 
 
 def settled() -> TensionFilter:
-    """At 300 N and rest, its gain settled."""
+    """A filter at 300 N and rest, its gain settled."""
     kalman = TensionFilter(MODEL)
     kalman.reset(300.0, 0.0)
     for _ in range(500):

@@ -39,13 +39,13 @@ def test_the_emergency_stop_is_the_newest_of_message_and_input() -> None:
     bench.give(STATUS, status())
     assert not bench.inbox.e_stop
     bench.give(EMERGENCY, emergency(od.EmcyCode.HEARTBEAT_LOST))
-    assert not bench.inbox.e_stop  # of something else
+    assert not bench.inbox.e_stop  # an emergency message of another cause
     bench.give(EMERGENCY, emergency(od.EmcyCode.EXTERNAL))
     assert bench.inbox.e_stop
     bench.give(STATUS, status(inputs=OPEN | 0xFFFE_FFFF))
     assert bench.inbox.e_stop
     bench.give(EMERGENCY, emergency(od.EmcyCode.NO_ERROR))
-    assert bench.inbox.e_stop  # the input has the last word
+    assert bench.inbox.e_stop  # the input decides
     bench.give(STATUS, status())
     assert not bench.inbox.e_stop
 

@@ -72,7 +72,7 @@ def test_the_settled_form_gives_what_the_full_recursion_gives(monkeypatch: pytes
         subject, settled = InclinationFilter(SETTINGS), 0
         states: list[float] = []
         for n, (a, b) in enumerate(noise):
-            late = 3 if n in (700, 1200) else 0  # a sample that comes late, and one that is a spike
+            late = 3 if n in (700, 1200) else 0  # one sample comes late, one is a spike
             subject.pass_ticks(10 + late)
             subject.update(0.01 * math.sin(0.01 * n) + NOISE * float(a), 0.4 if n == 900 else NOISE * float(b))
             settled += subject._settled is not None

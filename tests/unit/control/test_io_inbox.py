@@ -1,4 +1,4 @@
-"""The I/O node's inputs in the loop's inbox: pressed, closed, bouncing, malformed, and whose frames they are."""
+"""The I/O node's inputs in the loop's inbox: pressed, closed, bouncing, malformed, and from other devices."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_only_its_own_bit_is_the_stop_and_open_is_pressed() -> None:
     for data, pressed in ((OPEN, True), (CLOSED, False), (b"\x00", True), (b"\xff", False)):
         bench.give(INPUTS, data)
         assert bench.inbox.io_e_stop is pressed
-    assert not bench.inbox.e_stop  # which is the drive's
+    assert not bench.inbox.e_stop  # that is the drive's input
 
 
 def test_a_contact_that_bounces_between_two_ticks_was_pressed() -> None:

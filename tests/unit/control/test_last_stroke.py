@@ -1,4 +1,4 @@
-"""The file of the stroke last known: written whole, and not believed once it is damaged."""
+"""The file of the last stroke: written whole, and rejected once it is damaged."""
 
 from __future__ import annotations
 

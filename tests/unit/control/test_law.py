@@ -1,4 +1,4 @@
-"""The law to the digit: what each of its terms, limits and thresholds does."""
+"""The law to the digit: the effect of each of its terms, limits and thresholds."""
 
 from __future__ import annotations
 

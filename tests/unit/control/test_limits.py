@@ -1,4 +1,4 @@
-"""Limits of the rig file: each bound is a row, every signal is read off the snapshot as it is named."""
+"""Limits of the rig file: each bound is a row, and each signal is the snapshot's field of that name."""
 
 from __future__ import annotations
 

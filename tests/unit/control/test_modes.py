@@ -187,7 +187,7 @@ def test_an_action_grows_stronger_but_never_weaker_while_the_fault_stands() -> N
     assert machine.power(20 + CUT_AFTER_NS, **enabled) is Power.QUICK_STOP
     assert machine.trip(Trip(Fault.DRIVE_NOT_FOLLOWING, 9.0, 2.5, Action.POWER_OFF), 30)
     assert machine.power(19 + CUT_AFTER_NS, **enabled) is Power.QUICK_STOP
-    assert machine.power(20 + CUT_AFTER_NS, **enabled) is Power.CUT  # the quick stop has had its time
+    assert machine.power(20 + CUT_AFTER_NS, **enabled) is Power.CUT  # the time of the quick stop is over
     assert not machine.trip(Trip(Fault.LIMIT, 9.0, 8.0, Action.QUICK_STOP), 40)
     assert machine.fault is Fault.CELL_STALE
     machine.command(3, Verb.RESET, Situation(), 50)

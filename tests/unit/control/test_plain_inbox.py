@@ -25,7 +25,7 @@ CELL, SLOPE = PLAIN.plain_messages["tension_cell"], PLAIN.plain_messages["inclin
 
 
 class Queue(can.BusABC):
-    """A bus whose frames are put there by the test."""
+    """A bus whose frames come from the test."""
 
     def __init__(self) -> None:
         self.frames: deque[can.Message] = deque()
@@ -116,7 +116,7 @@ def test_the_filters_let_through_what_is_decoded_and_nothing_else() -> None:
         assert all(f["can_mask"] == 0x7FF and not f.get("extended", True) for f in filters)
         return {f["can_id"] for f in filters}
 
-    rivals = {0x000, 0x080, 0x204, 0x701}  # what only another controller sends
+    rivals = {0x000, 0x080, 0x204, 0x701}  # frames that only another controller sends
     assert ids(PLAIN) == {0x110, 0x111, 0x084, 0x184, 0x284, 0x584, 0x604, 0x704} | rivals
     canopen = ids(config.load(CONFIG / "paper_rig.yaml"))
     bases = (0x080, 0x180, 0x580, 0x600, 0x700)

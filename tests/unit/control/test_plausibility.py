@@ -1,4 +1,4 @@
-"""What no single signal shows, tick by tick on signals made up for it."""
+"""Plausibility of signals against each other, tick by tick on synthetic signals."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DITHER = itertools.cycle((0.0, 0.002))
 
 
 class Stand:
-    """Feeds the figures; the drive is on, the rope tight, unless said otherwise."""
+    """Feeds the signals; the drive is on and the rope tight unless the test changes it."""
 
     def __init__(self) -> None:
         bus = can.Bus(interface="virtual", channel="plausibility")
@@ -189,7 +189,7 @@ def test_ticks_that_were_skipped_are_caught_up() -> None:
 @pytest.mark.parametrize("stopped_ticks", [10, 60, 400])
 @pytest.mark.parametrize("at", [110, 130, 300])
 def test_a_loop_that_was_stopped_does_not_blame_the_drive_that_went_on(at: int, stopped_ticks: int, late: int) -> None:
-    """The tick after the stop reads what was latched at its end, or does so ``late`` ticks later."""
+    """The tick after the stop reads the sample latched at its end, or does so ``late`` ticks later."""
     stroke, speed, command = as_commanded()
     stand = Stand()
     silent = 0

@@ -1,4 +1,4 @@
-"""What is asked of the operating system is read back; what it refuses is a warning, never an end."""
+"""Every request to the operating system is read back; a refused one is a warning, and the process goes on."""
 
 from __future__ import annotations
 

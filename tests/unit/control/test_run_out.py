@@ -1,4 +1,4 @@
-"""The run-out table: it learns a rail's level from what the filter finds, and nothing else."""
+"""The run-out table: it learns a rail's level from the filter's disturbance speed, and nothing else."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def sine(angle_rad: float, _rate: float) -> float:
 
 
 class Rail:
-    """Turns a rail under a table at 1 kHz; the filter is perfect: it finds what the table does not know."""
+    """Turns a rail under a table at 1 kHz; the filter is perfect: it finds exactly what the table lacks."""
 
     def __init__(self, section: RunOutSettings = SECTION, slope: Slope = sine, zero_rad: float = 0.0) -> None:
         self.table = RunOutTable(section, SETTINGS)
@@ -49,7 +49,7 @@ class Rail:
         self.pass_ticks(round(1000 * STOPPED_S) + 100, 0.0)
 
     def out_and_back(self, angle_deg: float = 19.9) -> float:
-        """Root mean square of what the table does not know, mm/s."""
+        """Root mean square of what the table lacks, mm/s."""
         self.beside.clear()
         self.turn(angle_deg)
         self.stop()
@@ -62,7 +62,7 @@ def test_what_it_lacks_shrinks_with_every_move() -> None:
     rail = Rail()
     found = [rail.out_and_back() for _ in range(6)]
     assert found[1] < 0.6 * found[0]
-    assert found[5] < 0.25 * found[0]  # 0.5 / (0.5 + 0.1) of it is known at last: what is not confirmed is forgotten
+    assert found[5] < 0.25 * found[0]  # of it 0.5 / (0.5 + 0.1) is learnt at last: the table forgets the unconfirmed
 
 
 def test_the_table_has_the_sign_and_the_shape_of_the_rail() -> None:

@@ -24,10 +24,10 @@ class Rig:
     drive_sign: float = 1.0
     cell_factor: float = 1.0
     slack_mm: float = 2.0
-    load_n_s: float = 0.0  # what the tension does by itself
+    load_n_s: float = 0.0  # change of the tension by itself
 
     def run(self, check: SignCheck, seconds: float = 3.0, command_mm_s: float = 8.4) -> tuple[Fault, float, float]:
-        """Fault, true stroke and true tension when it was found, or at the end."""
+        """Fault, true stroke and true tension at detection, or at the end."""
         stroke = speed = true_n = 0.0
         check.begin(0.0, max(0.0, K * -self.slack_mm) * self.cell_factor)
         for tick in range(round(seconds * 1000)):

@@ -1,4 +1,4 @@
-"""Machine, safety table and limits together, under whatever sequence of commands, signals, trips and time."""
+"""Machine, safety table and limits together, under any sequence of commands, signals, trips and time."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ MOVING = (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
 
 
 class Rig(RuleBasedStateMachine):
-    """As the loop has them work together, tick by tick, with a drive that obeys unless it is told to drop out."""
+    """Their interaction in the loop, tick by tick, with a drive that obeys until a rule makes it drop out."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -54,11 +54,11 @@ class Rig(RuleBasedStateMachine):
         self.watch = Watch(SETTINGS, self.rows)
         self.snapshot = replace(GOOD)
         self.t_ns = 0
-        self.since: dict[str, int] = {}  # when each signal that is bad now became bad
+        self.since: dict[str, int] = {}  # time at which each signal that is bad now became bad
         self.enabled = self.faulted = False
         self.slack = True
         self.asked = 0
-        self.on_allowed = False  # an ARM has been accepted since the drive was last taken off power
+        self.on_allowed = False  # an ARM was accepted since the drive last lost its power
         self.before = (Mode.DISARMED, Fault.NONE, Action.HOLD)
         self.reset_given = False
 
@@ -66,7 +66,7 @@ class Rig(RuleBasedStateMachine):
     def begin(self) -> None:
         assert self.power() is Power.OFF
 
-    # -- what happens -------------------------------------------------------------------------------------------
+    # -- events -------------------------------------------------------------------------------------------------
     @rule(verb=st.sampled_from(Verb), value=st.floats(0.0, 400.0))
     def command(self, verb: Verb, value: float) -> None:
         self.give(verb, value)
@@ -88,7 +88,7 @@ class Rig(RuleBasedStateMachine):
 
     @rule(enabled=st.booleans())
     def follow(self, enabled: bool) -> None:
-        """The drive does as told, or drops out."""
+        """The drive obeys, or drops out."""
         self.enabled = enabled and self.power() is Power.ON
         self.machine.follow_drive(self.enabled, self.t_ns)
 
@@ -128,7 +128,7 @@ class Rig(RuleBasedStateMachine):
 
     @rule(ticks=st.integers(1, 250))
     def time_passes(self, ticks: int) -> None:
-        """As many ticks of the loop, of a signal that stays as it is: a row acts at its persistence, to the tick."""
+        """Let ticks pass with a constant signal: a row acts at its persistence, to the tick."""
         for _ in range(ticks):
             self.tick()
 
@@ -139,7 +139,7 @@ class Rig(RuleBasedStateMachine):
         assert not self.machine.arming
         assert self.machine.trial is None
 
-    # -- how --------------------------------------------------------------------------------------------------
+    # -- helpers ----------------------------------------------------------------------------------------------
     def power(self) -> Power:
         return self.machine.power(self.t_ns, drive_enabled=self.enabled, drive_faulted=self.faulted)
 
@@ -168,7 +168,7 @@ class Rig(RuleBasedStateMachine):
             assert 50.0 <= value <= 350.0
 
     def trip(self, trip: Trip) -> None:
-        """The strongest stands: what a weaker one asks for afterwards changes nothing."""
+        """The strongest trip stands: a weaker one's action changes nothing afterwards."""
         machine = self.machine
         mode, fault, action = machine.mode, machine.fault, machine.action
         changed = machine.trip(trip, self.t_ns, slack=self.slack)
@@ -200,7 +200,7 @@ class Rig(RuleBasedStateMachine):
         self.machine.follow_drive(self.enabled, self.t_ns)
 
     def assert_persistence(self, mode: Mode, found: Trip | None) -> None:
-        """Our own clock of the rig file's rows: none acts before its time, and none of the strongest after it."""
+        """The test's own clock of the rig file's rows: none acts before its time, the strongest not after it."""
         for row in self.rows:
             bad = mode in row.modes and row.value(self.snapshot) > row.limit
             since = self.since.setdefault(row.text, self.t_ns) if bad else self.since.pop(row.text, None)
@@ -211,7 +211,7 @@ class Rig(RuleBasedStateMachine):
                 assert found is not None
                 assert found.action >= row.action
 
-    # -- what holds whatever happens ----------------------------------------------------------------------------
+    # -- invariants ---------------------------------------------------------------------------------------------
     @invariant()
     def a_fault_stays_latched_until_a_reset(self) -> None:
         mode, fault, action = self.before
@@ -255,7 +255,7 @@ class Rig(RuleBasedStateMachine):
         assert mode is self.machine.mode
 
     def teardown(self) -> None:
-        """Every command has been answered, and once."""
+        """Every command has exactly one reply."""
         self.machine.end_trial(Refusal.ABORTED)
         self.machine.follow_drive(False, self.t_ns + 2 * ARM_LIMIT_NS)
         assert sorted(answer.id for answer in self.machine.answers) == list(range(1, self.asked + 1))

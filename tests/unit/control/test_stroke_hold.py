@@ -1,4 +1,4 @@
-"""The latch and the position loop of a stroke that is held, against a drive with a lag and an offset."""
+"""The latch and the position loop of a held stroke, against a drive with a lag and an offset."""
 
 from __future__ import annotations
 

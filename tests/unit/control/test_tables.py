@@ -1,4 +1,4 @@
-"""The tables themselves, held to a second copy: a slip in a mode, a bound or a number on record shows here."""
+"""The tables compared with a second copy: a wrong mode, bound or recorded number shows here."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ GOOD = Snapshot(
     bus_age_ns=MS, drive_wanted=True, io_age_ns=MS, status_age_ns=50 * MS,
 )  # fmt: skip
 
-# fault, unit: the signal of the snapshot, its highest value that is none, what acts, after how many ms, in which modes
+# fault, unit: the snapshot's signal, its highest value without a trip, the action, after how many ms, in which modes
 ROWS: dict[tuple[str, str], tuple[str, float, str, int, str]] = {
     ("E_STOP", ""): ("e_stop", 0, "QUICK_STOP", 0, EVERY),
     ("BUS_SILENT", "ns"): ("bus_age_ns", 15e6, "HOLD", 0, ARMED),
@@ -166,7 +166,7 @@ def test_rows_that_watch_more_than_one_signal_or_a_lower_bound() -> None:
 
 
 def test_bounds_that_follow_from_the_rig_file() -> None:
-    """The noise where that is coarse, else what a payload can do; and a count of 0 watches for nothing."""
+    """The bound follows the noise where that is coarse, else the payload; a count of 0 switches the row off."""
 
     def limit(fault: str, unit: str, section: str, **change: object) -> float:
         changed = SETTINGS.model_copy(update={section: getattr(SETTINGS, section).model_copy(update=change)})
@@ -369,7 +369,7 @@ def test_defaults_are_the_harmless_ones() -> None:
     assert (Situation().value, Situation().target_min_n, Situation().target_max_n) == (0.0, 0.0, 0.0)
 
 
-# Recordings, the audit log and the rings hold these as numbers: one that moves changes what an old recording says.
+# Recordings, the audit log and the rings hold these as numbers: a changed number changes an old recording's meaning.
 ON_RECORD: dict[type[IntEnum], str] = {
     Mode: "DISARMED HOLD TENSIONING COMPENSATING RELEASING FAULT",
     Event: "ENABLED TENSION TENSIONED RELEASE SLACK HOLD DISARM TRIP RESET_HELD RESET_OFF STOP RAMP_DOWN",
@@ -390,7 +390,7 @@ CHECKS = (
     "REALTIME DISK HOST RIVAL E_STOP_IO E_STOP_IO_UNSEEN"
 )
 
-# Numbers given out in ranges, one for each piece of work: they do not follow on from the lists above.
+# Numbers assigned in ranges, one for each part of the work: they do not continue the lists above.
 IN_RANGES: dict[type[IntEnum], dict[str, int]] = {
     Refusal: {"STROKE_DIFFERS": 19, "STOP_RUNNING": 21, "BRAKE_SLIPPED": 22},
     Fault: {

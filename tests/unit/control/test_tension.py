@@ -60,7 +60,7 @@ def test_a_change_of_gains_leaves_the_command_as_it_is_whatever_the_errors_are()
     subject = law()
     subject.start_ramp(300.0, 0.0)
     estimate = at(300.4, speed=0.7, disturbance=0.3)
-    for _ in range(2000):  # the acceleration limit is behind us
+    for _ in range(2000):  # the acceleration limit no longer acts
         before = subject.compensating(estimate, 1.0)
     integrated = GAINS.k_integral * 0.4 * DT
     subject.change_gains(Gains(k_tension=4.0, k_speed=0.1, k_integral=0.5))
@@ -123,7 +123,7 @@ def test_the_setpoint_is_the_vertical_component() -> None:
     cosine = math.cos(math.radians(8.0))
     subject.compensating(at(300.0), cosine)
     assert subject.rope_setpoint_n == pytest.approx(300.0 / cosine)
-    assert subject.rope_setpoint_n / 300.0 - 1.0 == pytest.approx(0.0098, abs=1e-4)  # 1 % at 8 deg, domain.md
+    assert subject.rope_setpoint_n / 300.0 - 1.0 == pytest.approx(0.0098, abs=1e-4)  # 1 / cos 8 deg: 1 %
 
 
 def test_the_disturbance_is_fed_forward() -> None:

@@ -1,4 +1,4 @@
-"""The linear controller is the one that runs: the real filter and law, closed around the same sampled plant."""
+"""The linear controller equals the running one: the real filter and law, closed around the same sampled plant."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SMALL = (0.01, 0.01, 0.05)  # N, mm/s, mm/s: small enough that no limit acts
 
 
 def _impulse_of_the_objects(settings: RigSettings, plant: Member, channel: int, ticks: int) -> Array:
-    """Tension deviation N and command mm/s, shape (ticks, 2), as the loop orders its work."""
+    """Tension deviation N and command mm/s, shape (ticks, 2), in the loop's order of work."""
     running = TensionFilter(filter_model(settings))
     law = TensionLaw(settings, design(settings))
     running.reset(TARGET_N, 0.0)
@@ -63,7 +63,7 @@ def test_margins_describe_the_code_that_runs(
     delay_scale: int,
     channel: int,
 ) -> None:
-    # As shipped the filter freezes its gain 1e-6 early, which is 1e-4 of the (tiny) answer to speed noise.
+    # As shipped the filter freezes its gain 1e-6 early, which is 1e-4 of the (tiny) response to speed noise.
     monkeypatch.setattr(estimator, "SETTLED_GAIN", 1e-12)
     settings = rig(loop={"rate_hz": rate_hz})
     model = filter_model(settings)
@@ -75,7 +75,7 @@ def test_margins_describe_the_code_that_runs(
         expected.append((float(state[0]), float(loop.command @ state)))
         state = loop.a @ state
     real = _impulse_of_the_objects(settings, plant, channel, 1000)
-    # 1e-6 of the largest value: what the filter's gain has still to settle, and rounding beside 300 N.
+    # 1e-6 of the largest value: the filter's gain has not quite settled, and rounding beside 300 N.
     assert np.allclose(real, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max(axis=0))
 
 

@@ -1,4 +1,4 @@
-"""Gain files: what they hold, what they depend on, and which of them are refused."""
+"""Gain files: their content, their inputs, and which of them are refused."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_a_hash_that_looks_like_a_number_stays_text(rig: Rig, kept: pathlib.Path
 
 
 def test_a_small_gain_and_an_infinite_ms_are_read_back(rig: Rig, kept: pathlib.Path) -> None:
-    # k_tension goes with 1/k; PyYAML writes 1e-05 as 1.0e-05, which the strict reader takes.
+    # k_tension goes with 1/k; PyYAML writes 1e-05 as 1.0e-05, which the strict reader accepts.
     settings = rig(plant={"spring_n_mm": None, "rope_n_mm": 1e5}, design={"stretch_weight": 1e-3})
     found = design_and_check(settings)
     assert found.gains.k_tension < 1e-4
@@ -104,8 +104,8 @@ def test_every_input_changes_the_hash_and_nothing_else_does(rig: Rig) -> None:
 
 
 def test_inputs_are_all_that_the_design_follows_from(rig: Rig) -> None:
-    # A setting that moved a figure of the design without moving the hash would let a stale file pass. Limit and
-    # waiver move the verdict only, and that is given anew at every start.
+    # A setting that changed the design but not the hash would let a stale file pass. Limit and waiver change only the
+    # verdict, which is renewed at every start.
     matters = {(section, key) for section, keys in gain_file.INPUTS.items() for key in keys}
     fresh = design_and_check(rig())
     for path, value in _leaves(rig()).items():

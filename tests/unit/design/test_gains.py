@@ -1,4 +1,4 @@
-"""Gains against closed forms, and against the filter that runs."""
+"""Gains against closed forms, and against the running filter."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_gains_of_a_fast_loop_tend_to_the_continuous_optimum(rig: Rig) -> None:
     q, tau = 52.0, 0.02
     fast = rig(loop={"rate_hz": 4000}, design={"stretch_weight": q, "integral_weight": 1e-9})
     gains = design(fast)
-    # Sampled control answers half a period late: gains differ by that over the fastest closed-loop mode, 1 %.
+    # Sampled control acts half a period late: gains differ by that over the fastest closed-loop mode, 1 %.
     assert gains.k_tension * fast.plant.stiffness_n_mm == pytest.approx(math.sqrt(q), rel=0.01)
     assert gains.k_speed == pytest.approx(math.sqrt(1 + 2 * tau * math.sqrt(q)) - 1, rel=0.01)
 
@@ -60,7 +60,7 @@ def test_filter_settles_at_the_gain_the_margins_use(rig: Rig, rate_hz: int) -> N
         for _ in range(5000):
             running.update(0.0, 0.0)
             running.predict()
-        running.update(*sample)  # what an innovation adds to the state is the gain times it
+        running.update(*sample)  # an innovation adds the gain times itself to the state
         columns.append(np.array(running.state) / small)
     # The running filter freezes its gain when it changes by less than 1e-7 in a tick; some ten such changes are left.
     assert np.allclose(filter_gain(model), np.array(columns).T, rtol=1e-6, atol=5e-6)

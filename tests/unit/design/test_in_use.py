@@ -1,4 +1,4 @@
-"""A daemon with a gain file or a waived design: what it accepts, and what an operator is shown."""
+"""A daemon with a gain file or a waived design: what it accepts, and what it shows an operator."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.builders.paths import ROOT
 
 pytestmark = pytest.mark.real_time
 WAIVER = "demanding limit, for a test"
-# The machine is shared with other tests here: patience in time, not in function.
+# The machine is shared with other tests: limits of time are wide, those of function are not.
 PATIENT: dict[str, dict[str, Any]] = {
     "safety": {
         "stale_ms": 100,
@@ -34,7 +34,7 @@ PATIENT: dict[str, dict[str, Any]] = {
 
 
 def tuned(folder: pathlib.Path, **changes: Any) -> tuple[pathlib.Path, pathlib.Path]:
-    """A rig file that names the gain file made for it, and that."""
+    """A rig file that names its gain file, and the gain file."""
     file = daemons.rig_file(folder, {**PATIENT, "design": {"gains_file": "gains.yaml"}, **changes})
     answer = daemons.rigctl("tune", str(file), "--gains", str(folder / "gains.yaml"))
     assert answer.returncode in (0, 1), answer.stderr
@@ -88,7 +88,7 @@ def test_a_stale_gain_file_is_refused_before_anything_is_started(tmp_path: pathl
     assert "made for other settings (plant.spring_n_mm was 6, is 13): run `rigctl tune` again" in said
     with pytest.raises(ScenarioError, match="made for other settings"):
         design(load(file))
-    # ... which helps.
+    # `rigctl tune` makes the file valid again.
     assert daemons.rigctl("tune", str(file), "--gains", str(gains)).returncode == 0
     assert design(load(file)).k_tension > 0.0
 

@@ -35,7 +35,7 @@ def test_second_order_loop_has_the_textbook_sensitivity_and_phase_margin(rig: Ri
     settings = rig(loop={"rate_hz": 4000}, plant={"cylinder_lag_s": tau, "command_delay_s": 0.0})
     gain = 1.0 / (4.0 * zeta**2 * tau * settings.plant.stiffness_n_mm)
     model = filter_model(settings)
-    # The integral and the disturbance's estimate get a little feedback (1e-3 rad/s), or they would drift unseen.
+    # The integral and the disturbance's estimate get a little feedback (1e-3 rad/s), or they would drift.
     trusting = np.array([[1.0, 0.0], [0.0, 1.0], [1e-3, 0.0]])
     law = controller(model, Gains(gain, 0.0, 1e-3 * gain), trusting)
     plant = plant_family.member(settings, None)
@@ -91,7 +91,7 @@ def test_both_places_agree_with_python_control(rig: Rig, k_m: float | None, dela
 
 
 def _at_input(settings: RigSettings, gains: Gains, plant: Member) -> Any:
-    """Loop at the plant's input, put together by python-control from the state spaces."""
+    """Loop at the plant's input, built with python-control from the state spaces."""
     model = filter_model(settings)
     law = controller(model, gains, filter_gain(model))
     out = control.ss(law.a, law.b, law.c[None, :], np.zeros((1, 2)), model.period_s)
@@ -134,7 +134,7 @@ def test_every_margin_is_python_controls(
 
 @pytest.mark.parametrize("k_m", [None, 60.0, 6.0])
 def test_margins_are_where_stability_ends(rig: Rig, k_m: float | None) -> None:
-    # By eigenvalues, not by a frequency response: more delay than dm_ms, or more gain than gm_db, and it is unstable.
+    # By eigenvalues, not by a frequency response: more delay than dm_ms or more gain than gm_db is unstable.
     settings = rig()
     gains, model = design(settings), filter_model(settings)
     law = controller(model, gains, filter_gain(model))
@@ -168,7 +168,7 @@ def test_shipped_rigs_are_accepted_and_do_what_they_promise(name: str) -> None:
     assert len(found.margins) == 30
     assert found.ms_max <= 1.6
     assert found.performance is not None
-    # Issue 4: 0.04 % of 300 N for 10 mm at 0.1 Hz with 3 sigma of noise, 0.7 and 1.3 x locked, 0.5 mm/s at rest.
+    # Promise: 0.04 % of 300 N for 10 mm at 0.1 Hz with 3 sigma of noise, 0.7 and 1.3 x locked, 0.5 mm/s at rest.
     assert found.performance.vertical_error_n + 3 * found.performance.tension_noise_n < 0.12
     assert found.performance.sensitivity_3hz < 0.7
     assert found.performance.sensitivity_8hz < 1.3

@@ -25,9 +25,9 @@ def test_response_is_the_small_signal_plant(rig: Rig, k_m: float | None, delay_s
         own = m * s**2 + 2 * MECHANISM_DAMPING * np.sqrt(k_m * m) * s + k_m
         flexible = own / (own + k)
     top = k / s * flexible
-    delay = np.exp(-s * (delay_scale * 0.002 + dt / 2))  # holding the command over a period costs half of it
+    delay = np.exp(-s * (delay_scale * 0.002 + dt / 2))  # the held command adds half a period of delay
     tension, speed, disturbance = member(settings, k_m, 1.2, delay_scale).response(np.exp(s * dt))
-    # What is left beside the half period is of the order (omega dt)^2 = 1e-3 at 20 Hz.
+    # The remaining difference is of the order (omega dt)^2 = 1e-3 at 20 Hz.
     assert np.allclose(tension, top * delay / (0.02 * s + 1), rtol=2e-3)
     assert np.allclose(speed, delay / (0.02 * s + 1), rtol=2e-3)
     assert np.allclose(disturbance, top * np.exp(-s * dt / 2), rtol=2e-3)

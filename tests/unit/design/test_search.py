@@ -1,4 +1,4 @@
-"""A refused design says which weight helps; the search finds weights that meet the limit, or what is against it."""
+"""A refused design names the weight that helps; the search finds weights that meet the limit, or the obstacle."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_auto_prints_what_to_write_and_the_file_is_then_accepted(tmp_path: pathl
 def test_what_no_weight_can_do_is_said_with_what_stands_against_it(
     rig: Callable[..., RigSettings], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(search, "DESIGNS", 4)  # it would find nothing with more either, but take longer
+    monkeypatch.setattr(search, "DESIGNS", 4)  # more designs would find nothing either, but take longer
     monkeypatch.setattr(search, "LADDER", (64.0,))
     found = search.auto(rig(plant={"spring_n_mm": None}))
     assert not found.meets

@@ -1,4 +1,4 @@
-"""CAN error frames in words: what the kernel's drivers send, as an operator reads it."""
+"""CAN error frames of the kernel's drivers in an operator's words."""
 
 from __future__ import annotations
 

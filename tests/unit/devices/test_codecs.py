@@ -1,4 +1,4 @@
-"""The compiled codecs against canopen's own PDO decoder with the EDS files, and what they refuse."""
+"""The compiled codecs against canopen's own PDO decoder with the EDS files, and their refusals."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_eight_inputs_are_what_canopen_reads(data: bytes) -> None:
 def test_a_command_is_what_canopen_reads(controlword: Controlword, speed_mm_s: float) -> None:
     word, target = oracle(COMMAND, encode_command(controlword, speed_mm_s))
     assert word == controlword
-    assert abs(target - 1e3 * speed_mm_s) <= 0.5 + 1e-6  # the nearest count; half a one is as near to both
+    assert abs(target - 1e3 * speed_mm_s) <= 0.5 + 1e-6  # the nearest count; a half is as near to both
 
 
 @pytest.mark.parametrize("speed", [math.nan, math.inf, -math.inf, 1e300, 2**31 * 1e-3, -(2**31) * 1e-3 - 1])
@@ -158,7 +158,7 @@ def test_power_on_walks_the_drive_up_and_off_never_enables() -> None:
     assert words == [Controlword.SHUTDOWN, Controlword.SWITCH_ON, *[Controlword.ENABLE_OPERATION] * 2]
     for state in DriveState:
         stops = Controlword.QUICK_STOP if state is DriveState.QUICK_STOP_ACTIVE else Controlword.SHUTDOWN
-        assert next_controlword(state, Power.OFF, 0) is stops  # never off at once: something may be moving
+        assert next_controlword(state, Power.OFF, 0) is stops  # power is never cut at once: the drive may be moving
         assert next_controlword(state, Power.CUT, 0) is Controlword.DISABLE_VOLTAGE
         assert next_controlword(state, Power.ON, 0) is not Controlword.FAULT_RESET
 

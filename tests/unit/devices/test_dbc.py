@@ -1,4 +1,4 @@
-"""Compiled decoders of plain frames against cantools, and what they make of values that are none."""
+"""Compiled decoders of plain frames against cantools, and their handling of invalid values."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_every_signal_reads_as_cantools_reads_it(case: Case) -> None:
         if not math.isfinite(expected):
             assert not math.isfinite(found)
             continue
-        # cantools stays with integers where scale and offset are: one rounding of each of our two operations
+        # cantools keeps integers where scale and offset are integers: one rounding for each of our two operations
         assert abs(found - expected) <= 2.0**-52 * (abs(expected - signal.offset) + abs(signal.offset))
 
 
@@ -150,7 +150,7 @@ def test_an_integer_beyond_its_signal_is_written_saturated() -> None:
 
 
 def test_cantools_reads_a_float_signal_of_a_dbc_file_as_we_do() -> None:
-    """Through the file format: SIG_VALTYPE_ makes the signal a float."""
+    """Through the file format, in which SIG_VALTYPE_ makes the signal a float."""
     text = 'BO_ 5 M: 5 S\n SG_ T : 3|32@1- (2,1) [0|0] "N" X\nSIG_VALTYPE_ 5 T : 1;\n'
     (found,) = cantools.database.load_string(text, "dbc").messages
     layout = dbc_file.signal_layout(KEY, found, "T", {"N": 1.0})

@@ -1,4 +1,4 @@
-"""Start-up against the simulated devices as devices are sold: what it takes, what it leaves alone, what it refuses."""
+"""Start-up against simulated commercial devices: what it accepts, what it leaves unchanged, what it refuses."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PER_MM = 209_715.2
 
 
 class Devices:
-    """A simulated rig that is switched on; ``asked`` collects the SDO requests made to it."""
+    """A simulated rig that is switched on; ``asked`` collects the SDO requests sent to it."""
 
     def __init__(self, settings: RigSettings) -> None:
         self.settings = quick(settings)
@@ -57,7 +57,7 @@ class Devices:
 
     @contextmanager
     def _time_passing(self) -> Iterator[None]:
-        """Time goes on for devices that are slow; the others answer at once."""
+        """Advance the time for slow devices; the others answer at once."""
         done = threading.Event()
 
         def pass_time() -> None:
@@ -123,7 +123,7 @@ def test_bit_30_of_a_cob_id_stays_as_the_device_has_it(node: int, rtr: bool) -> 
     other = changed(SETTINGS, simulation={"devices": {"rtr": rtr}}, loop={"rate_hz": 500})
     devices = Devices(changed(other, cylinder={"status_rate_hz": 10}))
     own = devices.rig.nodes[[each.id for each in devices.rig.nodes].index(node)].device
-    own.set_data(od.TPDO1_MAPPING, 0, b"\0")  # so that it has to be mapped anew
+    own.set_data(od.TPDO1_MAPPING, 0, b"\0")  # forces a new mapping
     devices.bring_up()
     flag = 0 if rtr else od.PDO_NO_RTR
     ids = [value for sub, value in devices.written(node, od.TPDO1_COMMUNICATION) if sub == 1]

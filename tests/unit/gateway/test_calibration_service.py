@@ -1,4 +1,4 @@
-"""The service: on record first, in force when the loop has taken it, withdrawn when it has not."""
+"""The service: on record first, in force when the loop has accepted it, withdrawn when it has not."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_the_due_date_is_told_once_when_it_has_passed(service: CalibrationServic
     assert given.standing is not None
     service.put_in_force(given)
     assert service.news(1 * S, time.time_ns()) == []
-    assert service.news(1 * S + 1, 1 << 62) == ()  # looked at a moment ago
+    assert service.news(1 * S + 1, 1 << 62) == ()  # the files were read a moment ago
     assert service.news(2 * S, wall_ns + 3650 * 86_400 * S) == [(Setting.OVERDUE, 1.0)]
     assert service.standing.overdue
     assert service.news(3 * S, wall_ns + 3650 * 86_400 * S) == []
@@ -147,12 +147,12 @@ def test_with_an_adopted_scale_that_was_withdrawn_the_check_goes_and_the_loop_is
     assert service.news(1 * S, time.time_ns()) == []
     service.withdraw(filed(service, Request(Verb.CALIBRATE, "kim", 100.0, adopt=True), 100.4))
     service.close()
-    assert service.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, 1.0)]  # its OVERDUE 0 may have been taken before
+    assert service.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, 1.0)]  # its OVERDUE 0 may have been applied
     assert ledger.standing(settings, ledger.read(settings), time.time_ns()).due is None
 
 
 class Interrupted:
-    """A calibration service's work that ended, by SIGKILL, with an entry on record; rings as they are beside it."""
+    """A calibration service killed by SIGKILL with an entry on record, and the rings it left."""
 
     def __init__(self, settings: RigSettings, folder: pathlib.Path) -> None:
         self.runtime, self.settings = Runtime(folder), settings
@@ -241,7 +241,7 @@ def test_a_check_on_record_that_changed_no_figure_of_the_loop_holds_until_its_du
     runtime = Runtime(tmp_path)
     runtime.write_json(IN_FORCE, Standing(overdue=True))
     assert filed(service, Request(Verb.CALIBRATE, "kim", 100.0), 100.1).standing is not None
-    service.close()  # and with it went its gateway
+    service.close()  # its gateway ends with it
     after = CalibrationService(runtime, settings)
     assert list(after.news(1 * S, time.time_ns())) == []
     assert after.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, 0.0)]

@@ -1,4 +1,4 @@
-"""How many commands are let through."""
+"""The rate limit of commands."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ S = 1_000_000_000
 
 
 def let_through(flow: Flow, names: list[str], seconds: int, *, holder: bool = False) -> list[str]:
-    """Names of the commands let through of a thousand a second."""
+    """Names of the commands let through, of a thousand a second."""
     found = []
     for number in range(1000 * seconds):
         name = names[number % len(names)]

@@ -1,4 +1,4 @@
-"""Which events are published when: none before its tick is recorded, but those of a loop that died."""
+"""The time of publishing an event: not before its tick is recorded, except for events of a loop that died."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MS = 1_000_000
 
 
 class Publisher:
-    """Keeps what is published."""
+    """Stores the published messages."""
 
     matching_status = True
 

@@ -1,4 +1,4 @@
-"""The cylinder's imperfections, one at a time, on a rope that hangs slack unless the test pulls."""
+"""The cylinder's imperfections, one at a time, on a slack rope unless the test pulls."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_commands_within_the_dead_band_do_not_move_it() -> None:
     assert driven(plant, 0.499, 1000)[-1] == (0.0, 0.0, 0.0)
     assert driven(plant, -0.499, 1000)[-1] == (0.0, 0.0, 0.0)
     assert driven(plant, 0.501, 1000)[-1][2] == pytest.approx(0.501)
-    assert driven(plant, 0.2, 1000)[-1][2] == pytest.approx(0.0, abs=1e-12)  # and stops it when it moves
+    assert driven(plant, 0.2, 1000)[-1][2] == pytest.approx(0.0, abs=1e-12)  # the dead band also stops a moving motor
 
 
 @pytest.mark.parametrize("lead_mm", [5.0, 10.0])

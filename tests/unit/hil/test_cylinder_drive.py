@@ -1,4 +1,4 @@
-"""The drive as its controller meets it: enabling, following, stopping, and stopping by itself."""
+"""The drive as its controller sees it: enabling, following, stopping, and stopping by itself."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def bench() -> RigBench:
 
 
 def rests(bench: RigBench) -> bool:
-    """Whether the stroke stays exactly where it is, on the brake."""
+    """Whether the stroke stays exactly in place, on the brake."""
     before = bench.rig.truth.stroke_mm
     bench.wait(500)
     return bench.rig.truth.stroke_mm == before and bench.rig.drive.control.stage.braked
@@ -162,7 +162,7 @@ def test_disable_voltage_closes_the_brake_on_a_motor_that_runs_away(bench: RigBe
     bench.drive(500, ENABLE)
     bench.drive(1, Controlword.SHUTDOWN)
     bench.drive(500, Controlword.SHUTDOWN)
-    assert not drive.control.stage.braked  # it waits for a standstill that never comes
+    assert not drive.control.stage.braked  # the drive waits for a standstill that never comes
     bench.drive(SETTINGS_BRAKE_MS + 2, Controlword.DISABLE_VOLTAGE)
     assert rests(bench)
 
@@ -174,7 +174,7 @@ def test_a_motor_without_power_gives_way_under_load_until_the_brake_has_closed(b
     assert before.tension_n > 200.0
     bench.drive(500, Controlword.DISABLE_VOLTAGE)
     creep_mm = before.tension_n / SETTINGS_DRIVE.creep_n_s_mm * SETTINGS_BRAKE_MS * 1e-3
-    # its speed comes up, and is taken in by the brake, with the motor's lag
+    # the motor's speed rises with its lag until the brake stops it
     assert 0.2 * creep_mm < before.stroke_mm - bench.rig.truth.stroke_mm < creep_mm
 
 
@@ -186,7 +186,7 @@ def inputs(bench: RigBench) -> int:
 
 
 def press(bench: RigBench, pressed: bool) -> None:
-    """As a test bench on the bus does."""
+    """Press or release the emergency stop through the simulator node."""
     assert bench.write(objects.SIMULATOR_NODE, objects.SIM_E_STOP, 0, int(pressed), 1) == 0
 
 
@@ -212,7 +212,7 @@ def test_an_emergency_stop_ramps_down_closes_the_brake_and_keeps_the_drive_off_u
 
 
 def rests_while_driven(bench: RigBench) -> bool:
-    """Whether the stroke stays where it is whatever the controller commands."""
+    """Whether the stroke stays in place whatever the controller commands."""
     before = bench.rig.truth.stroke_mm
     for word in (Controlword.SHUTDOWN, Controlword.SWITCH_ON, ENABLE):
         bench.drive(100, word, 10.0)
@@ -346,7 +346,7 @@ def test_a_fault_is_reset_only_once_the_controller_is_back(bench: RigBench, code
     bench.write(DRIVE, objects.CONTROLWORD, 0, Controlword.FAULT_RESET, 2)
     assert bench.state() is DriveState.FAULT
     bench.drive(3, 0)
-    assert bench.state() is DriveState.FAULT  # coming back is not enough: it takes the edge
+    assert bench.state() is DriveState.FAULT  # coming back is not enough: a reset needs the rising edge
     bench.drive(3, Controlword.FAULT_RESET)
     assert bench.state() is DriveState.SWITCH_ON_DISABLED
     assert bench.emergencies(DRIVE)[-1] == EmcyCode.NO_ERROR
@@ -376,7 +376,7 @@ def test_nobody_is_missed_before_being_heard() -> None:
     bench.wait(1000)
     assert bench.emergencies(DRIVE) == []
     bench.send(objects.HEARTBEAT_BASE + 1, b"\x00")  # boot-up is no heartbeat
-    bench.send(objects.HEARTBEAT_BASE + 9, b"\x05")  # somebody else's
+    bench.send(objects.HEARTBEAT_BASE + 9, b"\x05")  # another node's
     bench.wait(1000)
     assert bench.emergencies(DRIVE) == []
     bench.send(objects.HEARTBEAT_BASE + 1, b"\x05")

@@ -28,7 +28,7 @@ def test_a_clock_gains_its_parts_per_million_from_the_start(ppm: float) -> None:
 
 @pytest.mark.parametrize(("ppm", "samples"), [(1000.0, 2003), (0.0, 2001), (-1000.0, 1999)])
 def test_the_inclinometer_samples_by_its_own_clock(ppm: float, samples: int) -> None:
-    """The one at power-on and 4 s at 500 Hz; asked every millisecond, noise shows each new one."""
+    """One sample at power-on and 4 s at 500 Hz; read every millisecond, noise shows each new sample."""
     noisy = {"noise_deg": 1.0, "quantum_deg": 0.01, "clock_ppm": ppm}
     bench = RigBench(changed(inclinometer={"rate_hz": 500}, simulation={"inclinometer": noisy}))
     bench.write(SLOPE, objects.TPDO1_COMMUNICATION, 2, 1, 1)
@@ -57,7 +57,7 @@ def test_heartbeats_come_by_their_senders_clock(ppm: float, beats: int) -> None:
     bench.frames.clear()
     bench.wait(10_000)
     assert len(bench.sent(objects.HEARTBEAT_BASE + CELL)) == beats
-    assert len(bench.sent(objects.HEARTBEAT_BASE + SLOPE)) == 1000  # the other one's clock is its own
+    assert len(bench.sent(objects.HEARTBEAT_BASE + SLOPE)) == 1000  # the other device has its own clock
 
 
 @pytest.mark.parametrize(("ppm", "silence_ms"), [(1000.0, 4996), (0.0, 5001), (-1000.0, 5006)])

@@ -1,4 +1,4 @@
-"""The simulated devices as devices are sold: each variant refuses, or is slow, as the real ones are."""
+"""The simulated devices as commercial ones: each variant refuses, or is slow, as the real ones are."""
 
 from __future__ import annotations
 
@@ -98,4 +98,4 @@ def test_a_variable_has_no_sub_index(node: int) -> None:
     rig = bench()
     for request in (struct.pack("<BHBI", 0x40, 0x1017, 1, 0), struct.pack("<BHBI", 0x2B, 0x1017, 1, 500)):
         assert struct.unpack("<BHBI", rig.ask(node, request)) == (0x80, 0x1017, 1, 0x06090011)
-    assert rig.read(node, 0x1017) == 100  # as before
+    assert rig.read(node, 0x1017) == 100  # unchanged

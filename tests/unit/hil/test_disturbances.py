@@ -27,7 +27,7 @@ def sampled(track: Track, at: Array) -> Array:
 
 
 def only(name: str, **item: Any) -> Track:
-    """The one track of one item, as a scenario file would say it."""
+    """The one track of one item, from the form of a scenario file."""
     found = disturbances.tracks(Disturbances.model_validate({name: [item]}), RUN_S)
     (track,) = found.values()
     return track
@@ -84,15 +84,15 @@ def test_without_a_length_a_tone_outlasts_the_run() -> None:
 def test_noise_has_its_rms_its_band_and_its_seed() -> None:
     noise = {"kind": "noise", "axis": "vertical", "rms_mm": 0.02, "from_hz": 5.0, "to_hz": 40.0}
     track = only("floor", **noise, seed=3)
-    length_s, rate = 200.0, 200.0  # 5 mHz apart: the closest of 60 tones in 35 Hz are further
+    length_s, rate = 200.0, 200.0  # 5 mHz of resolution: the tones, 60 in 35 Hz, are further apart
     at = 0.5 + np.arange(round(length_s * rate)) / rate
     values = sampled(track, at)[:, 0]
-    # exact for ever; a neighbour at a distance of d Hz leaves 1 / (pi d length) of its product
+    # exact over infinite time; a neighbour at a distance of d Hz leaves 1 / (pi d length) of its product
     assert np.sqrt(np.mean(values**2)) == pytest.approx(0.02, rel=0.02)
     power = np.abs(np.fft.rfft(values)) ** 2
     frequency = np.fft.rfftfreq(len(values), 1.0 / rate)
     outside = (frequency < 4.5) | (frequency > 40.5)
-    assert power[outside].sum() < 1e-3 * power.sum()  # what leaks from 60 lines under a plain window
+    assert power[outside].sum() < 1e-3 * power.sum()  # leakage of 60 lines under a plain window
     assert np.array_equal(only("floor", **noise, seed=3).tones, track.tones)
     assert not np.array_equal(only("floor", **noise, seed=4).tones, track.tones)
     assert not np.array_equal(only("floor", **{**noise, "axis": "radial"}, seed=3).tones, track.tones)
@@ -177,7 +177,7 @@ def test_items_add_up(moves: list[tuple[float, float, float]]) -> None:
     at = np.linspace(0.0, RUN_S, 401)
     alone = sum(sampled(only("vertical", **item), at) for item in items) + sampled(only("impacts", **jolt), at)
     (track,) = disturbances.tracks(together, RUN_S).values()
-    inside = slice(1, -1)  # of a corner of the acceleration either side may be meant
+    inside = slice(1, -1)  # at a corner of the acceleration either side is right
     assert np.allclose(sampled(track, at)[inside, :2], alone[inside, :2], atol=1e-9)
 
 

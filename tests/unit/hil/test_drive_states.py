@@ -38,7 +38,7 @@ def test_transition(command: Controlword, column: int) -> None:
 
 
 def test_commands_are_told_by_the_bits_that_matter() -> None:
-    """CiA 402-2, table "command coding"; x bits set as drives in the field see them."""
+    """CiA 402-2, table "command coding"; x bits set as real drives receive them."""
     for controlword, command in (
         (0x0006, Controlword.SHUTDOWN),
         (0x010E, Controlword.SHUTDOWN),

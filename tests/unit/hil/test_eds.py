@@ -1,4 +1,4 @@
-"""The EDS files hold what ``rigctl.devices.objects`` says, and canopen reads them without a word."""
+"""The EDS files agree with ``rigctl.devices.objects``, and canopen reads them without a warning."""
 
 from __future__ import annotations
 

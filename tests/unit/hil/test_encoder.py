@@ -1,4 +1,4 @@
-"""What the drive knows of its stroke."""
+"""The drive's measurement of its stroke."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ENABLE = Controlword.ENABLE_OPERATION
 
 
 def driven(step_mm: float, velocity_mm_s: float, ms: int, **drive: Any) -> tuple[Plant, Encoder]:
-    """An encoder looked at every millisecond on a motor that was told to run for so long."""
+    """An encoder read every millisecond on a motor that has run for ``ms``."""
     plant = Plant(changed(simulation={"drive": drive}), 0)
     encoder = Encoder(plant, step_mm)
     plant.set_drive(velocity_mm_s, braked=False)

@@ -1,4 +1,4 @@
-"""The wire: one order for all, and a door that no client can block."""
+"""The wire: one order for all, and a server that no client can block."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_a_frame_reaches_every_port_but_its_sender() -> None:
 
 
 def test_an_answer_never_overtakes_its_question() -> None:
-    """The first port answers from within delivery; the last must still hear the question first."""
+    """The first port answers during delivery; the last must still receive the request first."""
     hub = Hub()
     order: list[int] = []
 
@@ -172,11 +172,11 @@ def test_a_stalled_client_loses_frames_and_nobody_else_does(door: Door) -> None:
     assert got == list(range(sent))
     assert door.server.lost_per_client == [door.server.lost, 0]
     kept = drain(stalled)
-    assert kept == list(range(len(kept)))  # what it has is the beginning, unbroken
+    assert kept == list(range(len(kept)))  # it has the beginning, without a gap
     assert len(kept) >= 250  # 50 ms of a bus at 5 frames a millisecond
     door.settle()
     door.port.send(frame(7))
-    assert drain(stalled) == [7]  # it has missed frames, not its place
+    assert drain(stalled) == [7]  # it has missed frames and is still connected
 
 
 def test_rubbish_is_counted_and_dropped(door: Door) -> None:
@@ -243,4 +243,4 @@ def test_a_folder_that_is_not_there_is_one_clear_line(path: str) -> None:
 def test_closing_leaves_nothing_behind(path: str) -> None:
     HubServer(path, Hub()).close()
     assert list(pathlib.Path(path).parent.iterdir()) == []
-    HubServer(path, Hub()).close()  # and the path is free again
+    HubServer(path, Hub()).close()  # the path is free again

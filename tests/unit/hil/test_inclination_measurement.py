@@ -1,4 +1,4 @@
-"""What an inclinometer makes of a swinging rope: prescribed in closed form, and by the plant."""
+"""An inclinometer on a swinging rope: prescribed in closed form, and by the plant."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_an_accelerometer_reads_a_free_swing_by_its_height_and_is_blind_to_it_at
 
 @pytest.mark.parametrize("gyro_s", [0.1, 0.5, 2.0])
 def test_gyros_keep_what_is_faster_than_their_time_constant(gyro_s: float) -> None:
-    """At the lower end the accelerometer's error is -theta, of which a low-pass of gyro_s lets through its part."""
+    """At the lower end the accelerometer's error is -theta; a low-pass of gyro_s passes its share of it."""
     tangential, normal = Pendulum(kind="gyro", height_mm=LENGTH, gyro_s=gyro_s).swung(8.0 * gyro_s + 6.0)
     expected = 1.0 - 1.0 / (1.0 + 1j * OMEGA * gyro_s)
     assert abs(tangential - expected) < 0.002

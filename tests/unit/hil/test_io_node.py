@@ -1,4 +1,4 @@
-"""The simulated I/O node on its bus: what it is, when it sends, and what it takes as a setting."""
+"""The simulated I/O node on its bus: its identity, its frames and its settings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CLOSED, OPEN = b"\x00\x02", b"\x00\x00"
 
 @pytest.fixture
 def bench() -> RigBench:
-    """OPERATIONAL, sending at least every 20 ms and at most every 5."""
+    """A node that is OPERATIONAL and sends every 20 ms at least, every 5 ms at most."""
     bench = RigBench(FITTED)
     timed(bench, inhibit=50, event=20)
     bench.nmt(1)
@@ -33,7 +33,7 @@ def timed(bench: RigBench, *, inhibit: int, event: int) -> None:
 
 
 def inputs(bench: RigBench, ms: int) -> list[bytes]:
-    """What it sends within so many milliseconds."""
+    """Frames it sends within so many milliseconds."""
     before = len(bench.sent(VALID_COB))
     bench.wait(ms)
     return bench.sent(VALID_COB)[before:]

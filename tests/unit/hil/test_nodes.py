@@ -1,4 +1,4 @@
-"""CiA 301 behaviour that all devices share, asked over the bus."""
+"""CiA 301 behaviour that all devices share, tested over the bus."""
 
 from __future__ import annotations
 

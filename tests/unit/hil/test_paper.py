@@ -1,4 +1,4 @@
-"""What is read off the runs of the study, on signals whose figures are known."""
+"""The figures of the study's runs, on signals whose figures are known."""
 
 from __future__ import annotations
 

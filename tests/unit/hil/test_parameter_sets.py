@@ -1,4 +1,4 @@
-"""Every set of ``config/sets`` fits both rigs and does what its name says."""
+"""Every set of ``config/sets`` fits both rigs and has the effect its name states."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_the_ideal_rig_reports_the_truth() -> None:
     assert bench.read(drive.id, 0x6064) == pytest.approx(truth.stroke_mm * 1e3, abs=0.6)
     assert bench.read(drive.id, 0x606C) == pytest.approx(truth.speed_mm_s * 1e3, abs=0.6)
     read_deg = bench.read(slope.id, 0x6010) * 0.01  # type: ignore[union-attr]
-    # half a unit, 0.002 deg in the 10 ms a sample may be old, 0.004 deg of what the first jerk did to the gyros
+    # half a unit, 0.002 deg in the 10 ms a sample may be old, 0.004 deg from the first jerk on the gyros
     assert read_deg == pytest.approx(math.degrees(truth.tangential_rad), abs=0.011)
     assert truth.tension_n > 80.0 and truth.speed_mm_s == pytest.approx(3.0) and read_deg > 0.2
 
@@ -82,7 +82,7 @@ def test_on_air_bearings_the_rope_stays_plumb() -> None:
         lags.append(math.degrees(plant.truth.tangential_rad))
     mass_kg = settings.simulation.rail.mass_kg + settings.simulation.pulley.mass_kg
     lean_deg = 0.25 * 0.75 * mass_kg / 300.0  # of a rope that tows this mass at the ramp's 0.25 deg/s2
-    assert max(map(abs, lags)) < 6.0 * lean_deg  # the acceleration jumps six times, hardly anything damps between
+    assert max(map(abs, lags)) < 6.0 * lean_deg  # the acceleration jumps six times with hardly any damping between
     assert 6.0 * lean_deg < 0.1 * math.degrees(math.atan(0.012))
     cruise = lags[2000:26_000]
     drag_deg = math.degrees(0.4 * math.radians(0.5) * 0.75 / 300.0)

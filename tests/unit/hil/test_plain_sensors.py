@@ -1,4 +1,4 @@
-"""The simulated sensors with plain frames: when they send, and what, read with cantools."""
+"""The simulated sensors with plain frames: when they send, and their values read with cantools."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_the_inclinometer_sends_both_angles_in_the_units_of_its_dbc() -> None:
     assert bench.rig.start_motion()
     bench.wait(6000)
     truth, values = bench.rig.truth, sent(bench, INCLINATION)[-1]
-    # half a quantum of 0.01 deg, and what changes in a cycle and the filter's 8 ms
+    # half a quantum of 0.01 deg, and the change in a cycle and the filter's 8 ms
     assert values["AngleTangential"] == pytest.approx(math.degrees(truth.tangential_rad), abs=0.009)
     assert values["AngleTangential"] > 0.3
     assert values["AngleNormal"] == pytest.approx(math.degrees(truth.normal_rad), abs=0.009)

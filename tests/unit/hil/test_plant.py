@@ -40,7 +40,7 @@ def test_the_paper_rig_stays_where_friction_holds_it() -> None:
     plant = Plant(config.load(REPOSITORY / "config/paper_rig.yaml"), 0)
     plant.preload(300.0)
     plant.advance(S)
-    assert plant.truth.tension_n == pytest.approx(300.0, abs=0.01)  # its own rail, screw and rope
+    assert plant.truth.tension_n == pytest.approx(300.0, abs=0.01)  # with the file's rail, screw and rope
     assert plant.truth.rail_rad == plant.truth.pulley_mm == 0.0
 
 
@@ -61,13 +61,13 @@ def test_a_command_counts_after_its_delay() -> None:
 
 
 def test_commands_on_the_way_are_not_overtaken() -> None:
-    """Each acts for as long as it stood, a delay later."""
+    """Each command acts for as long as it was in force, one delay later."""
     plant = build()
     plant.set_drive(10.0, braked=False)
     plant.advance(MS)
     plant.set_drive(0.0, braked=False)
     plant.advance(S)
-    assert plant.truth.stroke_mm == pytest.approx(10.0 * 1e-3, rel=1e-9)  # 1 ms of it, less nothing: e^-50
+    assert plant.truth.stroke_mm == pytest.approx(10.0 * 1e-3, rel=1e-9)  # 1 ms of motion; the rest of the lag is e^-50
 
 
 def test_the_stroke_ends_at_the_mechanical_stop() -> None:

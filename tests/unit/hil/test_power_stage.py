@@ -1,4 +1,4 @@
-"""Motor and brake: the load is never without one of them."""
+"""Motor and brake: at least one of them always carries the load."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ def test_it_ramps_down_then_waits_for_standstill_then_for_the_brake(driving: Pow
     driving.stop(100 * MS, 500.0)
     driving.advance(110 * MS, velocity)
     assert driving.velocity_mm_s == pytest.approx(math.copysign(5.0, velocity))
-    driving.follow(velocity)  # nobody is listened to on the way down
+    driving.follow(velocity)  # commands are ignored on the way down
     driving.advance(130 * MS, 2 * STANDSTILL_MM_S)
     assert (driving.phase, driving.velocity_mm_s) == (Phase.STOPPING, 0.0)
     driving.advance(200 * MS, 0.5 * STANDSTILL_MM_S)
-    assert (driving.phase, driving.braked) == (Phase.CLOSING, False)  # the motor holds meanwhile
+    assert (driving.phase, driving.braked) == (Phase.CLOSING, False)  # the motor still holds
     driving.advance(250 * MS, 0.0)
     assert (driving.phase, driving.braked) == (Phase.BRAKED, True)
 

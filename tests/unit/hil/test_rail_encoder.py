@@ -51,7 +51,7 @@ def test_it_answers_every_nth_sync_with_the_rails_angle(bench: RigBench) -> None
 def test_it_follows_the_rail_and_counts_on_below_zero_from_the_end_of_its_range(bench: RigBench) -> None:
     bench.rig.plant.preload(300.0)
     back = out_and_back(math.radians(10.0), math.radians(5.0), math.radians(50.0))
-    back.segments[:, 1:] *= -1.0  # the other way
+    back.segments[:, 1:] *= -1.0  # reversed
     bench.rig.plant.start_motion({MECHANISM: back}, 0)
     bench.nmt(1)
     bench.drive(1500, 0)

@@ -1,4 +1,4 @@
-"""The rivals against linear theory: margins, ultimate gain, poles; and the one thing they share with our law."""
+"""The rivals against linear theory: margins, ultimate gain, poles; and the limits they share with our law."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_simc_pi_has_the_gains_of_the_rule() -> None:
 def test_pi_is_the_transfer_function_it_is_said_to_be(hz: float) -> None:
     law = ProportionalIntegral(MODEL)
     z = at(hz)[0]
-    wanted = -law.gain * (1.0 + DT / law.integral_time_s / (z - 1.0)) / z  # the integral takes this tick's error next
+    wanted = -law.gain * (1.0 + DT / law.integral_time_s / (z - 1.0)) / z  # the integral acts from the next tick on
     found = response(law, at(hz))
     assert found[0, 0] == pytest.approx(wanted, rel=1e-6)
     assert found[1, 0] == 0.0
@@ -126,7 +126,7 @@ def test_lqi_has_the_poles_of_its_riccati_equation_behind_an_observer_of_its_own
     assert observer.max() < 1.0
     slowest_s = -DT / math.log(closed.max())
     tension = kicked(Lqi(SETTINGS))
-    assert abs(tension[round(12 * slowest_s / DT)]) < 1e-3 * np.abs(tension).max()  # e^-12, delays and overshoot apart
+    assert abs(tension[round(12 * slowest_s / DT)]) < 1e-3 * np.abs(tension).max()  # e^-12, and delays and overshoot
 
 
 def test_the_disturbance_observer_finds_a_steady_disturbance_whatever_is_commanded() -> None:
@@ -174,12 +174,12 @@ def test_robustness_is_that_of_the_published_rules_and_ours_is_the_most_robust()
     family = {name: r.ms_family for name, r in found.items() if r is not None}
     assert min(family, key=family.__getitem__) == OURS
     own = {name: r.ms for name, r in found.items() if r is not None}
-    assert 1.5 < own["pi"] < 2.0  # Skogestad: 1.59 to 1.70 for his models; the half rule costs some
-    assert own["p"] > 3.0  # a gain margin of two beside a lag: the rule's known fault
+    assert 1.5 < own["pi"] < 2.0  # Skogestad: 1.59 to 1.70 for his models; the half rule raises it
+    assert own["p"] > 3.0  # a gain margin of two beside a lag: the known weakness of the rule
 
 
 class _Inbox:
-    """What a rival reads of it."""
+    """The fields of the inbox that a rival reads."""
 
     def __init__(self, tension_n: float) -> None:
         self.tension_n, self.speed_mm_s = tension_n, 0.0
@@ -202,7 +202,7 @@ def test_every_law_passes_the_same_limits_and_does_not_wind_up(name: str) -> Non
         if i == 1999:
             assert command == pytest.approx(SPEED_MAX)
         if i == 2500:
-            assert command < 0.0  # half a second after the error has turned
+            assert command < 0.0  # half a second after the error has changed its sign
     law.hold(Estimate(310.0, 0.0, 0.0, 50.0))
 
 
@@ -214,6 +214,6 @@ def test_a_new_ramp_begins_with_nothing_remembered() -> None:
         law.compensating(Estimate(290.0, 0.0, 0.0, 50.0), 1.0)
     inbox.tension_n = 300.0
     law.start_ramp(300.0, 0.0)
-    for _ in range(20):  # the limit of acceleration brings the last command down
+    for _ in range(20):  # the acceleration limit brings the last command down
         command = law.compensating(Estimate(300.0, 0.0, 0.0, 50.0), 1.0)
     assert command == pytest.approx(0.0)

@@ -1,4 +1,4 @@
-"""The scenario format: read exactly, or refused with one line that says what and where; its page says all of it."""
+"""The scenario format: read exactly, or refused with one line of place and reason; its page describes all of it."""
 
 from __future__ import annotations
 
@@ -241,7 +241,7 @@ def rows(models: dict[str, type[BaseModel]]) -> Iterator[str]:
 
 
 def tables() -> dict[str, list[str]]:
-    """Every table of the page that says what a key may be, by the heading it stands under."""
+    """Every table of the page about a key's values, by its heading."""
     made = {"scenario": list(rows({"": Scenario})), "windows": list(rows({"": Window}))}
     for name, info in Disturbances.model_fields.items():
         item = Slot.of(info).child(0)

@@ -1,4 +1,4 @@
-"""What the tension amplifier and the inclinometer make of the truth."""
+"""The errors of tension amplifier and inclinometer on the truth."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_beyond_its_range_the_cell_saturates_and_says_so() -> None:
 
 
 def test_between_samples_too_the_amplifier_follows_the_tension() -> None:
-    """Loaded at once and sampled a second later, a 5 Hz filter has long settled; on a straight line it would trail."""
+    """Loaded at once and sampled a second later, a 5 Hz filter has settled; along a straight line it would trail."""
     bench = RigBench(changed(simulation={"cell": {"filter_hz": 5.0, "creep_pct": 0.0}}))
     bench.nmt(START)
     bench.rig.plant.preload(300.0)
@@ -84,7 +84,7 @@ def test_the_same_seed_measures_the_same_and_another_does_not() -> None:
 
 @pytest.mark.parametrize("rate_hz", [10, 100])
 def test_the_inclinometer_samples_at_its_own_rate(rate_hz: int) -> None:
-    """Asked at every SYNC, its value changes at most at its own rate: 2 s of noise show each new sample."""
+    """Read at every SYNC, its value changes at most at its own rate: 2 s of noise show each new sample."""
     noisy = {"inclinometer": {"noise_deg": 1.0, "quantum_deg": 0.01}}
     bench = RigBench(changed(inclinometer={"rate_hz": rate_hz}, simulation=noisy))
     bench.write(SLOPE, objects.TPDO1_COMMUNICATION, 2, 1, 1)

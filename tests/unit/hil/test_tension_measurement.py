@@ -1,4 +1,4 @@
-"""What cell and amplifier make of a tension that the test prescribes."""
+"""The errors of cell and amplifier on a tension that the test prescribes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Load:
         return self
 
     def after(self, seconds: float, tension_n: float) -> float:
-        """The reading ``seconds`` later, the tension having gone straight to ``tension_n``."""
+        """The reading ``seconds`` later, after a straight course of the tension to ``tension_n``."""
         self.t_ns += round(seconds * S)
         self.tension_n = tension_n
         return self.cell.sample()[1]
@@ -48,7 +48,7 @@ def test_it_creeps_toward_its_share_of_the_load_with_its_time_constant(creep_pct
     assert load.after(0.001, 300.0) == pytest.approx(300.0, abs=1e-6)
     assert load.after(600.0, 300.0) - 300.0 == pytest.approx(full * (1 - math.exp(-1)), rel=1e-5)
     assert load.after(6000.0, 300.0) - 300.0 == pytest.approx(full, rel=1e-4)
-    assert load.after(0.001, 0.0) == pytest.approx(full, rel=1e-4)  # and remembers it, unloaded
+    assert load.after(0.001, 0.0) == pytest.approx(full, rel=1e-4)  # the creep remains after unloading
     assert load.after(600.0, 0.0) == pytest.approx(full * math.exp(-1), rel=1e-4)
 
 

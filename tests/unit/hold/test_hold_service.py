@@ -1,4 +1,4 @@
-"""The hold service on its socket, against rings in which the test is the loop."""
+"""The hold service on its socket, with rings on which the test acts as the loop."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def runtime(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> Runtime:
 
 
 class Rig:
-    """A hold service and what stands for its loop."""
+    """A hold service and a stand-in for its loop."""
 
     def __init__(self, runtime: Runtime) -> None:
         self.runtime, self.service = runtime, HoldService(runtime)
@@ -58,7 +58,7 @@ class Rig:
             self.service.turn(0.0)
 
     def take(self, mode: Mode = Mode.HOLD, refusal: Refusal = Refusal.NONE) -> list[str]:
-        """Carry out every hold given, as the loop does; who gave them."""
+        """Carry out every HOLD on the ring, as the loop does; returns the operators."""
         slots = self.holds.read()
         values: dict[str, Any] = dict.fromkeys((field.name for field in RECORD.fields), 0)
         now = time.monotonic_ns()
@@ -212,7 +212,7 @@ def test_a_service_that_was_killed_leaves_its_socket_to_the_next(runtime: Runtim
         ("tcp/localhost:7447", ENDPOINT, True),
         ("tcp/127.0.0.1:7447", "tcp/0.0.0.0:7447", True),
         ("tcp/[::1]:7447", "tcp/[::]:7447", True),
-        ("tcp/127.0.0.1:7448", ENDPOINT, False),  # a tunnel to another computer, perhaps
+        ("tcp/127.0.0.1:7448", ENDPOINT, False),  # may be a tunnel to another computer
         ("tcp/192.168.1.10:7447", "tcp/0.0.0.0:7447", False),
         ("tcp/127.0.0.1:7447", "tcp/192.168.1.10:7447", False),
         ("quic/127.0.0.1:7447", ENDPOINT, False),

@@ -1,4 +1,4 @@
-"""Files a user names, read and written: what is none is refused in one line, and nothing waits for ever."""
+"""Files a user names, read and written: an invalid one is refused in one line, and no access waits for ever."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def a_pipe(file: pathlib.Path) -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (a_pipe, "cannot be read: not a file"),  # nobody writes: it would wait for ever
-        (lambda file: file.symlink_to("/dev/zero"), "cannot be read: not a file"),  # it would never end
+        (a_pipe, "cannot be read: not a file"),  # a pipe without a writer: reading it would wait for ever
+        (lambda file: file.symlink_to("/dev/zero"), "cannot be read: not a file"),  # reading it would never end
         (lambda file: file.mkdir(), "cannot be read: Is a directory"),
         (lambda file: file.unlink(missing_ok=True), "cannot be read: No such file or directory"),
         (lambda file: file.symlink_to(file), "cannot be read: Too many levels of symbolic links"),

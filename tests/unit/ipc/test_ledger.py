@@ -1,4 +1,4 @@
-"""The ledger grows, is believed only when whole and in bounds, and says what stands."""
+"""The ledger only grows, is accepted only when whole and in bounds, and gives the values in force."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_a_check_holds_until_its_due_date_and_a_failed_one_ends_it(settings: Rig
 
 
 def test_a_check_from_the_future_holds_for_nothing(settings: RigSettings) -> None:
-    """The clock was stepped: then or now it is wrong."""
+    """The clock was stepped: its time then or now is wrong."""
     ledger.append(settings, findings.calibrate(settings, CALIBRATE, Standing(), measured(294.2)).entry)
     assert not stands(settings, NOW_NS - DAY_NS // 2).overdue
     assert stands(settings, NOW_NS - 2 * DAY_NS).overdue
@@ -194,7 +194,7 @@ def test_what_cannot_be_written_leaves_the_file_as_it_was(settings: RigSettings)
     ledger.append(settings, given)
     path = settings.ledger
     assert path is not None
-    path.with_name(f"{path.name}.new").mkdir()  # root may write anywhere, but not over a folder
+    path.with_name(f"{path.name}.new").mkdir()  # root may write anywhere, but cannot replace a folder by a file
     with pytest.raises(LedgerError, match="cannot be written"):
         ledger.append(settings, given)
     assert ledger.read(settings) == [given]

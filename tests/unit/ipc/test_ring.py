@@ -1,4 +1,4 @@
-"""Rings: every slot once, in order, whole; what was overwritten is counted exactly."""
+"""Rings: every slot once, in order, whole; overwritten slots are counted exactly."""
 
 from __future__ import annotations
 

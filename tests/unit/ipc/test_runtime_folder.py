@@ -1,4 +1,4 @@
-"""The runtime folder: whose it is, what is in it, and that it stays where it was."""
+"""The run-time folder: its owner, its content, and that it cannot be moved."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 
 @pytest.fixture
 def runtime(tmp_path: pathlib.Path) -> Runtime:
-    """Claimed, with its rings."""
+    """A claimed run-time folder with its rings."""
     found = Runtime(tmp_path / "rigctl-rig")
     found.claim()
     found.make_rings(SETTINGS, reserve=True)
@@ -32,7 +32,7 @@ def test_the_folder_and_everything_in_it_is_its_owners_alone(runtime: Runtime) -
     assert stat.S_IMODE(runtime.directory.stat().st_mode) == 0o700
     modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in runtime.directory.iterdir()}
     assert set(modes.values()) == {0o600}, modes
-    assert runtime.records.stat().st_blocks * 512 >= runtime.records.stat().st_size  # its memory is there
+    assert runtime.records.stat().st_blocks * 512 >= runtime.records.stat().st_size  # its memory is allocated
 
 
 def _link(folder: pathlib.Path) -> None:

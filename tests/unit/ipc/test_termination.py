@@ -1,4 +1,4 @@
-"""A process told to end ends, however often and whenever it is told."""
+"""A process ends on a termination signal, however often and whenever the signal comes."""
 
 from __future__ import annotations
 

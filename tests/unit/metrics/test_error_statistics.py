@@ -1,4 +1,4 @@
-"""Statistics and spectrum against errors that are known."""
+"""Statistics and spectrum against known errors."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_a_phase_too_short_for_a_spectrum_has_none() -> None:
 def test_pendulum_and_bounce_are_those_of_the_notes_on_the_rig() -> None:
     lines = named_lines(config.load(daemons.PAPER), None)
     assert 1.0 / lines["pendulum"] == pytest.approx(2.69, abs=0.005)
-    assert lines["bounce"] == pytest.approx(2.25, abs=0.01)  # 6 N/mm without the rope's own give
+    assert lines["bounce"] == pytest.approx(2.25, abs=0.01)  # 6 N/mm without the rope's own stretch
     assert "loop bandwidth" not in lines
 
 

@@ -1,4 +1,4 @@
-"""What of a recording is judged."""
+"""The spans of a recording that are judged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures against numbers worked out by hand."""
+"""Figures against numbers calculated by hand."""
 
 from __future__ import annotations
 

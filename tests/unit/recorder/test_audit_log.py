@@ -1,4 +1,4 @@
-"""The log's file: what a crash, a full disk or a stranger leaves of it, and what is said about that."""
+"""The log's file after a crash, a full disk or a foreign change, and the messages about it."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_half_a_line_is_said_also_if_the_one_who_cut_it_off_did_not_live_to_say_
 
 def test_a_log_of_nothing_but_half_a_line_begins_anew(path: pathlib.Path) -> None:
     path.parent.mkdir()
-    path.write_bytes(b"\0" * 4096)  # as a file system leaves it that was short of power
+    path.write_bytes(b"\0" * 4096)  # a file system leaves this after a power failure
     write(AuditLog(path, "rig"), "a")
     assert names(path) == ["repaired", "a"]
 
@@ -125,7 +125,7 @@ def test_a_log_that_lost_its_end_between_two_recorders_is_said(path: pathlib.Pat
     path.write_bytes(path.read_bytes().splitlines(keepends=True)[0])
     write(AuditLog(path, "rig", at_least=2), "c")
     assert names(path) == ["a", "tampered", "c"]
-    write(AuditLog(path, "rig", at_least=2), "d")  # it may have more than was known
+    write(AuditLog(path, "rig", at_least=2), "d")  # the log may be longer than the recorder knew
     assert names(path)[-1] == "d"
     assert len(entries(path)) == 4
 
@@ -190,7 +190,7 @@ def test_run_refuses_another_rigs_log_before_it_starts_anything(
 
 @contextlib.contextmanager
 def full_disk(bytes_left: int, path: pathlib.Path) -> Iterator[None]:
-    """Files may not become longer than this one is, and a little: a write that goes beyond is cut short, then fails."""
+    """Limit files to this file's length and a little more: a write beyond it is cut short, then fails."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + bytes_left, hard))
     try:

@@ -1,4 +1,4 @@
-"""Whoever changes the log breaks its chain, whatever he does to it."""
+"""Every change of the log breaks its chain."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_a_log_that_nobody_touched_holds(items: list[tuple[str, str, dict[str, A
     report = verify(lines, head)
     assert (report.good, report.entries, report.head, report.head_line) == (True, len(items), head, len(items))
     assert [read_line(line)[0].details for line in lines] == [details for _, _, details in items]
-    for line in lines:  # as anybody can check who has a SHA-256 and a JSON reader
+    for line in lines:  # anyone with SHA-256 and a JSON reader can check this
         assert b"\n" not in line[:-1]
         plain = json.loads(line)
         own = plain.pop("hash")
@@ -70,7 +70,7 @@ def test_removed_lines_are_found(items: list[tuple[str, str, dict[str, Any]]], d
     if last < len(lines):
         assert (report.line, report.entries) == (first + 1, first)
         assert report.why.startswith("removed")
-    else:  # the end: only a head noted elsewhere can tell
+    else:  # at the end: only a head recorded elsewhere shows it
         assert report.good
         report = verify(left, head)
         assert (report.line, report.why.split(":")[0]) == (len(left) + 1, "truncated")

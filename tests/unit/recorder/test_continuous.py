@@ -1,4 +1,4 @@
-"""Parts begin, end and go as the settings say; a disk that takes nothing is told, and made up for."""
+"""Parts begin, end and are deleted by the settings; a full disk is reported, and its gap filled later."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ def test_it_stops_before_the_disk_is_full_and_goes_on_when_there_is_room(
     tape.close()
     found = read(*(path for path in tape.files() if path.suffix == ".mcap"))
     assert found.complete
-    assert found.gaps == []  # the rings held it meanwhile
+    assert found.gaps == []  # the rings held the data meanwhile
     assert len(found.records) == 4800
 
 

@@ -1,4 +1,4 @@
-"""``rigctl info`` and ``rigctl export``: what they say of a recording, and that other programs read it back."""
+"""``rigctl info`` and ``rigctl export``: their summary of a recording, and files that other programs read back."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def path(tape: Tape) -> pathlib.Path:
 def found(path: pathlib.Path) -> Recording:
     recording = read(path)
     for name in recording.records.dtype.names or ():
-        if name.endswith("_age_ns"):  # the tape's bits are any; an age beyond 2^60 is none
+        if name.endswith("_age_ns"):  # the tape's bits are random; an age beyond 2^60 is invalid
             recording.records[name] &= (1 << 40) - 1
     return recording
 

@@ -1,4 +1,4 @@
-"""A recording holds what the rings held: read by mcap's own reader, by ours, whole, and cut off anywhere."""
+"""A recording holds the content of the rings: read by mcap's own reader, by ours, whole, and cut off anywhere."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_a_file_cut_off_anywhere_reads_up_to_its_last_whole_chunk(tape: Tape, tm
 
 
 def theirs(path: pathlib.Path) -> int:
-    """Records that mcap's own reader gets out of a file without an end, before it says so."""
+    """Number of records that mcap's own reader gets out of a file without an end, before it fails."""
     count, topics = 0, {}
     with path.open("rb") as stream:
         try:
@@ -167,7 +167,7 @@ def test_a_recorder_that_was_killed_is_followed_without_a_gap(tape: Tape) -> Non
     tape.run(1200)
     assert tape.recording._part is not None
     tape.recording._part.disk.end()
-    tape.recording._part.disk.join(5.0)  # what a kill leaves: whole chunks, no index
+    tape.recording._part.disk.join(5.0)  # a kill leaves this: whole chunks, no index
     tape.tick(700)
     tape.start()
     tape.run(900)
@@ -194,7 +194,7 @@ def test_what_the_rings_no_longer_held_is_a_gap(tape: Tape) -> None:
     tape.close()
     found = recording.read(*tape.files())
     (gap,) = [gap for gap in found.gaps if gap.ring == "records"]
-    assert (gap.after, gap.count) == (400, 501)  # one slot less than it holds is safe to read
+    assert (gap.after, gap.count) == (400, 501)  # one slot less than the ring holds is safe to read
     assert tape.recording.as_dict()["records_lost"] == 501
 
 
@@ -239,7 +239,7 @@ def test_the_audit_logs_lines_are_in_it_and_made_up_for_after_a_kill(tape: Tape)
     assert tape.recording._part is not None
     tape.recording._part.disk.end()
     tape.recording._part.disk.join(5.0)
-    enter(2)  # written to the log by a recorder that is killed before it is recorded
+    enter(2)  # in the log, but the recorder was killed before recording it
     tape.start().audit(enter(3))
     tape.run(400)
     tape.close()
@@ -254,10 +254,10 @@ def test_blocks_of_frames_give_the_frames_back(count: int) -> None:
     chance = np.random.default_rng(count)
     frames = np.zeros(count, FRAME.dtype)
     frames["seq"] = np.arange(10, 10 + count)
-    frames["t_ns"] = np.cumsum(chance.integers(-1000, 3_000_000_000, count))  # some further apart than a block can say
+    frames["t_ns"] = np.cumsum(chance.integers(-1000, 3_000_000_000, count))  # some are too far apart for one block
     frames["can_id"] = chance.integers(0, 2**32, count)
     frames["data"] = [bytes(row) for row in chance.integers(0, 256, (count, 8), np.uint8)]
-    frames["seq"][count // 2 :] += 5  # lost between
+    frames["seq"][count // 2 :] += 5  # frames lost between
     found = [frame_block.decode(memoryview(message)) for _, _, message in frame_block.encode(frames)]
     again = np.concatenate(found) if found else np.empty(0, FRAME.dtype)
     assert again.tobytes() == frames.tobytes()

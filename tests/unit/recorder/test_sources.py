@@ -1,4 +1,4 @@
-"""What the rings say, as entries and as protobuf; nothing in a ring stops the recorder."""
+"""Slots of the rings as entries and as protobuf; no content of a ring stops the recorder."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def entries(settings: RigSettings) -> list[chain.Entry]:
 
 
 def decoded(slot: Slot, slots: np.ndarray) -> list[object]:
-    """As any protobuf reader decodes it, by the descriptor alone."""
+    """The messages as any protobuf reader decodes them, by the descriptor alone."""
     encoding = Encoding(slot)
     files = descriptor_pb2.FileDescriptorSet.FromString(encoding.descriptor())
     pool = descriptor_pool.DescriptorPool()
@@ -188,7 +188,7 @@ def test_a_recorder_goes_on_from_the_log_and_a_new_daemon_begins_its_rings_anew(
     desk.answered(
         8, 99, "kim", {"accepted": False, "verb": "arm", "operator": "kim", "reason": "no", "text": "ARM: no"}
     )
-    recorder = Recorder(runtime, settings, 3, 3)  # the one before was killed
+    recorder = Recorder(runtime, settings, 3, 3)  # the previous recorder was killed
     recorder.poll(4, 4)
     found = entries(settings)
     assert [entry.seq for entry in found if entry.source == "events"] == [1, 2, 3, 4, 5, 6]

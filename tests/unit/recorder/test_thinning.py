@@ -1,4 +1,4 @@
-"""The audit log under a flood: repeats are counted, the rate has an end, and what was carried out is all there."""
+"""The audit log under a flood: repeats are counted, the rate is limited, and every command carried out is there."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def refusal(t_ns: int, who: str = "kim") -> Item:
 
 
 def flood(thin: Thinning, items: list[Item], poll_ns: int = S // 20) -> list[Item]:
-    """``items`` in the polls in which a recorder finds them."""
+    """``items`` in the polls in which a recorder reads them."""
     written, at = [], 0
     for now in range(items[0].t_ns, items[-1].t_ns + 2 * poll_ns, poll_ns):
         new = []

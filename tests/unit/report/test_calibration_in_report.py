@@ -1,4 +1,4 @@
-"""What the report says of the calibration agrees with the ledger of the same run."""
+"""The report's calibration agrees with the ledger of the same run."""
 
 from __future__ import annotations
 

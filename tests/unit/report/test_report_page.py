@@ -1,4 +1,4 @@
-"""The page needs nothing but itself, shows what it must, and prints."""
+"""The page is self-contained, shows all it must, and prints."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
 
 
 class Links(HTMLParser):
-    """Everything a page names outside its text."""
+    """Every resource and link in a page's markup."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Lines of long signals lose no spike and bridge no gap."""
+"""Lines of long signals keep every spike and bridge no gap."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every process of the daemon has a share of memory, and the loop goes last."""
+"""Every process of the daemon has a share of memory, and the loop is the last one to be killed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands on the wire: whatever arrives is a command or a refusal in words, never anything else."""
+"""Commands on the wire: every message is parsed into a command or refused in words."""
 
 from __future__ import annotations
 

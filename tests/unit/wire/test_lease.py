@@ -1,4 +1,4 @@
-"""The lease: one holder at a time, whoever asks for it in whatever order."""
+"""The lease: one holder at a time, for any sequence of requests."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ID = "0" * 31 + "1"
 
 @dataclass
 class Rig:
-    """A register whose ids count up, and what it has told."""
+    """A register whose ids count up, and its notices."""
 
     told: list[Change] = field(default_factory=list)
 
@@ -59,7 +59,7 @@ def test_a_second_operator_is_refused_while_the_lease_runs(operator: str, shown:
     rig = Rig()
     assert granted(rig.register.admit("anna", None, 0)).id == ID
     assert rig.register.admit(operator, shown, TERM - 1) is Denial.HELD
-    assert rig.register.take(operator, shown, "", TERM - 1) is Denial.HELD  # a takeover says why
+    assert rig.register.take(operator, shown, "", TERM - 1) is Denial.HELD  # a takeover needs a reason
     assert rig.register.give_back(operator, shown, TERM - 1) is Denial.HELD
     assert rig.register.renew(operator, shown, TERM - 1) is None
     assert rig.register.lease(TERM - 1) == Lease(ID, "anna", 0, TERM)
@@ -108,7 +108,7 @@ STEPS = st.lists(
     st.tuples(
         st.sampled_from(["command", "take", "take for a reason", "give back", "look"]),
         st.sampled_from(["anna", "kim"]),
-        st.none() | st.integers(0, 5),  # the id shown: none, or the newest but so many
+        st.none() | st.integers(0, 5),  # the id shown: none, or one of the newest
         st.integers(0, TERM + S),
     ),
     max_size=40,
@@ -117,7 +117,7 @@ STEPS = st.lists(
 
 @given(STEPS)
 def test_any_sequence_has_one_holder_who_lost_it_only_in_ways_that_are_told(steps: list[Any]) -> None:
-    """The register is followed by what it tells alone: that gives the holder at every moment, and never two."""
+    """The notices alone give the holder at every moment, and never two holders."""
     rig, now, ids = Rig(), 0, ["f" * 32]
     holder: str | None = None
     for what, operator, shown, pause_ns in steps:
@@ -158,7 +158,7 @@ def test_any_sequence_has_one_holder_who_lost_it_only_in_ways_that_are_told(step
             ids.append(found.id)
             until_ns = found.until_ns
         elif before is not None and what != "give back":
-            assert lease == before  # refused or merely looked: nothing has changed, not even its time
+            assert lease == before  # refused or only queried: nothing has changed, its time included
         assert rig.holder(now) == (None if rig.register.has_lapsed(now) else holder)
         assert until_ns in (0, now + TERM)
 
@@ -168,7 +168,7 @@ def test_only_what_a_gateway_would_have_written_is_believed() -> None:
     written = msgspec.to_builtins(good)
     now = 6 * S
     assert believed(written, TERM, now) == good
-    assert believed(written, TERM, 10 * S) == good  # lapsed meanwhile: for the register to tell
+    assert believed(written, TERM, 10 * S) == good  # lapsed meanwhile: the register reports it
     bad: list[Any] = [
         None, [], "x", {}, {**written, "id": "x"}, {**written, "id": ID.upper() + "A"}, {**written, "holder": ""},
         {**written, "holder": "a\nb"}, {**written, "holder": 7}, {**written, "since_ns": 7 * S},

@@ -1,4 +1,4 @@
-"""``meta/schema`` is complete: whatever the gateway sends has a row that says what it means, and in which unit."""
+"""``meta/schema`` is complete: every value the gateway sends has a row with its meaning and unit."""
 
 from __future__ import annotations
 

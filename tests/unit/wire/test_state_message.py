@@ -102,7 +102,7 @@ def test_the_trip_is_worded_with_its_figures() -> None:
     trip = Trip()
     trip.note(np.array([event(Kind.STARTED), event(Kind.TRIP, Fault.CELL_STALE, 0, 2e7, 1.5e7)]))
     assert trip.text(Fault.CELL_STALE) == "no tension sample for 20 ms (limit 15 ms)"
-    assert trip.text(Fault.TENSION_HIGH) == "tension high"  # its event is gone
+    assert trip.text(Fault.TENSION_HIGH) == "tension high"  # its event is overwritten
     assert trip.text(Fault.NONE) == ""
 
 
@@ -206,7 +206,7 @@ def test_cursor_is_remembered_for_the_same_ring_only(tmp_path: pathlib.Path) -> 
     assert again.resumed
     assert (again.fast_seq, again.fast_lost, again.event_seq, again.stream) == (10, 2, 3, first.stream)
     assert (again.fast_listened, again.events_listened) == (True, False)
-    assert not Cursor(path, ring, head=9).resumed  # ahead of the ring: of another one
+    assert not Cursor(path, ring, head=9).resumed  # ahead of the ring: of another ring
 
     (tmp_path / "keep").hardlink_to(ring)  # so that the new ring is another inode
     create(ring, RECORD.dtype, 8)
