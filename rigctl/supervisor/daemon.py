@@ -363,7 +363,7 @@ class Supervisor:
         self._stopping = True
 
     def _stop(self, records: RingReader, events: RingReader) -> int:
-        """End control first: it holds the stroke and closes the brake; gateway and recorder still publish and log that."""
+        """End control first: it holds the stroke and closes the brake; gateway and recorder end after reporting it."""
         _notify("STOPPING=1")
         clean = self._end("control")
         self._tell(events)
