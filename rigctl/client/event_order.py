@@ -67,7 +67,7 @@ class EventSource:
         source, stream = found["source"], found.get("stream")
         if self._stream is None:
             self._stream = stream
-        if stream != self._stream:  # a restart of the daemon or a forged event; a query tells
+        if stream != self._stream:  # a restarted daemon or a forged event: a query decides
             self._held = found
             return
         if source not in self._given and (self._last[source] == _UNKNOWN or found["seq"] <= self._last[source]):

@@ -87,7 +87,7 @@ class BlockSource:
         count.blocks += 1
         if not count.streams:
             self._begin(found)
-        anew = found.stream != self._stream  # a restart of the daemon or a forged block; a query tells
+        anew = found.stream != self._stream  # a restarted daemon or a forged block: a query decides
         if anew or (found.first_seq > count.last_seq + 1 and self._recover):
             self._held = found
         else:

@@ -240,7 +240,7 @@ def _fit_rope(signals: Signals, part: slice, reach_mm: float) -> tuple[float, fl
     The play is found by search for the least residual, the rest by linear least squares.
     """
     where = np.arange(part.start, part.stop)
-    before = max(0, 2 * part.start - part.stop)  # as many ticks again: they show the nut's place in its play at the start
+    before = max(0, 2 * part.start - part.stop)  # the ticks before show the nut's place in its play
     stroke = signals.stroke[before : part.stop]
     time = (where - where.mean()) * signals.period_s
 

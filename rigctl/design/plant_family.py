@@ -93,5 +93,5 @@ def family(settings: RigSettings) -> list[Member]:
 
 
 def reported(settings: RigSettings) -> list[Member]:
-    """Members shown beside the family, with a very soft mechanism."""
+    """Members shown beside the family, with a mechanism much softer than the rope's spring."""
     return [member(settings, REPORTED_N_MM, k_scale, delay) for k_scale, delay in product(K_SCALES, DELAY_SCALES)]

@@ -119,7 +119,7 @@ _Any = Asked | HoldAsked | Crowded | LeaseAsked | LeaseLapsed | Recorded | Refus
 
 
 def send_answer(query: zenoh.Query, key: str, message: dict[str, Any]) -> None:
-    """Answer and finish a query; a querier that has gone is no error."""
+    """Answer and finish a query; a querier that has disconnected is no error."""
     payload = msgspec.json.encode(message)
     with contextlib.suppress(zenoh.ZError):
         if message["accepted"]:

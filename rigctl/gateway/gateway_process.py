@@ -182,7 +182,7 @@ class Gateway:
         """Open everything.
 
         Raises:
-            SessionError: the endpoint is in use or is none.
+            SessionError: the endpoint is in use or not valid, or another daemon has this rig's name.
         """
         keys, now = Keys(settings.rig), time.monotonic_ns()
         socket = f"unixsock-stream/{runtime.gateway_socket}"

@@ -19,8 +19,8 @@ from rigctl.wire.keys import SEVERITIES, Keys
 
 BLOCK_RECORDS = 60_000 // RECORD.dtype.itemsize  # a block fits one Zenoh batch (64 KB)
 HISTORY_RECORDS = 1000  # in one answer
-BACKLOG_SPEED = 16  # times the loop's rate at which a backlog goes out; at 8, gateways killed in turn lag behind
-PATIENCE_NS = 5_000_000_000  # that subscribers have to come back after a restart
+BACKLOG_SPEED = 16  # a backlog goes out at this multiple of the loop's rate; at 8, gateways killed in turn lag behind
+PATIENCE_NS = 5_000_000_000  # longest wait for subscribers to come back after a restart
 UNRECORDED_NS = 100_000_000  # an event waits at most this long for the record of its tick
 
 

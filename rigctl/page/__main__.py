@@ -19,7 +19,7 @@ from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.page.guard import Guard
 from rigctl.page.serve import serve
 
-NICENESS = 10  # every other process goes before the page
+NICENESS = 10  # the page is the least urgent process
 RETRY_S = 2.0
 
 

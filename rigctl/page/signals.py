@@ -19,7 +19,7 @@ _NOT_SEEN = int(Quality.STALE | Quality.INVALID | Quality.NEVER)
 
 @dataclass(frozen=True)
 class Signal:
-    """One value per record; NaN where there is none."""
+    """One value per record; NaN for no value."""
 
     name: str
     unit: str

@@ -10,7 +10,7 @@ offset  type   meaning
 12      u32    number of records
 16      u64    sequence number of the first record; within a block they follow without a gap
 24      u64    records overwritten in the ring so far before a gateway could publish them
-32      u64    stream: changes when the daemon is started anew and numbers begin at 1 again
+32      u64    stream: changes when the daemon is restarted and numbers begin at 1 again
 40      u64    newest sequence number in the ring when the block was made
 ======  =====  ===========================================================================================
 

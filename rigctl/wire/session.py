@@ -52,7 +52,7 @@ def _config(mode: str, listen: list[str], connect: list[str], rx_bytes: int = 0)
                         "size": {"data_high": _BATCHES, "data": _BATCHES, "data_low": _BATCHES},
                         "congestion_control": {
                             "drop": {"wait_before_drop": 0},
-                            # An answer blocks if the querier asks for it; one that does not read is cut off (in us).
+                            # An answer blocks if the querier chose so; one that does not read is cut off (time in us).
                             "block": {"wait_before_close": 200_000},
                         },
                     },
