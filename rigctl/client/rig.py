@@ -113,8 +113,8 @@ class Rig:
     ) -> Message | None:
         """The first event of this kind, severity and condition; None after ``timeout_s``.
 
-        It considers each event once, beginning at the last command given here (or at the connection), so that an event
-        between a command and this call is not missed.
+        Each event is considered once, from the last command given here (or the connection) on, so that an event between
+        a command and this call is not missed.
         """
         until = None if timeout_s is None else time.monotonic() + timeout_s
         while (event := self._events.read(None if until is None else max(0.0, until - time.monotonic()))) is not None:

@@ -118,7 +118,7 @@ class Source:
     words: Callable[[np.void], Words]
 
     def item(self, slot: np.void, wall_offset_ns: int) -> Item:
-        """One slot in words; a slot that cannot be worded goes into the log as its values."""
+        """One slot in words; a slot that cannot be worded goes into the log as hexadecimal bytes."""
         t_ns = int(slot["t_ns"])
         try:
             what, who, text, details = self.words(slot)
