@@ -1,1 +1,1 @@
-"""``rigctl bench``: does this host keep the loop's time? Measured on the simulated rig, beside cyclictest."""
+"""``rigctl bench``: measures whether this computer keeps the loop's time, on the simulated rig, beside cyclictest."""

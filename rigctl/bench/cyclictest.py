@@ -15,9 +15,9 @@ LONGEST_US = 100_000
 
 
 def measure(period_us: int, seconds: float, *, priority: int, cpu: int | None) -> dict[str, Any] | None:
-    """Wake-up lateness: percentiles in us, and how many wake-ups came later than one period.
+    """Wake-up lateness: percentiles in us, and the number of wake-ups later than one period.
 
-    None where it is not installed (Debian package rt-tests), or not granted what is asked for.
+    None if cyclictest is not installed (Debian package rt-tests) or lacks the rights it needs.
     """
     if shutil.which("cyclictest") is None:
         return None
@@ -45,7 +45,7 @@ def measure(period_us: int, seconds: float, *, priority: int, cpu: int | None) -
 
 
 def together(rounds: list[dict[str, Any]]) -> dict[str, Any]:
-    """One figure of several rounds: the worst of each percentile, but the mean of p99.9, which the loop is held to."""
+    """Figures of several rounds: the worst of each percentile, but the mean of p99.9, by which the loop is judged."""
     p999 = sum(one["lateness_us"]["p999"] for one in rounds) / len(rounds)
     worst = {name: max(one["lateness_us"][name] for one in rounds) for name in ("p50", "p99", "max")}
     return {

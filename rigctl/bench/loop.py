@@ -1,4 +1,4 @@
-"""The loop at one rate, in closed loop on the simulated rig, and cyclictest in turn with it."""
+"""Measures the loop at one rate, in closed loop on the simulated rig, in turns with cyclictest."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from rigctl.metrics import tension_error as metrics
 OPERATOR = "bench"
 ROUNDS = 3
 TARGET_N = 60.0
-"""The closed loop works as hard as at 300 N, and is there five times sooner."""
+"""The closed loop has the same work as at 300 N, and reaches this target in a fifth of the time."""
 TENSIONED_LIMIT_S = 60.0
 INCLINOMETER_HZ = 100
-"""At other rates than the rig's own: a divisor of every usual one."""
+"""Used at other rates than the rig's own: it divides every usual rate."""
 _WAIVER = "bench: the loop's timing is measured, nothing hangs there"
 _LOOK_S = 0.5
 
 
 @dataclass(frozen=True)
 class Rate:
-    """What was measured at one rate; ``cyclictest`` is None where that cannot be run."""
+    """Figures of one rate; ``cyclictest`` is None if it cannot be run."""
 
     rate_hz: int
     loop: dict[str, Any]
@@ -40,27 +40,28 @@ class Rate:
 
     @property
     def period_us(self) -> float:
-        """Of one tick."""
+        """Period of one tick."""
         return 1e6 / self.rate_hz
 
     @property
     def lateness_p999_ratio(self) -> float | None:
-        """Of the loop over cyclictest's."""
+        """Lateness p99.9 of the loop over cyclictest's."""
         if self.cyclictest is None:
             return None
         return float(self.loop["lateness_us"]["p999"] / max(self.cyclictest["lateness_us"]["p999"], 1.0))
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``--json`` shows."""
+        """As JSON values."""
         ratio = self.lateness_p999_ratio
         more = {"cyclictest": self.cyclictest, "lateness_p999_ratio": ratio} if self.cyclictest else {}
         return {"loop": self.loop, **more}
 
 
 def bench_settings(settings: RigSettings, rate_hz: int) -> RigSettings:
-    """The rig's settings for a bench: another name, port and folders than the rig's own.
+    """The rig's settings for a bench, with another name, port and folders.
 
-    The simulated bus has no bit timing: 4 kHz would be 170 % of 1 Mbit/s. The design is judged at the rig's own rate.
+    The simulated bus has no bit timing, so a rate is possible that overloads a real bus (4 kHz: 170 % of 1 Mbit/s). The
+    design is judged at the rig's own rate.
     """
 
     def of(section: str, **changes: Any) -> Any:
@@ -73,16 +74,16 @@ def bench_settings(settings: RigSettings, rate_hz: int) -> RigSettings:
 
 
 def measure(settings: RigSettings, rate_hz: int, seconds: float, advance: Callable[[float, str], None]) -> Rate:
-    """Loop and cyclictest in turn, so that both see the same machine.
+    """Measure loop and cyclictest in turns, so that both see the same conditions.
 
     Args:
         settings: the rig's.
         rate_hz: of the loop.
         seconds: of the loop, and as many of cyclictest.
-        advance: is told the seconds that have passed, and what is done.
+        advance: called with the seconds passed and the current step.
 
     Raises:
-        LiveRigError: the loop did not come to compensating, or did not stay there.
+        LiveRigError: the loop did not reach COMPENSATING, or did not stay there.
     """
     slices, rounds = [], []
     for _ in range(ROUNDS):
@@ -107,7 +108,7 @@ def tension(live_rig: LiveRig) -> None:
     """Take the rig to COMPENSATING.
 
     Raises:
-        LiveRigError: it did not come there.
+        LiveRigError: the rig did not get there.
     """
     live_rig.command(Verb.ARM, OPERATOR)
     live_rig.command(Verb.TARGET, OPERATOR, TARGET_N)
@@ -117,7 +118,7 @@ def tension(live_rig: LiveRig) -> None:
     while mode == Mode.TENSIONING.name and time.monotonic() < until:
         time.sleep(_LOOK_S)
         state = live_rig.state()
-        if state.get("t_ns", 0) >= answer["t_ns"]:  # none from before the command
+        if state.get("t_ns", 0) >= answer["t_ns"]:  # ignores states from before the command
             mode = str(state.get("mode"))
     if mode != Mode.COMPENSATING.name:
         raise LiveRigError(f"tensioning ended in {mode}: {state.get('fault_text') or 'not in time'}")

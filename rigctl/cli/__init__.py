@@ -1,1 +1,1 @@
-"""Every command of ``rigctl``: its options and what it prints."""
+"""Every command of ``rigctl``: its options and its output."""

@@ -72,18 +72,18 @@ for verb in (verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, 
     app.command()(verb)
 for trial in (commission.tare, commission.calibrate, commission.identify, commission.gains):
     app.command()(trial)
-# A negative number is a number here, not an option.
+# These take a negative number as a value, not as an option.
 app.command(context_settings={"ignore_unknown_options": True})(verbs.target)
 app.command(context_settings={"ignore_unknown_options": True})(verbs.confirm_stroke)
 
-# click's own class, wherever this version of typer keeps its click.
+# click's class; where typer keeps its click depends on typer's version.
 _UsageError = cast("type[typer.BadParameter]", typer.BadParameter.__bases__[0])
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and exit: 0 done, 1 refused or no daemon, 2 wrong usage or an output that cannot be written."""
     standard_output.guard()
-    on_signals(signal.default_int_handler, signal.SIGTERM, signal.SIGHUP)  # in order, as by Ctrl-C
+    on_signals(signal.default_int_handler, signal.SIGTERM, signal.SIGHUP)  # end as by Ctrl-C
     if lacking := descriptors.shortage():
         sys.stderr.write(f"rigctl: {lacking}\n")
         raise SystemExit(1)
@@ -96,7 +96,7 @@ def main(arguments: list[str] | None = None) -> None:
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("rigctl: interrupted; the rig goes on by itself\n")
         code = 1
-    except OSError as error:  # a full or read-only disk, no memory, no folder for temporary files: nothing of ours
+    except OSError as error:  # a full or read-only disk, no memory, no folder for temporary files
         where = f"{error.filename}: " if error.filename is not None else ""
         sys.stderr.write(f"rigctl: {where}{error.strerror or error}\n")
         code = 1

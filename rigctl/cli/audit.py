@@ -1,4 +1,4 @@
-"""``rigctl audit``: whether the audit log still says what was written, and what that was."""
+"""``rigctl audit``: verifies the audit log and shows its entries."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rigctl.config.quantity import count
 if TYPE_CHECKING:
     from rigctl.recorder.chain import Entry, Report
 
-LINE_BYTES = 1 << 17  # a longer one was not written by the recorder
+LINE_BYTES = 1 << 17  # the recorder writes no longer line
 _RIG_FILES = (".yaml", ".yml")
 _HASH = re.compile("[0-9a-f]{64}")
 
@@ -76,7 +76,7 @@ def audit(
 
 
 def _log(file: pathlib.Path | None) -> pathlib.Path:
-    """The log that is meant."""
+    """Path of the log."""
     if file is None:
         return _of_daemon()
     if file.suffix not in _RIG_FILES:
@@ -100,7 +100,7 @@ def _of_daemon() -> pathlib.Path:
 
 
 def _lines(path: pathlib.Path) -> Iterator[bytes]:
-    """The lines of a log, which may grow meanwhile: not beyond where it ends now."""
+    """The lines of a log up to its end at the time of the call; it may grow meanwhile."""
     try:
         fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         with os.fdopen(fd, "rb") as stream:
@@ -140,7 +140,7 @@ def _since_head(report: Report, head: str | None) -> str:
 
 
 def _moment(since: str | None) -> str:
-    """``--since`` as the log writes a moment; what is written so sorts by time."""
+    """``--since`` in the log's format of a time, in which text order is time order."""
     if since is None:
         return ""
     try:

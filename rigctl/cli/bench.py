@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 LATENESS_RATIO = 2.0
 """The loop's lateness p99.9 over cyclictest's."""
 SKIPPED_PER_LATE = 3
-"""Periods the loop skips, for each that cyclictest wakes too late for."""
+"""Periods the loop may skip for each late wake-up of cyclictest."""
 _LONGEST_S, _SHORTEST_S = 3600.0, 1.0
 
 File = Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.")]
@@ -78,7 +78,7 @@ def _settings(file: pathlib.Path) -> RigSettings:
 
 
 def _check_alone() -> None:
-    """Its loop would take processor time from one that may hold a load."""
+    """Refuse to run beside a daemon, whose loop may hold a load and would lose processor time."""
     from rigctl.ipc.runtime_folder import BASE, daemons
 
     if running := [f"{rig} (process {pid})" for rig, pid in daemons(BASE)]:
@@ -86,7 +86,7 @@ def _check_alone() -> None:
 
 
 def judged(rate: Rate) -> list[tuple[str, float, float, bool]]:
-    """Name, figure, limit and whether it is met, of everything a rate is judged by."""
+    """Name, figure, limit and result of every criterion of a rate."""
     loop, other = rate.loop, rate.cyclictest
     busy_us = loop["lateness_us"]["p999"] + loop["work_us"]["p999"]
     rows: list[tuple[str, float, float]] = [
@@ -101,7 +101,7 @@ def judged(rate: Rate) -> list[tuple[str, float, float, bool]]:
 
 
 def show(measured: list[Rate], console: Console) -> None:
-    """Percentiles of every rate, and the verdicts."""
+    """Print percentiles of every rate, and the verdicts."""
     from rich.table import Table
 
     console.print(table(measured), highlight=False)
@@ -115,7 +115,7 @@ def show(measured: list[Rate], console: Console) -> None:
 
 
 def table(measured: list[Rate]) -> Any:
-    """Percentiles, three or four rows a rate."""
+    """Table of percentiles, three or four rows for each rate."""
     from rich.table import Table
 
     from rigctl.metrics.tension_error import PERCENTILES

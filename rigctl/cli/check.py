@@ -1,4 +1,4 @@
-"""``rigctl check FILE``: the rig as the daemon would see it, and the worst-case load of its bus."""
+"""``rigctl check FILE``: the resolved rig, and the worst-case load of its bus."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from rigctl.control.modes import Mode
 from rigctl.devices import busload
 
 NARROW = 72
-"""Columns below which meaning and unit are left out, as the key ends in its unit: else it is the values that go."""
+"""Columns below which meaning and unit are left out, so that the values fit; the key ends in its unit."""
 NARROWEST_VALUE = 8
-NARROWEST_FRAME = 11  # "inclination" and "heartbeats," whole
-_OF_CANOPEN = ("node", "eds")  # keys without a meaning for a device with plain frames
+NARROWEST_FRAME = 11  # for "inclination" and "heartbeats,"
+_OF_CANOPEN = ("node", "eds")  # keys that do not apply to a device with plain frames
 
 
 def as_dict(settings: RigSettings) -> dict[str, Any]:
@@ -40,7 +40,7 @@ def as_dict(settings: RigSettings) -> dict[str, Any]:
 
 
 def accepted(settings: RigSettings) -> bool:
-    """The bus can carry it."""
+    """Whether the bus load is within the limit."""
     load = busload.bus_load(settings)
     return load is None or load <= busload.LIMIT
 

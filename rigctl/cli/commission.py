@@ -1,4 +1,4 @@
-"""``rigctl tare``, ``calibrate``, ``identify``: one line each says what was found, or why nothing was."""
+"""``rigctl tare``, ``calibrate``, ``identify``, ``gains``: each prints the result, or the reason without one."""
 
 from __future__ import annotations
 
@@ -115,13 +115,13 @@ def _give(
 ) -> dict[str, Any]:
     from concurrent.futures import ThreadPoolExecutor
 
-    # Zenoh's wait for an answer cannot be interrupted, the wait for a thread can.
+    # Ctrl-C cannot interrupt Zenoh's wait for an answer, but it interrupts the wait for a thread.
     with daemon(connect, rig) as client, ThreadPoolExecutor(1) as pool:
         name = operator_name(operator)
         try:
             return pool.submit(give, client, verb, name, value, **options).result()
         except KeyboardInterrupt:
-            client.command("hold", name)  # whatever is given ends a trial, and HOLD changes nothing else
+            client.command("hold", name)  # any command ends a trial; HOLD changes nothing else
             end(BAD, f"interrupted; {verb} was ended, the stroke is held")
 
 

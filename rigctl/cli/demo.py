@@ -1,4 +1,4 @@
-"""What ``rigctl demo`` prints: a line a second for a person, then the summary."""
+"""Output of ``rigctl demo``: a line a second, then the summary."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ GIVES_WAY = 20
 def run(
     settings: RigSettings, demo: DemoSettings, console: Console, recordings: pathlib.Path, *, lockstep: bool
 ) -> Summary:
-    """Play the demo and print it. ``recordings``: the folder its recording is left in.
+    """Play the demo and print it. ``recordings``: folder for its recording.
 
     Raises:
-        DemoError: it could not be played to its end.
+        DemoError: the demo could not be played to its end.
     """
     shown = settings.rig
     settings = own_settings(settings, recordings)
@@ -65,9 +65,9 @@ def _play_again(play: Callable[[], Summary]) -> Summary:
 
 
 def own_settings(settings: RigSettings, recordings: pathlib.Path) -> RigSettings:
-    """The demo's own settings, see `rigctl.demo.live_rig.own`; its recording goes to ``recordings``.
+    """The demo's settings, see `rigctl.demo.live_rig.own`; its recording goes to ``recordings``.
 
-    Beside a daemon that runs on this computer, whose loop may hold a load, the demo's loop gives way.
+    Beside a daemon on this computer, whose loop may hold a load, the demo's loop runs at a lower priority.
     """
     played = own(settings, "demo")
     changes: dict[str, object] = {"recording": played.recording.model_copy(update={"folder": str(recordings)})}

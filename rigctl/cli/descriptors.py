@@ -1,4 +1,4 @@
-"""How many files, sockets and pipes a process may have open: too few, and any of its steps fails half-way."""
+"""The limit of open files, sockets and pipes: with too low a limit a command fails half-way."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import contextlib
 import resource
 
 LEAST = 64
-"""The gateway has about 40 open with one client, every other process fewer."""
+"""The gateway needs about 40 with one client, every other process fewer."""
 ENOUGH = 1024
 
 
 def shortage() -> str | None:
-    """Raise a low limit as far as it may be; one line if it stays too low for any command to begin."""
+    """Raise a low limit as far as allowed; returns one line if it stays too low for any command."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if 0 <= soft < ENOUGH:
         wanted = ENOUGH if hard < 0 else min(ENOUGH, hard)

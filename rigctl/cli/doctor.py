@@ -1,4 +1,4 @@
-"""``rigctl doctor``: everything arming asks for, and what the computer gives, without touching the rig."""
+"""``rigctl doctor``: the preflight and the state of the computer, without any effect on the rig."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def doctor(file: File = None, json: Json = False, connect: Connect = None, rig: 
 
 
 def examine(settings: RigSettings | None, connect: str | None, rig: str | None) -> list[Finding]:
-    """Every finding; the daemon's settings are gone by where no rig file is given."""
+    """Every finding; without a rig file the daemon's settings are used."""
     from rigctl.cli import doctor_can, doctor_daemon, doctor_host
     from rigctl.ipc.runtime_folder import BASE
 
@@ -61,7 +61,7 @@ def examine(settings: RigSettings | None, connect: str | None, rig: str | None) 
 
 
 def lines(finding: Finding, width: int) -> list[str]:
-    """A finding for people, no line longer than ``width``."""
+    """A finding as text, no line longer than ``width``."""
     mark = finding.severity.value
     text = f"{finding.name} - {finding.found}"
     if finding.wanted and mark != "ok":
@@ -77,7 +77,7 @@ def lines(finding: Finding, width: int) -> list[str]:
 
 
 def summary(findings: Sequence[Finding]) -> str:
-    """One line: how many of each."""
+    """Number of findings of each severity, in one line."""
     counted = {"ok": 0, "warning": 0, "fails": 0}
     for finding in findings:
         counted[finding.severity.value] += 1
@@ -97,7 +97,7 @@ def _load(file: pathlib.Path) -> RigSettings:
 def _ask(
     settings: RigSettings | None, connect: str | None, rig: str | None
 ) -> tuple[dict[str, Any] | None, dict[str, Any] | None, str]:
-    """State and resolved configuration of the daemon, or why there are none."""
+    """State and active configuration of the daemon, or why there are none."""
     from rigctl.client.connection import ChoiceError, Client, NoDaemonError
 
     if settings is not None:
@@ -112,7 +112,7 @@ def _ask(
 
 
 def _settings_of(active: dict[str, Any] | None) -> RigSettings | None:
-    """The daemon's settings; None where another version's are not understood."""
+    """The daemon's settings; None if another version wrote them and they are not valid here."""
     from pydantic import ValidationError
 
     from rigctl.config.settings import RigSettings

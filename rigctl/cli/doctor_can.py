@@ -1,4 +1,4 @@
-"""What ``rigctl doctor`` finds out about the CAN link, as `ip -details -json link` shows it."""
+"""Findings of ``rigctl doctor`` on the CAN link, from `ip -details -json link`."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from rigctl.config.settings import CanSettings
 
 LIMIT_S = 5.0
 QUEUE = 10
-"""Frames, the kernel's default: five ticks of SYNC and command. A frame that waits longer reaches the drive as a stale
-command; a send that finds the queue full is counted and said at once, and the drive's own deadline stops it."""
+"""Frames, the kernel's default: five ticks of SYNC and command. A longer queue would deliver stale commands to the
+drive; a send to a full queue is counted and reported at once, and the drive's own deadline stops it."""
 STATES = ("ERROR-ACTIVE", "ERROR-WARNING")
 
 
 def link(can: CanSettings) -> list[Finding]:
-    """The link the rig file names."""
+    """Findings on the link of the rig file."""
     if can.interface != "socketcan":
         return [_without_kernel(can)]
     command = ["ip", "-details", "-json", "link", "show", "dev", can.channel]
@@ -30,7 +30,7 @@ def link(can: CanSettings) -> list[Finding]:
 
 
 def judge(can: CanSettings, shown: str) -> list[Finding]:
-    """Findings from what `ip` has shown."""
+    """Findings from the output of `ip`."""
     try:
         found: dict[str, Any] = json.loads(shown)[0]
     except (ValueError, IndexError, KeyError, TypeError):
@@ -92,7 +92,7 @@ def _state(can: CanSettings, data: dict[str, Any], *, up: bool) -> list[Finding]
 
 
 def _restart(can: CanSettings, data: dict[str, Any]) -> Finding:
-    """A bus that comes back by itself comes back to a rig nobody has looked at."""
+    """Finding on the automatic restart: a bus must not resume by itself after a fault that no one has examined."""
     restart = data.get("restart_ms")
     if not restart:
         return good("can restart-ms", "0: after a bus-off an operator decides")

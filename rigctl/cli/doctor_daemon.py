@@ -1,4 +1,4 @@
-"""What ``rigctl doctor`` finds out about the rig: the preflight as the daemon has it, or what of it needs no daemon."""
+"""Findings of ``rigctl doctor`` on the rig: the daemon's preflight, or the part of it that needs no daemon."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ TITLES: dict[Check, str] = {
     Check.DISK: "disk: room to write",
     Check.HOST: "host: looked at by the gateway",
 }
-"""Every check, in the order in which it is shown."""
+"""Every check, in the order of display."""
 _OF_IO = Check.E_STOP_IO | Check.E_STOP_IO_UNSEEN
 WITHOUT_DAEMON = (Check.CALIBRATION, Check.TARE, Check.DISK, Check.MARGINS)
 
 
 def running(state: Mapping[str, Any], active: Mapping[str, Any], settings: RigSettings | None) -> list[Finding]:
-    """The preflight of a running daemon, from its state; ``settings``: those of the rig file, if there is one."""
+    """The preflight of a running daemon, from its state; ``settings``: those of the rig file, if one is given."""
     findings = [_loop(state), _version(active), _same_file(active, settings)]
     told = state.get("preflight")
     if not isinstance(told, dict):
@@ -68,7 +68,7 @@ def running(state: Mapping[str, Any], active: Mapping[str, Any], settings: RigSe
 
 
 def without(settings: RigSettings) -> list[Finding]:
-    """What of the preflight can be judged without a daemon, and what the system would grant its loop."""
+    """The part of the preflight that needs no daemon, and the real time that the system would grant its loop."""
     try:
         entries = ledger.read(settings)
     except ledger.LedgerError as error:
@@ -99,7 +99,7 @@ def _loop(state: Mapping[str, Any]) -> Finding:
 
 
 def _read_back(state: Mapping[str, Any]) -> Finding:
-    """What safety hangs on in the devices, as the loop last read it all."""
+    """The devices' safety settings at the loop's last complete read-back."""
     title, told, now_ns = "devices: settings read back", state.get("read_back"), state.get("t_ns")
     if not isinstance(told, dict) or not isinstance(now_ns, int):
         return good(title, "at the start; again at every arm")
@@ -126,7 +126,7 @@ def _same_file(active: Mapping[str, Any], settings: RigSettings | None) -> Findi
 
 
 def _design(settings: RigSettings) -> dict[str, Any]:
-    from rigctl.design.gain_file import design_in_use  # imports python-control: slow
+    from rigctl.design.gain_file import design_in_use  # slow import (python-control)
     from rigctl.design.gains import DesignError
 
     try:
@@ -136,7 +136,7 @@ def _design(settings: RigSettings) -> dict[str, Any]:
 
 
 def _realtime(loop: LoopSettings) -> list[Finding]:
-    """What the system grants, tried in a process of its own: nothing of this one changes."""
+    """The real time that the system grants, tried in another process so that this one stays as it is."""
     command = [sys.executable, "-m", "rigctl.cli.doctor_try"]
     try:
         text = loop.model_dump_json()

@@ -1,6 +1,6 @@
-"""What ``rigctl doctor`` finds out about the computer: clock, processors, kernel, memory, Python.
+"""Findings of ``rigctl doctor`` on the computer: clock, processors, kernel, memory, Python.
 
-Everything is read from below ``root``, as the kernel shows it there; nothing is changed.
+Everything is read from the kernel's files below ``root``; nothing is changed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _STA_UNSYNC = 0x40
 
 
 class Severity(Enum):
-    """How much a finding matters."""
+    """Severity of a finding."""
 
     OK = "ok"
     WARNING = "warning"
@@ -36,7 +36,7 @@ class Severity(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at: what was found and what is wanted, and how to get there where they differ."""
+    """One check: what was found, what is wanted, and how to fix a difference."""
 
     name: str
     severity: Severity
@@ -45,7 +45,7 @@ class Finding:
     fix: str = ""
 
     def as_dict(self) -> dict[str, str | bool]:
-        """For JSON."""
+        """As JSON values."""
         ok = self.severity is Severity.OK
         return {
             "name": self.name, "ok": ok, "severity": self.severity.value, "found": self.found, "wanted": self.wanted,
@@ -54,22 +54,22 @@ class Finding:
 
 
 def good(name: str, found: str) -> Finding:
-    """Nothing to be done."""
+    """A finding that needs no action."""
     return Finding(name, Severity.OK, found)
 
 
 def warning(name: str, found: str, wanted: str, fix: str = "") -> Finding:
-    """Arming goes on, the rig may run worse."""
+    """A finding that allows arming, though the rig may run worse."""
     return Finding(name, Severity.WARNING, found, wanted, fix)
 
 
 def fails(name: str, found: str, wanted: str, fix: str = "") -> Finding:
-    """Arming, or the daemon's start, is refused."""
+    """A finding that refuses arming or the daemon's start."""
     return Finding(name, Severity.FAILS, found, wanted, fix)
 
 
 def host(settings: RigSettings | None, root: pathlib.Path = ROOT) -> list[Finding]:
-    """The computer, as far as every rig needs it; ``settings`` say which processor the loop is to have."""
+    """Findings that apply to every rig; ``settings`` give the loop's processor."""
     cpu = settings.loop.cpu if settings is not None else None
     locked = settings is None or settings.loop.lock_memory
     return [
@@ -86,7 +86,7 @@ def host(settings: RigSettings | None, root: pathlib.Path = ROOT) -> list[Findin
 
 
 def clock_source(root: pathlib.Path) -> Finding:
-    """The kernel's clock: one that is read by a register costs 20 ns, one behind a bus some microseconds."""
+    """The kernel's clock source: a read from a register takes 20 ns, one over a bus some microseconds."""
     found = _read(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
     if not found:
         return warning("clock source", "not shown by the kernel", "tsc")
@@ -96,7 +96,7 @@ def clock_source(root: pathlib.Path) -> Finding:
 
 
 def governor(root: pathlib.Path, cpu: int | None) -> Finding:
-    """A processor that saves power wakes late."""
+    """The frequency governor: a processor that saves power wakes late."""
     base = root / "sys/devices/system/cpu"
     pattern = f"cpu{cpu}" if cpu is not None else "cpu[0-9]*"
     found = sorted({_read(file) for file in base.glob(f"{pattern}/cpufreq/scaling_governor")} - {""})
@@ -108,7 +108,7 @@ def governor(root: pathlib.Path, cpu: int | None) -> Finding:
 
 
 def kernel(root: pathlib.Path) -> Finding:
-    """PREEMPT_RT, or not."""
+    """Whether the kernel has PREEMPT_RT."""
     version = f"{platform.release()} {_read(root / 'proc/sys/kernel/version') or platform.version()}"
     if _read(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
         return good("kernel", f"{version} (PREEMPT_RT)")
@@ -116,7 +116,7 @@ def kernel(root: pathlib.Path) -> Finding:
 
 
 def isolation(root: pathlib.Path, cpu: int | None) -> Finding:
-    """Whether the loop has its processor to itself."""
+    """Whether the loop's processor is isolated."""
     isolated = _read(root / "sys/devices/system/cpu/isolated")
     if cpu is None:
         return good("isolated cpus", f"{isolated or 'none'}; loop.cpu asks for none")
@@ -138,7 +138,7 @@ def cpus(text: str) -> set[int]:
 
 
 def memory(root: pathlib.Path) -> Finding:
-    """Room for the daemon's processes and rings."""
+    """Memory for the daemon's processes and rings."""
     available = _meminfo(root).get("MemAvailable")
     if available is None:
         return warning("memory", "not shown by the kernel", f"{LEAST_MEMORY_MIB} MiB available")
@@ -149,7 +149,7 @@ def memory(root: pathlib.Path) -> Finding:
 
 
 def swap(root: pathlib.Path, *, locked: bool) -> Finding:
-    """Pages that go to a disk come back late; locked ones stay."""
+    """Swap: a page on the disk comes back late; locked pages stay in memory."""
     figures = _meminfo(root)
     total, free = figures.get("SwapTotal", 0), figures.get("SwapFree", 0)
     if not total:
@@ -161,14 +161,14 @@ def swap(root: pathlib.Path, *, locked: bool) -> Finding:
 
 
 def clock_sync(synchronised: bool, error_ms: float) -> Finding:
-    """The wall clock: due dates and the times on record go by it, the loop does not."""
+    """The wall clock, which due dates and recorded times use, and the loop does not."""
     if synchronised:
         return good("wall clock", f"synchronised, at most {error_ms:.0f} ms off")
     return warning("wall clock", "not synchronised", "synchronised", "start chronyd, ntpd or systemd-timesyncd")
 
 
 class _Timex(ctypes.Structure):
-    """First fields of ``struct timex`` of adjtimex(2), and room for the others."""
+    """First fields of ``struct timex`` of adjtimex(2), with space for the rest."""
 
     _fields_ = (
         ("modes", ctypes.c_uint),
@@ -182,7 +182,7 @@ class _Timex(ctypes.Structure):
 
 
 def _adjtimex() -> tuple[bool, float]:
-    """Whether the wall clock is synchronised, and its largest error in ms; modes 0 changes nothing."""
+    """Whether the wall clock is synchronised, and its largest error in ms; ``modes`` 0 only reads."""
     found = _Timex()
     if ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(found)) < 0:
         return False, 0.0
@@ -190,7 +190,7 @@ def _adjtimex() -> tuple[bool, float]:
 
 
 def python() -> Finding:
-    """The interpreter."""
+    """The Python interpreter."""
     found = f"{platform.python_implementation()} {platform.python_version()} ({platform.python_compiler()})"
     if sysconfig.get_config_var("Py_DEBUG"):
         return warning("python", f"{found}, a debug build", "a release build", "install python3, not python3-dbg")
@@ -200,7 +200,7 @@ def python() -> Finding:
 
 
 def versions() -> Finding:
-    """What this command is made of."""
+    """Versions of this program and its libraries."""
     known = []
     for package in PACKAGES:
         try:
@@ -211,7 +211,7 @@ def versions() -> Finding:
 
 
 def other_daemons(settings: RigSettings | None, base: pathlib.Path) -> Finding:
-    """Daemons of other rigs on this computer, by the pid in their locks; one may have the loop's processor."""
+    """Daemons of other rigs on this computer, by the pid in their locks; one may use the loop's processor."""
     found, clash = [], []
     for rig, pid in runtime.daemons(base):
         if settings is not None and rig == settings.rig:
@@ -250,7 +250,7 @@ def _meminfo(root: pathlib.Path) -> dict[str, int]:
 
 
 def _read(file: pathlib.Path) -> str:
-    """Text of a file; empty where there is none to be read."""
+    """Text of a file; empty if it cannot be read."""
     try:
         return file.read_text(errors="replace").strip()
     except OSError:

@@ -1,6 +1,6 @@
-"""``python -m rigctl.cli.doctor_try``: ask for real time as the loop does, say what was granted, and end.
+"""``python -m rigctl.cli.doctor_try``: requests real time as the loop does, prints what was granted, and ends.
 
-The loop's settings come as JSON on standard input, what was granted goes out as JSON.
+The loop's settings come as JSON on standard input; the result goes out as JSON.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from rigctl.control import realtime
 
 
 def main() -> int:
-    """Try, and go back to normal scheduling at once."""
+    """Try, and return to normal scheduling at once."""
     loop = LoopSettings.model_validate_json(sys.stdin.read())
     applied = realtime.apply(loop)
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -1,4 +1,4 @@
-"""``rigctl lease``, and how every command of the command line goes on with the operator's lease."""
+"""``rigctl lease``, and the use of the operator's lease by every command of the command line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Act(Enum):
-    """What to do about the lease."""
+    """Actions on the lease."""
 
     SHOW = "show"
     TAKE = "take"
@@ -75,10 +75,10 @@ def _ask(client: Client, act: Act, operator: str, reason: str) -> dict[str, Any]
 
 
 def give(client: Client, verb: str, operator: str, value: float | None = None, **options: bool | str) -> dict[str, Any]:
-    """Give a command under the lease this operator's commands on this machine share; the answer.
+    """Give a command under the lease that this operator's terminals on this machine share; returns the answer.
 
-    A lease nobody holds is taken, and kept, before the command is given: a terminal that dies while the rig works
-    leaves the next one the lease. So is one that has lapsed meanwhile, because who types a command looks at the rig.
+    A free lease is taken and its id stored before the command is given, so that the next terminal can use it if this
+    one dies. A lapsed lease is taken again, since a person who types a command watches the rig.
     """
     kept = _show(client, operator)
     if verb != "hold" and operator not in client.leases:
@@ -93,7 +93,7 @@ def give(client: Client, verb: str, operator: str, value: float | None = None, *
 
 
 def _take(client: Client, operator: str, kept: LeaseFile) -> None:
-    """Take the lease if nobody holds it; if a terminal beside this one just has, go on with that one's."""
+    """Take the lease if nobody holds it; if another terminal of this operator just took it, use that one's id."""
     if client.take_lease(operator).get("accepted"):
         _keep(client, operator, kept)
     elif (id_ := kept.read()) is not None:

@@ -1,7 +1,7 @@
-"""Where the command line keeps a lease's id, so that an operator's next command goes on with it.
+"""The file in which the command line keeps a lease's id for the operator's next command.
 
-One small file for each rig, endpoint and operator's name, in the user's runtime folder: the terminals of one user on
-one machine share it, those of others cannot read it. It is a convenience: unreadable, it is as if there were none.
+There is one small file for each rig, endpoint and operator's name, in the user's runtime folder: the terminals of one
+user on one machine share it, other users cannot read it. An unreadable file counts as absent.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _LONGEST = 64
 
 
 def folder() -> pathlib.Path:
-    """``$XDG_RUNTIME_DIR/rigctl``, or where there is none ``/tmp/rigctl-UID``."""
+    """``$XDG_RUNTIME_DIR/rigctl``, or ``/tmp/rigctl-UID`` without that variable."""
     given = os.environ.get("XDG_RUNTIME_DIR")
     if given and pathlib.Path(given).is_absolute():
         return pathlib.Path(given) / "rigctl"
@@ -34,7 +34,7 @@ class LeaseFile:
         self.path = folder() / f"{rig}-{digest}"
 
     def read(self) -> str | None:
-        """The id; None where there is none, or another user could have put it there."""
+        """The id; None without one, or if another user could have written it."""
         with contextlib.suppress(OSError):
             if self._is_ours():
                 fd = os.open(self.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -44,7 +44,7 @@ class LeaseFile:
         return None
 
     def write(self, id_: str) -> None:
-        """Keep ``id_``; where that is not possible the next command has no lease to go on with."""
+        """Store ``id_``; if that fails, the next command has no lease to continue."""
         part = self.path.with_name(f"{self.path.name}.{os.getpid()}")
         with contextlib.suppress(OSError):
             self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -55,11 +55,11 @@ class LeaseFile:
                 part.rename(self.path)
 
     def forget(self) -> None:
-        """Keep nothing."""
+        """Delete the stored id."""
         with contextlib.suppress(OSError):
             self.path.unlink()
 
     def _is_ours(self) -> bool:
-        """Whether the folder is ours alone: in ``/tmp`` anyone may have made it."""
+        """Whether only this user owns and enters the folder; in ``/tmp`` anyone may have created it."""
         found = self.path.parent.lstat()
         return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077

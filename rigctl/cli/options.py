@@ -1,4 +1,4 @@
-"""Options the operator's commands share, and how they end."""
+"""Options shared by the operator's commands, and how the commands end."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DONE, BAD, USAGE = 0, 1, 2
 
 
 def _said(value: str | None) -> str | None:
-    """An option that is given says something: an empty one is a script's variable that was never set."""
+    """Refuse an empty option: it comes from a script's variable that was never set."""
     if value is not None and not value.strip():
         raise typer.BadParameter("found nothing, expected a value (or leave the option out)")
     return value
@@ -43,37 +43,37 @@ Wait = Annotated[bool, typer.Option("--wait", help="Return when it is over, or h
 
 
 def operator_name(given: str | None) -> str:
-    """Who gives a command."""
+    """The operator's name for a command."""
     if given := given or os.environ.get("RIGCTL_OPERATOR"):
         return given.encode(errors="replace").decode()
     try:
         return getpass.getuser()
-    except (KeyError, OSError):  # no login name, as in a bare container
+    except (KeyError, OSError):  # there is no login name, as in a bare container
         return f"uid {os.getuid()}"
 
 
 def say(text: str) -> None:
-    """One line for whoever reads standard output."""
+    """Print one line."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
 
 def say_json(message: Any) -> None:
-    """One line of JSON."""
+    """Print one line of JSON."""
     import msgspec
 
     say(msgspec.json.encode(message).decode())
 
 
 def end(code: int, complaint: str | None = None) -> NoReturn:
-    """End the command, with one line on standard error if there is something to complain about."""
+    """End the command, with ``complaint`` as one line on standard error if given."""
     if complaint is not None:
         sys.stderr.write(f"rigctl: {complaint}\n")
     raise typer.Exit(code)
 
 
 def check_output(option: str, file: pathlib.Path | None) -> None:
-    """End the command if a file it is to write could not be written."""
+    """End the command if an output file cannot be written."""
     try:
         if file is not None:
             output_file.check(option, file)
@@ -83,7 +83,7 @@ def check_output(option: str, file: pathlib.Path | None) -> None:
 
 @contextlib.contextmanager
 def daemon(connect: str | None, rig: str | None) -> Iterator[Client]:
-    """A client; without a daemon, or with a wrong choice of one, the command ends in one line."""
+    """A client; without a daemon, or with a wrong endpoint or rig, the command ends with one line."""
     from rigctl.client.connection import ChoiceError, Client, NoDaemonError
 
     try:

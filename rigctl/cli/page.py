@@ -69,7 +69,7 @@ def _checked(operator: str | None) -> str | None:
 
 
 def _daemon(connect: str | None, rig: str | None) -> tuple[str, str]:
-    """Endpoint, and what is known of a daemon there; without one the page starts all the same."""
+    """Endpoint, and a text on the daemon there; the page starts without a daemon, too."""
     import os
 
     from rigctl.client.connection import ChoiceError, Client, NoDaemonError

@@ -10,19 +10,19 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 APPEARS_S = 1.0
-"""What is over before then shows no bar at all."""
+"""A task that ends before this shows no bar."""
 
 Advance = Callable[[float, str], None]
-"""Called with what has been done since the last call, in the unit of the total, and what is being done."""
+"""Called with the work done since the last call, in the unit of the total, and the name of the current step."""
 
 
 @contextlib.contextmanager
 def progress(title: str, total: float) -> Iterator[Advance]:
-    """A bar from 0 to ``total``; gone when the block ends. Without a terminal on standard error nothing is shown.
+    """A bar from 0 to ``total``, removed when the block ends. Without a terminal on standard error nothing is shown.
 
     Args:
-        title: what it is about, in front of the bar.
-        total: what it takes, in seconds of simulated time or any other unit.
+        title: text in front of the bar.
+        total: total work, in seconds of simulated time or any other unit.
     """
     console = Console(stderr=True)
     if not console.is_terminal:
@@ -56,4 +56,4 @@ def progress(title: str, total: float) -> Iterator[Advance]:
 
 
 def _unseen(_done: float, _doing: str = "") -> None:
-    """Nobody is watching."""
+    """Stand-in without a display."""

@@ -1,4 +1,4 @@
-"""``rigctl info`` and ``rigctl export``: what is in a recording, and the recording for other programs."""
+"""``rigctl info`` and ``rigctl export``: the contents of a recording, and its export for other programs."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _read(files: list[pathlib.Path], run: bool) -> Recording:
 
 
 def _lines(found: dict[str, Any]) -> list[str]:
-    """For a person."""
+    """The figures as lines of text."""
     own = found["metadata"].get("rigctl", {})
     complete = "complete" if found["complete"] else "NOT COMPLETE"
     lines = [f"{found['rig']}: {found['kind']}, {found['duration_s']:g} s, {complete}"]

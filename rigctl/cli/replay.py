@@ -1,4 +1,4 @@
-"""``rigctl replay``: play a recording through the loop again, and hold what it did against what it does."""
+"""``rigctl replay``: plays a recording through the loop again and compares the result with the recording."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def replay(
         end(USAGE, "--plot draws what --against compares; give both")
     check_output("--plot", plot)
     recording, spans = _read(file)
-    gc.freeze()  # nothing of what was read is garbage
+    gc.freeze()  # spares the collector the recording, none of which is garbage
     if against is not None:
         _against(recording, spans, against, plot, json=json)
     else:

@@ -30,7 +30,7 @@ def _load(file: pathlib.Path) -> RigSettings:
 
 
 def _check_gain_file(settings: RigSettings) -> None:
-    """Before anything is started: a gain file that does not fit is a matter of the files."""
+    """End the command on a gain file that does not fit, before anything is started."""
     from rigctl.design import gain_file
 
     try:
@@ -40,7 +40,7 @@ def _check_gain_file(settings: RigSettings) -> None:
 
 
 def _check_eds(settings: RigSettings) -> None:
-    """The same of an EDS file that is none."""
+    """End the command on an invalid EDS file."""
     from rigctl.devices import eds_file
 
     try:
@@ -50,7 +50,7 @@ def _check_eds(settings: RigSettings) -> None:
 
 
 def _check_ledger(settings: RigSettings) -> None:
-    """The same of a calibration ledger that cannot be believed."""
+    """End the command on an invalid calibration ledger."""
     from rigctl.ipc import ledger
 
     try:
@@ -60,7 +60,7 @@ def _check_ledger(settings: RigSettings) -> None:
 
 
 def _check_audit_log(settings: RigSettings) -> None:
-    """The same of an audit log that cannot be continued."""
+    """End the command on an audit log that cannot be continued."""
     from rigctl.recorder import audit_log
 
     try:
@@ -70,7 +70,7 @@ def _check_audit_log(settings: RigSettings) -> None:
 
 
 def _with_page(settings: RigSettings, page: bool, listen: str | None) -> RigSettings:
-    """The settings with a page where an option asks for one."""
+    """The settings, with a page if an option adds one."""
     if listen is not None:
         from rigctl.config.page_address import Address, AddressError
         from rigctl.config.page_section import PageSettings

@@ -1,7 +1,7 @@
-"""Standard output and error that end no run: the reader may have gone, the disk may be full, there may be none.
+"""Standard output and error whose failure ends no run: the reader may be gone, the disk full, the descriptor closed.
 
-A command goes on without whoever listened to it, because it has more to do than to talk: a rig to hold, processes to
-end, files to write, an exit code to give. What could not be said is told at the end.
+A command continues without its reader, because it has a rig to hold, processes to end, files to write and an exit code
+to give. Lost output is reported at the end.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ STDOUT, STDERR = 1, 2
 
 
 class Outlet(io.FileIO):
-    """A file descriptor that takes everything; ``failure`` is what became of the last write that failed."""
+    """A file descriptor whose writes never raise; ``failure`` is the error of the last write that failed."""
 
     failure: OSError | None = None
 
     def write(self, data: object) -> int:
-        """Write; what cannot be written is gone."""
+        """Write; data that cannot be written is lost."""
         try:
             return super().write(data)  # type: ignore[arg-type]
         except OSError as error:
@@ -29,11 +29,11 @@ class Outlet(io.FileIO):
 
 
 def guard() -> None:
-    """Let this process write to ``Outlet``s from now on; a descriptor that is closed is opened on nothing.
+    """Redirect this process's output to ``Outlet``s; a closed standard descriptor is opened on /dev/null.
 
-    A standard output that is not the process's own, as under a test, stays as it is.
+    A standard output that is not the process's own, as under a test, is left alone.
     """
-    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= STDERR:  # or a socket would become standard output
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= STDERR:  # else a socket could become standard output
         pass
     os.close(descriptor)
     if sys.stdout is sys.__stdout__:
@@ -43,12 +43,12 @@ def guard() -> None:
 
 
 def nobody_reads() -> bool:
-    """Whether standard output went to a reader that is gone."""
+    """Whether the reader of standard output is gone."""
     return isinstance(_failure(), BrokenPipeError)
 
 
 def complaint() -> str | None:
-    """What is to be said about standard output once everything is written: a full disk, but no reader who left."""
+    """The error of standard output once everything is written, such as a full disk; None if only the reader left."""
     failure = _failure()
     if failure is None or isinstance(failure, BrokenPipeError):
         return None
@@ -67,7 +67,7 @@ def _guarded(descriptor: int, stream: TextIO | None) -> TextIO:
     return io.TextIOWrapper(
         outlet,
         encoding=own.encoding if own else "utf-8",
-        errors="backslashreplace",  # a name of a file may be no text, a terminal may know no Unicode
+        errors="backslashreplace",  # a file's name may not be valid text, and the terminal may not have Unicode
         line_buffering=own.line_buffering if own else True,
         write_through=own.write_through if own else False,
     )

@@ -1,4 +1,4 @@
-"""``rigctl status``: how the rig is now, on one small screen."""
+"""``rigctl status``: the state of the rig on one small screen."""
 
 from __future__ import annotations
 

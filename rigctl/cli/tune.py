@@ -74,7 +74,7 @@ def tune(
 
 
 def _check_outputs(file: pathlib.Path, outputs: dict[str, pathlib.Path | None]) -> None:
-    """Refuse what could not be written, or would destroy something, before there is anything to write."""
+    """Refuse outputs that cannot be written or would overwrite the rig file or one another, before the computation."""
     from rigctl.design import gain_file
 
     taken = {file.resolve(): "the rig file"}
@@ -113,7 +113,7 @@ def _search(file: pathlib.Path, settings: RigSettings) -> Found:
 
 
 def _advice(settings: RigSettings, found: Design, searched: Found | None) -> dict[str, Any]:
-    """What the search has found, or what each weight could do about a design that is refused."""
+    """The result of the search, or the effect of each weight on a refused design."""
     from rigctl.design import search
 
     if searched is not None:

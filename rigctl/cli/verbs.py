@@ -1,4 +1,4 @@
-"""The commands that move the rig: one line each says what happened, or why not."""
+"""The commands that move the rig: each prints one line on what happened, or why not."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SILENCE_S = 5.0
 
 
 def newtons_of(text: str) -> float:
-    """A finite number."""
+    """A finite number from text."""
     try:
         value = float(text)
     except ValueError:
@@ -37,7 +37,7 @@ Newtons = Annotated[float, typer.Argument(metavar="NEWTONS", parser=newtons_of, 
 
 
 def millimetres_of(text: str) -> float:
-    """A finite number, with its sign."""
+    """A finite, signed number from text."""
     try:
         value = float(text)
     except ValueError:
@@ -55,7 +55,7 @@ NearEnd = Annotated[
     bool, typer.Option("--near-end", help="Arm at an end of the stroke, to drive away from it (tension, release).")
 ]
 
-# Mode a command ends in, and the one it passes through on the way.
+# Mode in which a command ends, and the mode it passes through.
 _ENDS = {"tension": ("COMPENSATING", "TENSIONING"), "release": ("HOLD", "RELEASING")}
 
 
@@ -94,7 +94,7 @@ def hold(json: Json = False, connect: Connect = None, rig: Rig = None, operator:
     from rigctl.client.connection import ChoiceError, endpoint_of
 
     answer = None
-    with contextlib.suppress(ChoiceError):  # said below, where every command says it
+    with contextlib.suppress(ChoiceError):  # `_give` below reports it
         named = rig or os.environ.get("RIGCTL_RIG") or None
         answer = local_hold.hold(endpoint_of(connect), named, operator_name(operator))
     if answer is None:
@@ -169,7 +169,7 @@ def _standing(state: dict[str, Any]) -> str:
 
 
 def _finish(client: Client, verb: str, answer: dict[str, Any], states: Feed) -> dict[str, Any]:
-    """Follow the state until the command has ended, one way or the other."""
+    """Follow the state until the command has ended or failed."""
     goal, passing = _ENDS[verb]
     heard = time.monotonic()
     while True:

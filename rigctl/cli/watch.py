@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 REFRESH_S = 0.1
 RETRY_S = 0.5
-"""Between two looks for a daemon that is not there yet."""
+"""Interval between searches for a daemon that does not run yet."""
 SILENT_S = 1.0
 _EVENTS_HELD = 100
 
 
 @dataclass
 class View:
-    """What the screen shows."""
+    """The data that the screen shows."""
 
     rig: str
     endpoint: str
@@ -34,18 +34,18 @@ class View:
     settings: dict[str, Any] = field(default_factory=dict)
     events: list[dict[str, Any]] = field(default_factory=list)
     limits: PassedLimits = field(default_factory=PassedLimits)
-    refused: str = ""  # how many messages were none of a daemon's, in words
+    refused: str = ""  # number of messages without the shape of a daemon's, in words
     heard: float = field(default_factory=time.monotonic)
 
     @property
     def silent_s(self) -> float:
-        """Seconds without data, 0 while data come."""
+        """Seconds without data, 0 while data arrive."""
         silence = time.monotonic() - self.heard
         return silence if silence > SILENT_S else 0.0
 
 
 class Follower:
-    """Keeps a view up to date; what a restart of the gateway took away is asked for again."""
+    """Keeps a view up to date; after a restart of the gateway it queries the missed events."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -55,7 +55,7 @@ class Follower:
         self.view = View(client.rig, client.endpoint)
 
     def update(self) -> list[dict[str, Any]]:
-        """Take what has come; the states, oldest first."""
+        """Take all data that arrived; returns the states, oldest first."""
         states = []
         while (state := self._states.take()) is not None:
             states.append(state)
@@ -98,7 +98,7 @@ def watch(json: Json = False, connect: Connect = None, rig: Rig = None) -> None:
 
 
 def _daemon(connect: str | None, rig: str | None) -> Client:
-    """A client of the daemon, as soon as there is one; a wrong choice ends the command in one line."""
+    """A client of the daemon, as soon as it runs; a wrong endpoint or rig ends the command with one line."""
     from rigctl.client.connection import ChoiceError, Client, NoDaemonError, endpoint_of
 
     waiting = False
@@ -110,7 +110,7 @@ def _daemon(connect: str | None, rig: str | None) -> Client:
         except ChoiceError as error:
             end(USAGE, str(error))
         except NoDaemonError:
-            if not waiting:  # on standard error: standard output may be JSON for a program
+            if not waiting:  # printed to standard error, as standard output may be JSON for a program
                 of = f" of {wanted}" if (wanted := rig or os.environ.get("RIGCTL_RIG")) else ""
                 sys.stderr.write(f"waiting for a daemon{of} at {endpoint_of(connect)}; Ctrl-C ends\n")
                 sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""The watch screen: what must be seen from a chair at three in the morning comes first and largest."""
+"""The watch screen: the most important values come first and largest, readable from a distance."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from rigctl.wire import state_words as figures
 if TYPE_CHECKING:
     from rigctl.cli.watch import View
 
-SPAN_PCT = 10.0  # the bar shows the target and so much either side
+SPAN_PCT = 10.0  # span of the bar on either side of the target
 NARROW = 72
-"""Columns below which a line goes on in the next one: else it is the values that are cut off."""
+"""Columns below which a line is wrapped, so that no value is cut off."""
 _LABEL = 14
 _INDENT = 2
 _SEVERITY = {"error": "bold red", "warning": "yellow", "info": ""}
@@ -79,7 +79,7 @@ def stroke_bar(state: dict[str, Any], limits: dict[str, Any], width: int) -> lis
 
 
 def fitted(text: Text, width: int) -> list[Text]:
-    """A line as it is, or on a narrow terminal over several, those that go on indented."""
+    """A line, wrapped with indentation on a narrow terminal."""
     if width >= NARROW or text.cell_len <= width:
         return [text]
     first, *rest = text.wrap(Console(width=width), width - _INDENT)
@@ -100,7 +100,7 @@ class Screen:
             yield Text.assemble(text, end="" if number == min(len(lines), height) - 1 else "\n")
 
     def lines(self, width: int, height: int) -> list[Text]:
-        """Top to bottom; events fill what is left."""
+        """The screen's lines from top to bottom; events fill the rest."""
         view, state = self._view, self._view.state
         head = [self._title(width)]
         if view.silent_s or state is None:

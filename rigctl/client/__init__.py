@@ -1,6 +1,6 @@
 """The public client of the daemon: ``rigctl.client.connect()``, or ``connect_async()`` on an event loop.
 
-It decodes by the schema the daemon serves, so that a daemon with more fields than this client knows is still read.
+It decodes by the schema that the daemon serves, so it can read a daemon with more fields than this client knows.
 """
 
 from rigctl.client.connection import ChoiceError, NoDaemonError, rigs

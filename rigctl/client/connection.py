@@ -1,6 +1,6 @@
-"""Connection to the daemon of one rig: find it, ask it, command it. What every client here is made of.
+"""Connection to the daemon of one rig: discovery, queries, commands. Every client here is built on it.
 
-Zenoh in client mode: once connected it comes back by itself when the gateway was restarted.
+Zenoh runs in client mode: once connected it reconnects by itself after a restart of the gateway.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from rigctl.wire.session import SessionError, close, open_client
 
 OPEN_S = 2.0
 ASK_S = 2.0
-COMMAND_S = 6.0  # the gateway answers within 4 s ...
-# ... or when it is over: a trial after 10 s at most, an arm after 23 s (settings read back 15 s, stop and brake 8 s)
+COMMAND_S = 6.0  # the gateway answers within 4 s
+# A trial is answered after its end: 10 s at most, an arm after 23 s (settings read back 15 s, stop and brake 8 s).
 TRIAL_S = 30.0
 _RIG = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _TRIALS = ("arm", "tare", "calibrate", "identify", "gains")
@@ -37,11 +37,11 @@ _Some = TypeVar("_Some")
 
 
 class NoDaemonError(RuntimeError):
-    """Nobody answers; ``str()`` is one line."""
+    """No daemon answers; ``str()`` is one line."""
 
 
 class ChoiceError(ValueError):
-    """Endpoint or rig is not one, or several rigs answer; ``str()`` is one line."""
+    """The endpoint or the rig's name is not valid, or several rigs answer; ``str()`` is one line."""
 
 
 def _open(endpoint: str) -> zenoh.Session:
@@ -69,10 +69,10 @@ def _rigs(session: zenoh.Session) -> list[str]:
 
 
 def endpoint_of(connect: str | None) -> str:
-    """The endpoint asked for, else ``RIGCTL_CONNECT``, else the default.
+    """The endpoint given, else ``RIGCTL_CONNECT``, else the default.
 
     Raises:
-        ChoiceError: it is none.
+        ChoiceError: it is not a valid endpoint.
     """
     endpoint = connect or os.environ.get("RIGCTL_CONNECT") or keys.DEFAULT_ENDPOINT
     if not re.fullmatch(r"[a-z-]+/\S+", endpoint):
@@ -84,8 +84,8 @@ def rigs(connect: str | None = None) -> list[str]:
     """Names of the rigs whose daemons answer at an endpoint, sorted; several may share one router.
 
     Raises:
-        NoDaemonError: nobody there, or not allowed.
-        ChoiceError: not an endpoint.
+        NoDaemonError: no daemon answers, or access is not allowed.
+        ChoiceError: the endpoint is not valid.
     """
     session = _open(endpoint_of(connect))
     try:
@@ -98,21 +98,21 @@ class Client:
     """Connection to the daemon of one rig."""
 
     def __init__(self, connect: str | None = None, rig: str | None = None, run_id: str | None = None) -> None:
-        """``connect``: endpoint, else ``RIGCTL_CONNECT``; ``rig``: name, else ``RIGCTL_RIG``, else the one there is.
+        """``connect``: endpoint, else ``RIGCTL_CONNECT``; ``rig``: name, else ``RIGCTL_RIG``, else the only one.
 
-        ``run_id``: of the one daemon process that may be commanded; every command carries it, and any other daemon
-        that came to answer here refuses it (``other_run``).
+        ``run_id``: of the one daemon process that may be commanded; every command carries it, and a daemon of another
+        run refuses it (``other_run``).
 
         Raises:
-            NoDaemonError: nobody there, or not allowed, or another run than ``run_id``.
-            ChoiceError: not an endpoint, not a name, or several rigs and none chosen.
+            NoDaemonError: no daemon answers, access is not allowed, or the run is not ``run_id``.
+            ChoiceError: endpoint or name is not valid, or several rigs answer and none is chosen.
         """
         self.endpoint = endpoint_of(connect)
         wanted = rig or os.environ.get("RIGCTL_RIG") or None
         if wanted is not None and not _RIG.fullmatch(wanted):
             raise ChoiceError(f"found rig {wanted!r}, expected a rig's name, e.g. paper_rig")
-        self.leases: dict[str, str] = {}  # id shown with the commands of each operator; kept from the answers
-        self.refusals = Refusals()  # messages that were none of our daemon's
+        self.leases: dict[str, str] = {}  # operator: lease id from the answers, sent with the operator's commands
+        self.refusals = Refusals()  # messages without the shape of the daemon's
         self.session = _open(self.endpoint)
         try:
             self.keys = Keys(self._choose(wanted))
@@ -150,24 +150,24 @@ class Client:
     def ask(
         self, selector: str, payload: bytes | None = None, timeout_s: float = ASK_S, check: Check = bytes
     ) -> tuple[bool, bytes]:
-        """One query; whether it was answered (else refused), and the answer's bytes.
+        """One query; returns whether it was answered (else refused), and the answer's bytes.
 
-        ``check``: raises MessageRefusedError for an answer that is not what was asked for. It is passed over: anyone
-        on the network may answer beside the daemon.
+        ``check``: raises MessageRefusedError for an answer of the wrong shape. Such an answer is skipped, because
+        anyone on the network may answer beside the daemon.
 
         Raises:
             NoDaemonError: no answer.
-            SchemaError: ``check`` looked for a schema, and there was none this client knows.
+            SchemaError: ``check`` expects a schema, and no answer has one that this client knows.
         """
         unknown: SchemaError | None = None
-        # The answer travels as the query did: never waited for, and beside the published data.
+        # The answer gets the query's options: it never blocks the gateway, and has its own priority beside the data.
         replies = self.session.get(
             selector,
             payload=payload,
             timeout=timeout_s,
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.DATA_LOW if payload is None else zenoh.Priority.DATA_HIGH,
-            # Neither one who says that he alone has the answer, nor one who answers last, keeps the daemon's from us.
+            # All answers are wanted: a peer that claims the key, or answers last, must not replace the daemon's answer.
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
         )
@@ -181,7 +181,7 @@ class Client:
                 found = bytes(said.payload)
                 if reply.ok is not None:
                     check(found)
-                elif not found.startswith(b"{"):  # Zenoh's own word for a time-out
+                elif not found.startswith(b"{"):  # Zenoh's own text for a time-out
                     continue
                 else:
                     shapes.refusal(found)
@@ -203,33 +203,33 @@ class Client:
         return self._asked(self.keys.state, shapes.state)
 
     def active(self) -> dict[str, Any]:
-        """What runs: settings, design, versions, and what the control process read back."""
+        """The active configuration: settings, design, versions, and what the control process read back."""
         return self._asked(self.keys.active, shapes.active)
 
     def schema(self) -> dict[str, Any]:
-        """What the fast stream means. Raises SchemaError where this client does not know it."""
+        """The schema of the fast stream. Raises SchemaError if this client does not know its version."""
         return self._asked(self.keys.schema, usable_schema)
 
     def past_events(self, after: int = 0, after_note: int = 0) -> list[dict[str, Any]]:
-        """Events of the loop and notes of the gateway that are still held, oldest first; each has its own sequence."""
+        """The loop's events and the gateway's notes that the rings hold, oldest first; each has its own sequence."""
         return self._asked(f"{self.keys.events_past}?after={after};after_note={after_note}", shapes.past_events)
 
     def command(self, verb: str, operator: str, value: float | None = None, **options: bool | str) -> dict[str, Any]:
-        """Give a command; the answer, whose ``accepted`` and ``text`` say what happened.
+        """Give a command; ``accepted`` and ``text`` of the answer say what happened.
 
-        It is given under the lease in ``leases``; without one the lease is taken if nobody holds it. One that has
-        lapsed is not taken anew behind the program's back, which may no longer know how the rig is: see `take_lease`.
+        It is given under the lease in ``leases``; without one the lease is taken if nobody holds it. A lapsed lease is
+        not taken again automatically, because the program may no longer know the rig's state: see `take_lease`.
         ``options``: see `rigctl.wire.command_request.Request`.
 
         Raises:
-            NoDaemonError: no answer; whether the command was carried out is not known.
+            NoDaemonError: no answer; whether the command was carried out is unknown.
         """
         body: dict[str, Any] = {} if value is None else {"value": value}
         body |= {name: option for name, option in options.items() if option}
         return self._commanded(verb, operator, body, TRIAL_S if verb in _TRIALS else COMMAND_S)
 
     def take_lease(self, operator: str, reason: str = "") -> dict[str, Any]:
-        """Take the lease, or renew it; from another only with a ``reason``. See `command`."""
+        """Take or renew the lease; from another holder only with a ``reason``. See `command`."""
         return self._commanded(Act.TAKE.value, operator, {"reason": reason} if reason else {})
 
     def return_lease(self, operator: str) -> dict[str, Any]:
@@ -250,7 +250,7 @@ class Client:
         return answer
 
     def follow(self, key: str, depth: int = 64) -> Feed:
-        """JSON messages published on ``key`` from now on; the oldest go when more than ``depth`` wait."""
+        """JSON messages published on ``key`` from now on; when more than ``depth`` wait, the oldest are dropped."""
         return Feed(self.session, key, depth, self.refusals, shape_of(self.keys, key))
 
     def close(self) -> None:

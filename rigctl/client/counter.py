@@ -19,7 +19,7 @@ from rigctl.client.fast import FastReader
 from rigctl.ipc.termination import ENDING, Termination
 
 _PERIOD_S = 0.02
-_LAST_S = 5.0  # after it was told to end, so long for what is on its way, or for a gateway that is just coming back
+_LAST_S = 5.0  # after the request to end: for records on their way, or for a gateway that is being restarted
 
 
 def _say(message: dict[str, Any]) -> None:
@@ -36,7 +36,7 @@ def _newest(client: Client) -> int | None:
 
 
 def count(client: Client, stop: Termination, records: int | None) -> dict[str, Any]:
-    """Count until ``stop`` or until ``records`` were received, and what had been recorded by then."""
+    """Count until ``stop`` or until ``records`` were received, then up to the record that is newest at that time."""
     reader = FastReader(client)
     ready = False
     ends: float | None = None
@@ -57,7 +57,7 @@ def count(client: Client, stop: Termination, records: int | None) -> dict[str, A
 
 
 def main() -> int:
-    """Count; exit code 0, 1 without a daemon, 2 on wrong usage."""
+    """Count; returns exit code 0, 1 without a daemon, 2 on wrong usage."""
     parser = argparse.ArgumentParser(prog="python -m rigctl.client.counter", description=__doc__)
     parser.add_argument("--connect", help="endpoint of the daemon")
     parser.add_argument("--rig", help="name of the rig")

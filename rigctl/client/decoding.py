@@ -1,4 +1,4 @@
-"""The schema a daemon serves, made into what decodes its fast stream: nothing of the record is known beforehand."""
+"""Decodes the fast stream by the schema the daemon serves; this client has no built-in layout of the record."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Layout:
-    """How records are decoded; ``fields`` are in the record's order."""
+    """Layout of a record; ``fields`` are in the record's order."""
 
     fields: Mapping[str, Field]
     dtype: np.dtype[Any]
@@ -49,7 +49,7 @@ class Layout:
         """The records of a block, shape ``(count,)``, read-only and without a copy.
 
         Raises:
-            SchemaError: they are not of this layout.
+            SchemaError: the records do not have this layout.
         """
         if block.record_size != self.dtype.itemsize:
             raise SchemaError(f"a record has {block.record_size} bytes, the schema says {self.dtype.itemsize}")
@@ -85,10 +85,10 @@ class _Schema(msgspec.Struct):
 
 
 def layout_of(schema: Mapping[str, Any]) -> Layout:
-    """The layout a schema describes. What a newer daemon has beside it is passed over; so are fields without a type.
+    """The layout a schema describes; additions of a newer daemon and fields of unknown type are ignored.
 
     Raises:
-        SchemaError: another version, or not a schema.
+        SchemaError: the version is another, or the document is not a schema.
     """
     version = schema.get("version")
     if version not in KNOWN_VERSIONS:
@@ -114,18 +114,18 @@ def layout_of(schema: Mapping[str, Any]) -> Layout:
 
 
 def _is_known(field: _Field) -> bool:
-    """Whether it is a plain type: one that is new leaves the others readable, and numpy is not asked about it."""
+    """Whether the type is a plain one. An unknown type leaves the others readable and never reaches numpy."""
     if not _KNOWN_TYPE.fullmatch(field.type) or math.prod(field.shape) > RECORD_BYTES:
         return False
     return np.dtype((field.type, field.shape)).itemsize == field.size
 
 
 def usable_schema(payload: bytes) -> dict[str, Any]:
-    """What ``meta/schema`` answers.
+    """The answer of ``meta/schema``, checked.
 
     Raises:
-        MessageRefusedError: it is no schema.
-        SchemaError: it cannot be used, or is of another version.
+        MessageRefusedError: it is not a JSON object.
+        SchemaError: it cannot be used, or has another version.
     """
     found = document(payload)
     layout_of(found)

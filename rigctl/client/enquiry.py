@@ -1,4 +1,4 @@
-"""Asking the daemon what a stream needs to go on; one that is away for a moment is asked again."""
+"""Queries a stream needs to continue; a daemon that is away for a moment is queried again."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from rigctl.client.connection import Client, NoDaemonError
 from rigctl.client.source import Question, Source
 
 AGAIN_S = 0.1
-PATIENCE_S = 20.0  # then the ring has been written over, as rings are by default
+PATIENCE_S = 20.0  # after it a ring of default size has been overwritten
 
 
 class Enquiry:
-    """What one stream asks."""
+    """Queries of one stream."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -22,9 +22,9 @@ class Enquiry:
         self._again_at = 0.0
 
     def settle(self, source: Source[object], question: Question) -> bool:
-        """Ask, and tell ``source`` what was answered; False: nobody answered, try again ``AGAIN_S`` later.
+        """Query the daemon and pass the answer to ``source``; False: no answer, call again ``AGAIN_S`` later.
 
-        Tried sooner it does nothing. A refusal is an answer; so is the silence of ``PATIENCE_S``.
+        A call before that does nothing. A refusal counts as an answer, and so do ``PATIENCE_S`` without one.
         """
         now = time.monotonic()
         if now < self._again_at:

@@ -1,7 +1,7 @@
-"""Events in order: each once; what was missed while the connection was down is asked for again.
+"""Events in order: each once; events missed while the connection was down are queried.
 
-The loop's events and the gateway's notes each have a sequence of their own; both begin at 1 again, and ``stream``
-changes, when the daemon is started anew.
+The loop's events and the gateway's notes each have a sequence of their own. At a restart of the daemon both begin at 1
+again and ``stream`` changes.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ _HEADS = {"loop": "event_seq", "gateway": "note_seq"}
 
 
 class EventSource:
-    """Events from now on, or from the oldest that is still held."""
+    """Events from now on, or from the oldest that the rings hold."""
 
     def __init__(self, mailbox: Mailbox, keys: Keys, *, past: bool = False) -> None:
-        """``past``: begin with those still held."""
+        """``past``: begin with the oldest events held."""
         self.mailbox = mailbox
         self._keys = keys
         self._ready: deque[Message] = deque()
         self._held: Message | None = None
         self._stream: int | None = None
         self._last: dict[str, int] = dict.fromkeys(_HEADS, 0)
-        self._given: set[str] = set()  # sources of which something has been given
+        self._given: set[str] = set()  # sources with at least one event passed on
         self._begun, self._past = False, past
 
     def restart(self) -> None:
-        """Forget what has come and was not taken, and begin with what comes next."""
+        """Forget the waiting events and begin with the next one that arrives."""
         self.mailbox.clear()
         self._ready.clear()
         self._given.clear()
@@ -45,7 +45,7 @@ class EventSource:
             if self._ready:
                 return self._ready.popleft()
             if not self._begun and not self._past:
-                # It says where the sequences are: the first gap counts too.
+                # The state carries both sequence numbers, so that a gap before the first event is noticed.
                 return Question(self._keys.state, shapes.state)
             if not self._begun or self._held is not None:
                 return self._past_question()
@@ -67,11 +67,11 @@ class EventSource:
         source, stream = found["source"], found.get("stream")
         if self._stream is None:
             self._stream = stream
-        if stream != self._stream:  # the daemon was started anew, or somebody says so
+        if stream != self._stream:  # a restarted daemon or a forged event: a query decides
             self._held = found
             return
         if source not in self._given and (self._last[source] == _UNKNOWN or found["seq"] <= self._last[source]):
-            self._last[source] = found["seq"] - 1  # published since we listen, however early
+            self._last[source] = found["seq"] - 1  # published after the subscription, so it counts whatever its number
         if found["seq"] > self._last[source] + 1:
             self._held = found
         else:
@@ -104,7 +104,7 @@ class EventSource:
             self._give(held)
 
     def _begin(self, state: Message) -> None:
-        """From where the sequences are."""
+        """Begin after the sequence numbers of a state."""
         self._begun = True
         self._stream = state.get("stream")
         heads = {source: state.get(name) for source, name in _HEADS.items()}
@@ -112,6 +112,6 @@ class EventSource:
 
 
 def _is_after(message: Message, held: Message) -> bool:
-    """Whether a message is the one held, or a later one of its sequence."""
+    """Whether a message is the one held or a later one of its sequence."""
     same = all(message.get(name) == held.get(name) for name in ("source", "stream"))
     return same and bool(message["seq"] >= held["seq"])

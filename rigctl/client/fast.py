@@ -19,9 +19,9 @@ class FastReader:
     """Blocks of the fast stream without gaps or repetitions, and their count."""
 
     def __init__(self, client: Client, *, recover: bool = True, depth: int = DEPTH_BLOCKS) -> None:
-        """``recover``: ask for missed records again; without, a gap is counted as lost at once.
+        """``recover``: query missed records; False: a gap counts as lost at once.
 
-        ``depth``: blocks that may wait to be read before the oldest go (and are asked for again).
+        ``depth``: blocks that may wait to be read; beyond it the oldest are dropped (and queried again).
         """
         self._enquiry = Enquiry(client)
         self._mailbox = Mailbox(client.session, client.keys.fast, depth, client.refusals, LONGEST_BLOCK)
@@ -33,11 +33,11 @@ class FastReader:
         return self._source.count
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until a block has come, ``timeout_s`` at most; whether one has."""
+        """Wait for a block, ``timeout_s`` at most; returns whether one has come."""
         return self._mailbox.wait(timeout_s)
 
     def read(self) -> Iterator[Block]:
-        """Blocks that have come since; returns when there are no more, or while the daemon does not answer."""
+        """Blocks that have come since the last call; ends when there are no more or the daemon does not answer."""
         while (found := self._source.poll()) is not None:
             if not isinstance(found, Question):
                 yield found
@@ -45,7 +45,7 @@ class FastReader:
                 return
 
     def finish(self) -> Iterator[Block]:
-        """As `read`, for the last time: what is missing and cannot be asked for now is lost."""
+        """As `read`, for the last time: missing records that cannot be queried now count as lost."""
         while (found := self._source.poll()) is not None:
             if not isinstance(found, Question):
                 yield found

@@ -1,4 +1,4 @@
-"""Whether the daemon's gateway is there, from its liveliness token."""
+"""Whether the daemon's gateway is alive, from its liveliness token."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import zenoh
 
 
 class Liveliness:
-    """Follows one token. A gateway that ended shows at once, one that hangs after Zenoh's lease (10 s)."""
+    """Follows one token. The end of a gateway shows at once, a hanging gateway after Zenoh's lease (10 s)."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self._changed = threading.Condition()
@@ -23,15 +23,15 @@ class Liveliness:
 
     @property
     def alive(self) -> bool:
-        """Whether the token stands now."""
+        """Whether the token exists now."""
         return self._alive
 
     def wait(self, alive: bool, timeout_s: float | None) -> bool:
-        """Wait until it is there, or gone; whether that came about within ``timeout_s``."""
+        """Wait until the token exists (``alive``) or is gone; returns whether that happened within ``timeout_s``."""
         with self._changed:
             return self._changed.wait_for(lambda: self._alive is alive, timeout_s)
 
     def close(self) -> None:
-        """Follow it no more."""
+        """End the subscription."""
         with contextlib.suppress(zenoh.ZError):
             self._subscriber.undeclare()  # type: ignore[no-untyped-call]

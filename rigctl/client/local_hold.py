@@ -1,4 +1,4 @@
-"""HOLD to a daemon of this computer and user, past the network: see `rigctl.hold.service`."""
+"""HOLD to a daemon of this computer and user, without the network: see `rigctl.hold.service`."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from rigctl.ipc import runtime_folder as runtime
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 
 CONNECT_S = 0.5
-ANSWER_S = 2.5  # the service answers within 1.5 s, also when the loop says nothing
+ANSWER_S = 2.5  # the service answers within 1.5 s, even when the loop does not reply
 _ANSWER_BYTES = 1 << 16
 _EVERY_ADDRESS = r"(0\.0\.0\.0|\[::\])"
 _LOOPBACK = r"(localhost|127\.0\.0\.1|\[::1\])"
 
 
 def same_endpoint(asked: str, listen: str) -> bool:
-    """Whether a client told ``asked`` reaches the gateway that listens at ``listen`` on this computer."""
+    """Whether a client that connects to ``asked`` reaches the gateway listening at ``listen`` on this computer."""
     if asked == listen:
         return True
     protocol, _, where = listen.partition("/")
@@ -32,9 +32,9 @@ def same_endpoint(asked: str, listen: str) -> bool:
 
 
 def socket_of(endpoint: str, rig: str | None) -> pathlib.Path | None:
-    """Hold socket of the daemon of this user and computer that listens at ``endpoint``, and is called ``rig`` if given.
+    """Hold socket of this user's daemon on this computer that listens at ``endpoint``, named ``rig`` if given.
 
-    None for a daemon elsewhere: HOLD for that one must never end at another one here.
+    None for a daemon elsewhere, so that a HOLD meant for it never reaches another daemon here.
     """
     for name, _ in runtime.daemons(runtime.BASE):
         with contextlib.suppress(OSError, msgspec.MsgspecError, RecursionError, KeyError, TypeError):
@@ -47,9 +47,9 @@ def socket_of(endpoint: str, rig: str | None) -> pathlib.Path | None:
 
 
 def hold(endpoint: str, rig: str | None, operator: str) -> dict[str, Any] | None:
-    """Give HOLD on the local socket; the answer, or None where there is no such way: then give it over the network.
+    """Give HOLD on the local socket; returns the answer, or None without one: then give it over the network.
 
-    HOLD twice is HOLD: it does no harm that one without an answer may have been carried out.
+    A second HOLD does no harm if the first was carried out without an answer.
     """
     path = socket_of(endpoint, rig)
     if path is None:

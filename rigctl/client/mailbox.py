@@ -1,4 +1,4 @@
-"""What a subscription has brought and nobody has taken yet. Filled by Zenoh's thread, emptied by one reader."""
+"""Payloads of a subscription that wait to be read. Zenoh's thread fills the mailbox, one reader empties it."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from rigctl.client.shapes import LONGEST_MESSAGE, Refusals
 
 
 class Mailbox:
-    """Payloads in the order they came; when more than ``depth`` wait the oldest go, and are counted."""
+    """Payloads in order of arrival; when more than ``depth`` wait, the oldest are dropped and counted."""
 
     def __init__(
         self, session: zenoh.Session, key: str, depth: int, refusals: Refusals | None = None,
         longest: int = LONGEST_MESSAGE,
     ) -> None:  # fmt: skip
-        """``refusals``: where to count what is refused; ``longest``: bytes a payload may have to be looked at."""
+        """``refusals``: counter of refused payloads; ``longest``: payloads of more bytes are refused unread."""
         self.dropped = 0
         self.refusals = refusals if refusals is not None else Refusals()
         self._key, self._longest = key, longest
@@ -38,7 +38,7 @@ class Mailbox:
         self._ring()
 
     def refuse(self, why: object) -> None:
-        """Count a payload that is none of our daemon's."""
+        """Count a payload that does not have the shape of the daemon's."""
         self.refusals.add(self._key, why)
 
     def _ring(self) -> None:
@@ -47,7 +47,7 @@ class Mailbox:
             wake()
 
     def on_arrival(self, wake: Callable[[], None]) -> None:
-        """Call ``wake`` from Zenoh's thread whenever something has come; it must not wait."""
+        """Call ``wake`` from Zenoh's thread at every arrival; it must not wait."""
         self._wake = wake
 
     def take(self) -> bytes | None:
@@ -55,18 +55,18 @@ class Mailbox:
         return self._waiting.popleft() if self._waiting else None
 
     def wait(self, timeout_s: float | None) -> bool:
-        """Wait until something is there or the mailbox is closed; whether something is there."""
+        """Wait until a payload is there or the mailbox is closed; returns whether one is there."""
         self._come.clear()
         if not self._waiting and not self.closed:
             self._come.wait(timeout_s)
         return bool(self._waiting)
 
     def clear(self) -> None:
-        """Forget what waits."""
+        """Forget the waiting payloads."""
         self._waiting.clear()
 
     def close(self) -> None:
-        """Receive no more; who waits is told."""
+        """End the subscription and wake a waiting reader."""
         if not self.closed:
             self.closed = True
             with contextlib.suppress(zenoh.ZError):  # the session may be closed already

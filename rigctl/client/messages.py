@@ -1,4 +1,4 @@
-"""JSON messages as they come: states, configurations. A message that was missed is not asked for again."""
+"""JSON messages as they arrive: states, configurations. A missed message is not queried."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Decode = Callable[[bytes], Message]
 
 
 def shape_of(keys: Keys, key: str) -> Decode:
-    """How what is published on a key of the rig is decoded and checked."""
+    """The function that decodes and checks messages of a key."""
     return {keys.state: state, keys.active: active, keys.event("*"): event}.get(key, message)
 
 
 class MessageSource:
-    """Every message that came, oldest first; see `rigctl.client.source.Source`."""
+    """Every message that arrived, oldest first; see `rigctl.client.source.Source`."""
 
     def __init__(self, mailbox: Mailbox, decode: Decode) -> None:
         self.mailbox, self._decode = mailbox, decode
@@ -35,7 +35,7 @@ class MessageSource:
         return None
 
     def answer(self, _payload: bytes | None) -> None:
-        """Nothing is ever asked."""
+        """Unused: this source asks no question."""
 
 
 class Feed:
@@ -46,11 +46,11 @@ class Feed:
         self._source = MessageSource(self._mailbox, decode)
 
     def take(self) -> Message | None:
-        """The next message that has come, or None."""
+        """The next message that has arrived, or None."""
         return self._source.poll()
 
     def newest(self) -> Message | None:
-        """The last message that has come, or None; those before it are left out."""
+        """The last message that has arrived, or None; those before it are skipped."""
         last = None
         while (message := self.take()) is not None:
             last = message

@@ -1,7 +1,7 @@
-"""Blocks of the fast stream put in order: every record once; what was missed is asked for again.
+"""Blocks of the fast stream put in order: every record once; missed records are queried.
 
-A gap appears when the connection was down (gateway restarted) or this process was too slow. As long as the ring still
-holds the records (16 s and more) the gateway gives them again; only what it does not hold any more counts as lost.
+A gap appears when the connection was down (gateway restarted) or this process was too slow. The gateway sends the
+records again while the ring holds them (16 s and more); only records it no longer holds count as lost.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def block(payload: bytes) -> Block:
     """A block of the fast stream.
 
     Raises:
-        MessageRefusedError: it is none.
+        MessageRefusedError: the payload is not a block.
     """
     try:
         return decode(payload)
@@ -31,8 +31,8 @@ def block(payload: bytes) -> Block:
 class Count:
     """Figures of a subscription, in records; ``received`` includes ``recovered``.
 
-    ``produced = received + lost``. ``repeated``: came again and were left out. ``malformed``: payloads that are no
-    block. ``streams``: daemons seen, one more whenever it was started anew and numbers begin at 1 again.
+    ``produced = received + lost``. ``repeated``: came again and were left out. ``malformed``: payloads that are not a
+    block. ``streams``: starts of the daemon seen; numbers begin at 1 again with each.
     """
 
     first_seq: int = 0
@@ -51,13 +51,13 @@ class BlockSource:
     """Blocks without gaps or repetitions."""
 
     def __init__(self, mailbox: Mailbox, key: str, *, recover: bool = True) -> None:
-        """``recover``: ask for missed records again; without, a gap is counted as lost at once."""
+        """``recover``: query missed records; False: a gap counts as lost at once."""
         self.mailbox = mailbox
         self.count = Count()
         self._key, self._recover = key, recover
         self._stream = 0
         self._ready: deque[Block] = deque()
-        self._held: Block | None = None  # came after a gap, and waits for what is missing
+        self._held: Block | None = None  # came after a gap and waits for the missing records
 
     def poll(self) -> Block | Question | None:
         """See `rigctl.client.source.Source`."""
@@ -73,7 +73,7 @@ class BlockSource:
             self._put(payload)
 
     def put_back(self, block: Block) -> None:
-        """Give a block once more, before what follows it; it is counted already."""
+        """Put a block back at the front; it is already counted."""
         self._ready.appendleft(block)
 
     def _put(self, payload: bytes) -> None:
@@ -87,14 +87,14 @@ class BlockSource:
         count.blocks += 1
         if not count.streams:
             self._begin(found)
-        anew = found.stream != self._stream  # the daemon was started anew, or somebody says so: it is asked
+        anew = found.stream != self._stream  # a restarted daemon or a forged block: a query decides
         if anew or (found.first_seq > count.last_seq + 1 and self._recover):
             self._held = found
         else:
             self._pass(found)
 
     def _begin(self, found: Block) -> None:
-        """A stream: this subscription begins with what comes first, a daemon started under it with its first record."""
+        """Start a stream: the first at the block's first record, one after a restart of the daemon at record 1."""
         count = self.count
         self._stream = found.stream
         count.streams += 1
@@ -102,7 +102,7 @@ class BlockSource:
         count.last_seq = count.first_seq - 1
 
     def _pass(self, found: Block) -> None:
-        """Give what is new of a block; what is missing before it is lost."""
+        """Pass on the new records of a block; records missing before it count as lost."""
         count = self.count
         gone = max(0, found.first_seq - 1 - count.last_seq)
         count.lost += gone
@@ -145,7 +145,7 @@ class BlockSource:
         self._pass(held)
 
     def _is_known(self, held: Block, answer: Block) -> bool:
-        """Whether the daemon that answers has written the block held, or one before it may have."""
+        """Whether the block held is genuine: the answering daemon, or the one before it, can have written it."""
         if answer.stream == held.stream:
             return answer.head_seq >= held.last_seq
         return held.stream == self._stream

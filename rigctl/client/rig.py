@@ -1,4 +1,4 @@
-"""A rig as a program sees it: samples, states, events, commands. Every call waits; see `rigctl.client.rig_async`."""
+"""The public face of a rig: samples, states, events, commands. Every call blocks; see `rigctl.client.rig_async`."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Samples(Stream[npt.NDArray[Any]]):
     """The fast stream: numpy structured arrays of shape ``(count,)``, each record once and in order.
 
     Its names, units and meanings are in ``rig.fields``; ``seq`` counts the records without a gap, ``t_ns`` is
-    CLOCK_MONOTONIC of the rig's computer. What the ring still holds is asked for again after an interruption; what it
-    does not is in ``count.lost``.
+    CLOCK_MONOTONIC of the rig's computer. After an interruption the missed records are queried again; those that the
+    ring no longer holds are in ``count.lost``.
     """
 
     def __init__(self, client: Client, source: SampleSource) -> None:
@@ -45,7 +45,7 @@ class Samples(Stream[npt.NDArray[Any]]):
 
 
 class Rig:
-    """Connection to one rig's daemon; it comes back by itself when the gateway was restarted. See `connect`."""
+    """Connection to one rig's daemon; it reconnects by itself after a restart of the gateway. See `connect`."""
 
     def __init__(self, connection: Client) -> None:
         """Take over an open connection.
@@ -71,7 +71,7 @@ class Rig:
         """Fields of a sample by name: ``rig.fields["tension_n"].unit`` is ``"N"``."""
         return self._layout.fields
 
-    # -- what it says ---------------------------------------------------------------------------------------
+    # -- data -----------------------------------------------------------------------------------------------
     def state(self) -> Message:
         """The newest state.
 
@@ -81,27 +81,27 @@ class Rig:
         return self.connection.state()
 
     def config(self) -> Message:
-        """What runs: settings, design with gains, calibration, versions, devices. Raises as `state`."""
+        """The active configuration: settings, design with gains, calibration, versions, devices. Raises as `state`."""
         return self.connection.active()
 
     def schema(self) -> Message:
-        """What everything means, as served at ``meta/schema``. Raises as `state`."""
+        """The schema of all messages, as served at ``meta/schema``. Raises as `state`."""
         return self.connection.schema()
 
     def fast(self, depth: int = DEPTH_BLOCKS) -> Samples:
-        """Every tick from now on; ``depth``: blocks (50 a second) that may wait to be read before the oldest go."""
+        """Every tick from now on; ``depth``: blocks (50 a second) that may wait before the oldest are dropped."""
         return Samples(self.connection, self.sample_source(depth))
 
     def states(self) -> Stream[Message]:
-        """States from now on, 50 a second; who is slow misses the oldest."""
+        """States from now on, 50 a second; a slow reader misses the oldest."""
         return Stream(self.connection, self.message_source(self.connection.keys.state))
 
     def configs(self) -> Stream[Message]:
-        """Active configurations from now on: one whenever it changes."""
+        """Active configurations from now on, one at every change."""
         return Stream(self.connection, self.message_source(self.connection.keys.active))
 
     def events(self, *, past: bool = False) -> Stream[Message]:
-        """Events from now on, or from the oldest still held (``past``); each once, also across a restart."""
+        """Events from now on, or from the oldest held (``past``); each once, also across a restart."""
         return Stream(self.connection, self.event_source(past=past))
 
     def wait_event(
@@ -113,8 +113,8 @@ class Rig:
     ) -> Message | None:
         """The first event of this kind, severity and condition; None after ``timeout_s``.
 
-        Looked at are, once each, the events since the last command given here (or since connecting): what happens
-        between a command and this call is not missed.
+        Each event is considered once, from the last command given here (or the connection) on, so that an event between
+        a command and this call is not missed.
         """
         until = None if timeout_s is None else time.monotonic() + timeout_s
         while (event := self._events.read(None if until is None else max(0.0, until - time.monotonic()))) is not None:
@@ -122,32 +122,32 @@ class Rig:
                 return event
         return None
 
-    # -- whether it is there --------------------------------------------------------------------------------
+    # -- liveliness -----------------------------------------------------------------------------------------
     @property
     def refused(self) -> int:
-        """Messages refused so far because they were none of a daemon's."""
+        """Messages refused so far because they did not have the shape of a daemon's."""
         return self.connection.refusals.count
 
     @property
     def alive(self) -> bool:
-        """Whether the daemon's gateway is there; ``state()["loop_alive"]`` tells of its loop."""
+        """Whether the daemon's gateway is alive; ``state()["loop_alive"]`` is about its loop."""
         return self._liveliness.alive
 
     def wait_alive(self, timeout_s: float | None = None) -> bool:
-        """Wait for the daemon; whether it is there within ``timeout_s``."""
+        """Wait for the daemon; returns whether it is alive within ``timeout_s``."""
         return self._liveliness.wait(True, timeout_s)
 
-    # -- what it is told ------------------------------------------------------------------------------------
+    # -- commands -------------------------------------------------------------------------------------------
     def command(
         self, verb: str, value: float | None = None, *, operator: str, lease: str | None = None, **options: bool | str
     ) -> Message:
-        """Give a command; the answer says in ``accepted``, ``reason`` and ``text`` what became of it.
+        """Give a command; ``accepted``, ``reason`` and ``text`` of the answer say what happened.
 
-        It is given under ``lease``, else under the one a former answer brought; without one the lease is taken if
+        It is given under ``lease``, else under the lease of an earlier answer; without one the lease is taken if
         nobody holds it. ``value`` and ``options``: see ``schema()["commands"]``.
 
         Raises:
-            NoDaemonError: no answer; whether the command was carried out is not known.
+            NoDaemonError: no answer; whether the command was carried out is unknown.
         """
         self._standing.restart()
         if lease is not None:
@@ -164,17 +164,17 @@ class Rig:
 
     # -- sources, for plain and asynchronous streams --------------------------------------------------------
     def sample_source(self, depth: int) -> SampleSource:
-        """Samples, to be driven by a stream."""
+        """Source of samples for a stream."""
         keys = self.connection.keys
         return SampleSource(BlockSource(self._mailbox(keys.fast, depth), keys.fast), self._layout, keys.schema)
 
     def event_source(self, *, past: bool = False) -> EventSource:
-        """Events, to be driven by a stream."""
+        """Source of events for a stream."""
         keys = self.connection.keys
         return EventSource(self._mailbox(keys.event("*"), _EVENTS), keys, past=past)
 
     def message_source(self, key: str) -> Source[Message]:
-        """States or configurations, to be driven by a stream."""
+        """Source of states or configurations for a stream."""
         return MessageSource(self._mailbox(key, _STATES), shape_of(self.connection.keys, key))
 
     def _mailbox(self, key: str, depth: int) -> Mailbox:
@@ -211,12 +211,12 @@ def connect(endpoint: str | None = None, rig: str | None = None, *, timeout_s: f
     """Connect to a rig's daemon.
 
     ``endpoint``: e.g. ``tcp/192.168.1.10:7447``, else ``RIGCTL_CONNECT``, else this computer's. ``rig``: its name, else
-    ``RIGCTL_RIG``, else the only one there is. ``timeout_s``: wait so long for a daemon that is not there yet.
+    ``RIGCTL_RIG``, else the only one. ``timeout_s``: how long to wait for a daemon that does not run yet.
 
     Raises:
-        NoDaemonError: nobody there, or not allowed.
-        ChoiceError: not an endpoint, not a name, or several rigs and none chosen.
-        SchemaError: the daemon is of a version this client does not know.
+        NoDaemonError: no daemon answers, or access is not allowed.
+        ChoiceError: endpoint or name is not valid, or several rigs answer and none is chosen.
+        SchemaError: the daemon has a schema version this client does not know.
     """
     until = time.monotonic() + timeout_s
     while True:

@@ -1,4 +1,4 @@
-"""The rig for programs on an event loop. Nothing here blocks it: streams are woken, calls wait in a thread."""
+"""The rig for programs on an event loop. Nothing here blocks the loop: arrivals wake streams, calls run in a thread."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class AsyncSamples(AsyncStream[npt.NDArray[Any]]):
 
 
 class AsyncRig:
-    """As `rigctl.client.rig.Rig`, whose methods say what these do and raise."""
+    """As `rigctl.client.rig.Rig`: same methods, same errors."""
 
     def __init__(self, rig: Rig) -> None:
-        """Take over a rig; to be made in the event loop."""
+        """Take over a rig; must be created in the event loop."""
         self._rig = rig
         self._standing = rig.event_source()
         self._events: AsyncStream[Message] = AsyncStream(rig.connection, self._standing)
@@ -53,16 +53,16 @@ class AsyncRig:
 
     @property
     def refused(self) -> int:
-        """Messages refused so far because they were none of a daemon's."""
+        """Messages refused so far because they did not have the shape of a daemon's."""
         return self._rig.refused
 
     @property
     def alive(self) -> bool:
-        """Whether the daemon's gateway is there."""
+        """Whether the daemon's gateway is alive."""
         return self._rig.alive
 
     async def wait_alive(self, timeout_s: float | None = None) -> bool:
-        """Wait for the daemon; whether it is there within ``timeout_s``."""
+        """Wait for the daemon; returns whether it is alive within ``timeout_s``."""
         until = None if timeout_s is None else asyncio.get_running_loop().time() + timeout_s
         while not self._rig.alive:
             if until is not None and asyncio.get_running_loop().time() >= until:
@@ -75,11 +75,11 @@ class AsyncRig:
         return await asyncio.to_thread(self._rig.state)
 
     async def config(self) -> Message:
-        """What runs."""
+        """The active configuration."""
         return await asyncio.to_thread(self._rig.config)
 
     async def schema(self) -> Message:
-        """What everything means."""
+        """The schema of all messages."""
         return await asyncio.to_thread(self._rig.schema)
 
     def fast(self, depth: int = DEPTH_BLOCKS) -> AsyncSamples:
@@ -87,18 +87,18 @@ class AsyncRig:
         return AsyncSamples(self._rig.connection, self._rig.sample_source(depth))
 
     def states(self) -> AsyncStream[Message]:
-        """States from now on; who is slow misses the oldest."""
+        """States from now on; a slow reader misses the oldest."""
         return self._follow(self._rig.connection.keys.state)
 
     def configs(self) -> AsyncStream[Message]:
-        """Active configurations from now on: one whenever it changes."""
+        """Active configurations from now on, one at every change."""
         return self._follow(self._rig.connection.keys.active)
 
     def _follow(self, key: str) -> AsyncStream[Message]:
         return AsyncStream(self._rig.connection, self._rig.message_source(key))
 
     def events(self, *, past: bool = False) -> AsyncStream[Message]:
-        """Events from now on, or from the oldest still held; each once, also across a restart."""
+        """Events from now on, or from the oldest held (``past``); each once, also across a restart."""
         return AsyncStream(self._rig.connection, self._rig.event_source(past=past))
 
     async def wait_event(
@@ -136,7 +136,7 @@ class AsyncRig:
 async def connect_async(
     endpoint: str | None = None, rig: str | None = None, *, timeout_s: float = 0.0
 ) -> AsyncIterator[AsyncRig]:
-    """``async with connect_async() as rig``: as `rigctl.client.rig.connect`, and closed at the end."""
+    """``async with connect_async() as rig``: as `rigctl.client.rig.connect`; closes the rig at the end."""
     opening = asyncio.ensure_future(asyncio.to_thread(connect, endpoint, rig, timeout_s=timeout_s))
     try:
         found = await asyncio.shield(opening)
@@ -150,6 +150,6 @@ async def connect_async(
 
 
 def _close(opened: asyncio.Future[Rig]) -> None:
-    """Close what was opened for somebody who has gone."""
+    """Close a rig whose connecting task was cancelled."""
     if not opened.cancelled() and opened.exception() is None:
         opened.result().close()

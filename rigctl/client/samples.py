@@ -13,14 +13,14 @@ from rigctl.wire.block import Block
 
 
 class SampleSource:
-    """Every record once, in order. A daemon started anew may be another version: its schema is asked for again."""
+    """Every record once, in order. A restarted daemon may be another version, so its schema is queried again."""
 
     def __init__(self, blocks: BlockSource, layout: Layout, schema_key: str) -> None:
         self.mailbox = blocks.mailbox
         self.layout = layout
         self._blocks, self._schema_key = blocks, schema_key
         self._stream: int | None = None
-        self._undecoded: Block | None = None  # its schema is being asked for
+        self._undecoded: Block | None = None  # waits for its schema
 
     @property
     def count(self) -> Count:
@@ -31,7 +31,7 @@ class SampleSource:
         """See `rigctl.client.source.Source`.
 
         Raises:
-            SchemaError: the daemon was replaced by one whose schema is not known.
+            SchemaError: the daemon was replaced by one whose schema this client does not know.
         """
         if self._undecoded is not None:
             return Question(self._schema_key, usable_schema)
@@ -50,6 +50,6 @@ class SampleSource:
             self._blocks.answer(payload)
         elif payload is not None:
             self.layout, found = layout_of(usable_schema(payload)), self._undecoded
-            self.layout.decode(found)  # refused here if it does not fit
+            self.layout.decode(found)  # raises here if the layout does not fit
             self._stream, self._undecoded = found.stream, None
             self._blocks.put_back(found)

@@ -1,8 +1,8 @@
-"""JSON messages from the network, checked before anything else looks at them: size, depth, types, ranges, text.
+"""JSON messages from the network, checked before any use: size, depth, types, ranges, text.
 
-Anyone on the network may publish on the rig's keys or answer its queries. What does not have the shape of our daemon's
-message is refused here, with its reason; control characters and the like come out in their escaped form, so that
-whatever shows a message may print it. Fields that are not named here are passed on: a newer daemon may have them.
+Anyone on the network may publish on the rig's keys or answer its queries. A message that does not have the shape of the
+daemon's is refused here, with the reason. Control characters and the like are escaped, so that any message may be
+printed. Fields that are not named here are passed on, because a newer daemon may have them.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ DEPTH = 16
 _KIB = 1024
 LONGEST_MESSAGE = 64 * _KIB
 LONGEST_DOCUMENT = 1024 * _KIB  # cfg/active with its tables, meta/schema
-LONGEST_PAST = 16 * _KIB * _KIB  # every event and note the rings can hold
+LONGEST_PAST = 16 * _KIB * _KIB  # all events and notes the rings can hold
 LONGEST_BLOCK = 4 * _KIB * _KIB  # of the fast stream: 1000 records in one answer
 
-Real = float  # any finite one: what a broken sensor sends must still be seen
-Bounded = Annotated[float, Meta(ge=-1e12, le=1e12)]  # of what is set, and of times that are reckoned with
+Real = float  # any finite number: the values of a broken sensor must still be shown
+Bounded = Annotated[float, Meta(ge=-1e12, le=1e12)]  # settings, and times used in calculations
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
-Time = Annotated[int, Meta(ge=-(2**62), le=2**63 - 1)]  # ns, also of a wall clock that was never set
+Time = Annotated[int, Meta(ge=-(2**62), le=2**63 - 1)]  # ns, also from a wall clock that was never set
 Seconds = Annotated[float, Meta(ge=0, le=1e9)]
 Word = Annotated[str, Meta(pattern="^[A-Za-z0-9_]{1,64}$")]
 Line = Annotated[str, Meta(max_length=8192)]
@@ -38,24 +38,24 @@ Lines = Annotated[list[Line], Meta(max_length=256)]
 
 
 class MessageRefusedError(ValueError):
-    """A message that is none of our daemon's; ``str()`` is one line."""
+    """A message without the shape of the daemon's; ``str()`` is one line."""
 
 
 @dataclass
 class Refusals:
-    """What has been refused on one connection."""
+    """Messages refused on one connection."""
 
     count: int = 0
     last: str = ""
 
     def add(self, what: str, why: object) -> None:
-        """One more: on which key, and why."""
+        """Count a refused message: on which key, and why."""
         self.count += 1
         self.last = on_one_line(f"{what}: {why}")
 
     @property
     def words(self) -> str:
-        """In one line; empty without any."""
+        """The refusals in one line; empty without any."""
         if not self.count:
             return ""
         return f"{count(self.count, 'message')} refused, the last on {self.last}"
@@ -259,7 +259,7 @@ _Shape = TypeVar("_Shape")
 
 
 def _checked(payload: bytes, longest: int) -> Any:
-    """What the JSON says, with printable text alone."""
+    """The decoded JSON, with printable text only."""
     if len(payload) > longest:
         raise MessageRefusedError(f"found {len(payload)} bytes, expected at most {longest}")
     try:
@@ -279,7 +279,7 @@ def _of(value: Any, shape: type[Any]) -> Any:
 
 
 def cleaned(value: Any, depth: int = DEPTH) -> Any:
-    """A JSON value whose text is printable: control characters, line ends and the like in their escaped form.
+    """A JSON value with printable text: control characters, line ends and the like are escaped.
 
     Raises:
         MessageRefusedError: it has more than ``depth`` levels.
@@ -296,7 +296,7 @@ def cleaned(value: Any, depth: int = DEPTH) -> Any:
 
 
 def message(payload: bytes) -> Message:
-    """Any JSON object. This and the following raise MessageRefusedError for what is none."""
+    """Any JSON object. This and the following functions raise MessageRefusedError for any other payload."""
     found: Message = _of(_checked(payload, LONGEST_MESSAGE), dict[str, Any])
     return found
 
@@ -313,7 +313,7 @@ def event(payload: bytes) -> Message:
 
 
 def past_events(payload: bytes) -> list[Message]:
-    """What ``events/past`` answers."""
+    """The answer of ``events/past``."""
     return _of(_checked(payload, LONGEST_PAST), list[_Event])  # type: ignore[no-any-return]
 
 
@@ -323,7 +323,7 @@ def active(payload: bytes) -> Message:
 
 
 def document(payload: bytes) -> Message:
-    """A JSON object as long as ``meta/schema``; what of it is used is checked where it is used."""
+    """A JSON object of the length of ``meta/schema``; its fields are checked where they are used."""
     return _of(_checked(payload, LONGEST_DOCUMENT), dict[str, Any])  # type: ignore[no-any-return]
 
 
@@ -333,5 +333,5 @@ def answer(payload: bytes) -> Message:
 
 
 def refusal(payload: bytes) -> Message:
-    """An error reply, as an answer that refuses."""
+    """An error reply, as a refusing answer."""
     return {**_of(message(payload), _Refusal), "accepted": False}

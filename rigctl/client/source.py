@@ -1,6 +1,6 @@
-"""A stream without input or output of its own: what came goes in, what is in order comes out, or a question.
+"""A stream's logic without I/O: received payloads go in, items in order come out, or a question for the daemon.
 
-The plain and the asynchronous client differ only in how they wait and how they ask; see `rigctl.client.stream` and
+The plain and the asynchronous client differ only in how they wait and query; see `rigctl.client.stream` and
 `rigctl.client.stream_async`.
 """
 
@@ -17,9 +17,9 @@ Item_co = TypeVar("Item_co", covariant=True)
 
 @dataclass(frozen=True)
 class Question:
-    """Something to be asked of the daemon before the stream can go on.
+    """A query the daemon has to answer before the stream can continue.
 
-    ``check``: raises MessageRefusedError for an answer that is none of our daemon's.
+    ``check``: raises MessageRefusedError for an answer without the shape of the daemon's.
     """
 
     selector: str
@@ -27,12 +27,12 @@ class Question:
 
 
 class Source(Protocol[Item_co]):
-    """A stream's logic; ``mailbox`` is what it takes from."""
+    """A stream's logic; it reads from ``mailbox``."""
 
     mailbox: Mailbox
 
     def poll(self) -> Item_co | Question | None:
-        """The next item; or a question, until it is answered; or None while there is nothing."""
+        """The next item; a question, until it is answered; or None while nothing waits."""
 
     def answer(self, payload: bytes | None) -> None:
-        """What was answered to the question; None for a refusal, or for no answer that would still come."""
+        """Take the answer to the question; None for a refusal, or when no answer is expected any more."""

@@ -1,4 +1,4 @@
-"""A stream one iterates over, waiting: ``for item in stream``."""
+"""A stream with blocking iteration: ``for item in stream``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Stream(Generic[Item]):
         self._enquiry, self._source = Enquiry(client), source
 
     def read(self, timeout_s: float | None = None) -> Item | None:
-        """The next item; None after ``timeout_s``, or once closed. Nothing is lost by a time-out."""
+        """The next item; None after ``timeout_s``, or once closed. A time-out loses nothing."""
         until = None if timeout_s is None else time.monotonic() + timeout_s
         mailbox = self._source.mailbox
         while not mailbox.closed:
@@ -41,7 +41,7 @@ class Stream(Generic[Item]):
         return None
 
     def close(self) -> None:
-        """Receive no more; may be called from another thread, whose iteration it ends."""
+        """End the subscription; may be called from another thread, and ends an iteration that waits."""
         self._source.mailbox.close()
 
     def __iter__(self) -> Self:

@@ -1,4 +1,4 @@
-"""A stream one iterates over without blocking the event loop: ``async for item in stream``."""
+"""A stream with iteration that does not block the event loop: ``async for item in stream``."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ Item = TypeVar("Item")
 
 
 class AsyncStream(Generic[Item]):
-    """Items in order, for one task. A step that is cancelled (``asyncio.timeout``) loses nothing: the next goes on.
+    """Items in order, for one task. A cancelled step (``asyncio.timeout``) loses nothing: the next step continues.
 
-    Zenoh's thread wakes the event loop when something has come; the daemon is asked in a thread of its own.
+    Zenoh's thread wakes the event loop at an arrival; queries run in a thread of their own.
     """
 
     def __init__(self, client: Client, source: Source[Item]) -> None:
-        """To be made in the event loop that will iterate."""
+        """Must be created in the event loop that will iterate."""
         self._enquiry, self._source = Enquiry(client), source
         self._loop = asyncio.get_running_loop()
         self._come = asyncio.Event()
-        self._asking: asyncio.Future[bool] | None = None  # goes on while the step that began it is cancelled
+        self._asking: asyncio.Future[bool] | None = None  # continues when the step that began it is cancelled
         source.mailbox.on_arrival(self._wake)
 
     def _wake(self) -> None:
@@ -35,7 +35,7 @@ class AsyncStream(Generic[Item]):
     async def read(self) -> Item | None:
         """The next item; None once closed."""
         mailbox = self._source.mailbox
-        await asyncio.sleep(0)  # other tasks have their turn however much is waiting here
+        await asyncio.sleep(0)  # lets other tasks run even while many items wait
         while not mailbox.closed:
             if self._asking is not None:
                 settled = await asyncio.shield(self._asking)
@@ -54,7 +54,7 @@ class AsyncStream(Generic[Item]):
         return None
 
     def close(self) -> None:
-        """Receive no more; ends an iteration that waits."""
+        """End the subscription and an iteration that waits."""
         self._source.mailbox.close()
 
     def __aiter__(self) -> Self:

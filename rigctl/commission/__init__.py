@@ -1,1 +1,1 @@
-"""Commissioning: tare, calibration check and identification, what they find and where it is written down."""
+"""Commissioning: preflight on the host, identification, and the proposal that follows from it."""

@@ -1,16 +1,16 @@
 """Drive lag and delay, stiffness, backlash and noise from the records of an excitation. Pure functions of arrays.
 
-The excitation (`rigctl.control.trials.Excitation`) is a rest, then pairs of small steps of speed up and down, of which
-the first feel their way. Each quantity is fitted over all pairs; what is stated with it is its expanded uncertainty at
-95 % (JCGM 100, Student's t for the number of pairs): the scatter of the fits to single pairs, so that it holds whatever
-the noise is like, and what is the same in every pair (the screw's pitch error, the drive's own cycle).
+The excitation (`rigctl.control.trials.Excitation`) is a rest, then pairs of small steps of speed up and down, the first
+of them shorter. Each quantity is fitted over all pairs and stated with its expanded uncertainty at 95 % (JCGM 100,
+Student's t for the number of pairs). That has two parts: the scatter of the fits to single pairs, which holds for any
+kind of noise, and errors that are the same in every pair (the screw's pitch error, the drive's own cycle).
 
     tau dv/dt = u(t - Td) - v, ds/dt = v   fitted to the position, which the drive latches at the SYNC
     T = T0 + drift t + k q(s) + c v        q: the stroke behind a play of the width of the backlash
 
-The speed a drive reports is no such sample but a mean over some time before: its age is what its delay has beyond that
-of the position. As in the estimator, a sample latched by the SYNC of tick n - 1 is read in tick n: that one tick is not
-in ``Td``.
+The speed a drive reports is not latched but a mean over some time before: its age is its delay less that of the
+position. As in the estimator, a sample latched by the SYNC of tick n - 1 is read in tick n; ``Td`` does not include
+that tick.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from rigctl.config import quantity
 from rigctl.devices.objects import MM_PER_POSITION_UNIT
 
 LATCH_TICKS = 1.0
-PITCH_ERROR_MM, PITCH_LEAD_MM = 0.003, 5.0  # of a screw of class C7, as a sine over a turn; no encoder sees it
-DRIVE_CYCLE_S = 0.125e-3  # a servo drive takes a command over at its own cycle, in phase with nobody
-ROUNDING_MM = 2.0 * MM_PER_POSITION_UNIT / math.sqrt(12.0)  # at 95 %, as if it were normal
-SHORTEST = 0.5  # of the longest step: shorter ones feel their way
+PITCH_ERROR_MM, PITCH_LEAD_MM = 0.003, 5.0  # of a screw of class C7, as a sine over a turn; no encoder shows it
+DRIVE_CYCLE_S = 0.125e-3  # a servo drive takes a command at its own cycle, which is not in phase with the bus
+ROUNDING_MM = 2.0 * MM_PER_POSITION_UNIT / math.sqrt(12.0)  # at 95 %, taken as normal
+SHORTEST = 0.5  # of the longest step: shorter steps are the careful first ones and are not fitted
 MOVING_MM_S = 1e-6
 FEWEST_PAIRS = 3
-_DELAYS = range(0, 41, 2)  # ticks, where the search begins
+_DELAYS = range(0, 41, 2)  # ticks, start values of the search
 _LAGS_S = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1)
 _ITERATIONS = 12
 _LOOKS, _PLAY_STEPS = 12, 16
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-_NOISE_WINDOW_S = 0.1  # slower than this is motion, not noise
+_NOISE_WINDOW_S = 0.1  # slower changes are motion, not noise
 
 
 class IdentificationError(ValueError):
-    """The records do not tell; ``str()`` says why, in one line."""
+    """The records do not determine the plant; ``str()`` says why, in one line."""
 
 
 @dataclass(frozen=True)
@@ -63,13 +63,13 @@ class Signals:
     tension: Array
 
     def part(self, where: slice) -> Signals:
-        """Some of the ticks."""
+        """The signals over some of the ticks."""
         return Signals(self.period_s, self.command[where], self.stroke[where], self.speed[where], self.tension[where])
 
 
 @dataclass(frozen=True)
 class Drive:
-    """Lag and delay in s, steady speed over commanded speed, age of its reported speed in s; stroke in mm by them."""
+    """Lag and delay in s, steady speed over commanded speed, age of the reported speed in s; fitted stroke in mm."""
 
     lag_s: Estimate
     delay_s: Estimate
@@ -87,10 +87,10 @@ class Rope:
 
 
 def pairs_of(command: Array) -> list[slice]:
-    """Where each pair of steps is: from its first command up to that of the next.
+    """Ticks of each pair of steps: from its first command up to that of the next pair.
 
     Raises:
-        IdentificationError: there are too few.
+        IdentificationError: there are too few pairs.
     """
     moving = np.flatnonzero(np.abs(command) > MOVING_MM_S)
     if not len(moving):
@@ -107,7 +107,7 @@ def pairs_of(command: Array) -> list[slice]:
 def drive(signals: Signals) -> Drive:
     """Fit lag, delay and gain of the drive."""
     everything = _fit_drive(signals, None)
-    # One pair sees the step before it in its first ticks only; half of a rest is far beyond that.
+    # A pair is affected by the step before it only in its first ticks, much less than half of a rest.
     pairs = pairs_of(signals.command)
     single = np.array([_fit_drive(signals.part(where), everything) for where in pairs])
     ages = np.array([_speed_delay(signals.part(where), everything) - everything[1] for where in pairs])
@@ -115,7 +115,7 @@ def drive(signals: Signals) -> Drive:
     moved = gain * _moved(signals, lag_s, delay)
     fitted = moved - moved.mean() + signals.stroke.mean()
     exact = float(np.std(signals.stroke - fitted)) < MM_PER_POSITION_UNIT
-    # The position's rounding is much the same in every pair.
+    # The rounding of the position is nearly the same in every pair, so the scatter does not show it.
     rounded_s = ROUNDING_MM / float(np.abs(signals.command).max())
     rounded_share = ROUNDING_MM / float(np.ptp(fitted)) / math.sqrt(len(pairs))
     return Drive(
@@ -149,7 +149,7 @@ def _moved(signals: Signals, lag_s: float, delay: float) -> Array:
 
 
 def _speed_delay(signals: Signals, known: tuple[float, float, float]) -> float:
-    """Delay in ticks of the reported speed, all else being known."""
+    """Delay in ticks of the reported speed, with lag and gain known."""
     lag_s, delay, gain = known
 
     def cost(tried: float) -> float:
@@ -192,14 +192,14 @@ def _fit_drive(signals: Signals, start: tuple[float, float, float] | None) -> tu
 
 
 def _scaled(shape: Array, stroke: Array) -> tuple[Array, float]:
-    """What a stroke of this shape, scaled and offset to fit, leaves of the one measured; and the scale."""
+    """Residual of the measured stroke after a fit of ``shape`` by scale and offset; and the scale."""
     columns = np.column_stack([shape, np.ones_like(shape)])
     weights, *_ = np.linalg.lstsq(columns, stroke, rcond=None)
     return stroke - columns @ weights, float(weights[0])
 
 
 def _first_look(signals: Signals) -> tuple[float, float]:
-    """Lag in s and delay in ticks that leave least, of a coarse grid: whole ticks, so that one response serves all."""
+    """Best lag in s and delay in ticks of a coarse grid; whole ticks, so that one response serves all delays."""
     left: dict[tuple[float, float], float] = {}
     for lag_s in _LAGS_S:
         prompt = _moved(signals, lag_s, 0.0)
@@ -211,9 +211,10 @@ def _first_look(signals: Signals) -> tuple[float, float]:
 
 
 def rope(signals: Signals, drive: Drive, noise_n: float) -> Rope:
-    """Fit stiffness and backlash; the first pair is left out, for where in its play the nut begins is not known.
+    """Fit stiffness and backlash; the first pair is left out, since the nut's place in its play is unknown there.
 
-    ``noise_n``: the cell's, at most. What the fit leaves beyond it is no spring behind a play: uncertain both.
+    ``noise_n``: upper bound of the cell's noise. A larger residual means that the model of a spring behind a play does
+    not fit, and adds to both uncertainties.
     """
     signals = replace(signals, stroke=drive.stroke)
     pairs = pairs_of(signals.command)[1:]
@@ -222,24 +223,24 @@ def rope(signals: Signals, drive: Drive, noise_n: float) -> Rope:
     stiffness, backlash, left_n, explained_n = _fit_rope(signals, after_first, reach_mm)
     single = np.array([_fit_rope(signals, part, reach_mm)[:2] for part in pairs])
     errors = _scatter(single)
-    # The same in every pair: the part of a sine of the pitch that lies in this stroke, at worst.
+    # The pitch error is the same in every pair: at worst, the part of its sine that lies in this stroke.
     pitch_mm = 2.0 * PITCH_ERROR_MM * math.sin(min(0.5, reach_mm / PITCH_LEAD_MM) * math.pi)
     misfit = 2.0 * math.sqrt(max(0.0, left_n**2 - noise_n**2)) / explained_n if explained_n else math.inf
     shares = drive.gain.error / drive.gain.value, misfit
     random_n_mm = math.hypot(float(errors[0]), *(stiffness * share for share in shares))
     return Rope(
-        Estimate(stiffness, random_n_mm + abs(stiffness) * pitch_mm / reach_mm),  # a bound is no scatter: it is added
+        Estimate(stiffness, random_n_mm + abs(stiffness) * pitch_mm / reach_mm),  # a bound adds linearly
         Estimate(backlash, math.hypot(float(errors[1]), pitch_mm, reach_mm * misfit)),
     )
 
 
 def _fit_rope(signals: Signals, part: slice, reach_mm: float) -> tuple[float, float, float, float]:
-    """Stiffness, backlash, rms left and rms explained by the stroke in N.
+    """Stiffness, backlash, rms of the residual and rms explained by the stroke in N.
 
-    The play is the one that leaves least, by search; all else by linear least squares.
+    The play is found by search for the least residual, the rest by linear least squares.
     """
     where = np.arange(part.start, part.stop)
-    before = max(0, 2 * part.start - part.stop)  # as long again: the play there tells where in it the nut begins
+    before = max(0, 2 * part.start - part.stop)  # the ticks before show the nut's place in its play
     stroke = signals.stroke[before : part.stop]
     time = (where - where.mean()) * signals.period_s
 
@@ -256,7 +257,7 @@ def _fit_rope(signals: Signals, part: slice, reach_mm: float) -> tuple[float, fl
 
 
 def _least(cost: Callable[[float], float], low: float, high: float) -> float:
-    """Where ``cost`` is least: a coarse look, then golden section."""
+    """The minimum of ``cost``, by a coarse grid, then golden section."""
     looks = np.linspace(low, high, _LOOKS)
     best = int(np.argmin([cost(float(at)) for at in looks]))
     low, high = float(looks[max(best - 1, 0)]), float(looks[min(best + 1, len(looks) - 1)])
@@ -275,7 +276,7 @@ def _least(cost: Callable[[float], float], low: float, high: float) -> float:
 
 
 def noise(values: Array, period_s: float) -> Estimate:
-    """Rms at rest, about a straight line over each tenth of a second: slower than that is motion, not noise."""
+    """Rms at rest about a straight line over each ``_NOISE_WINDOW_S``; slower changes are motion, not noise."""
     length = max(8, round(_NOISE_WINDOW_S / period_s))
     count = len(values) // length
     if count == 0:

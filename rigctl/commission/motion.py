@@ -1,4 +1,4 @@
-"""How a drive follows a command, and a nut its screw. Pure functions of arrays, one value per tick."""
+"""Motion of a drive after its command, and of a nut on its screw. Pure functions of arrays, one value per tick."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def delayed(command: Array, delay: float) -> Array:
 def response(command: Array, share: float, delay: float) -> Array:
     """First-order response with unit gain to a command held over each tick, ``delay`` ticks late.
 
-    ``share``: tick over lag. Exact between the ticks too: the delay may be any number of them.
+    ``share``: tick over lag. The response is exact for a fractional delay too.
     """
     decay = math.exp(-share)
     state, states = 0.0, []
@@ -37,7 +37,7 @@ def response(command: Array, share: float, delay: float) -> Array:
 
 
 def behind_play(stroke: Array, play_mm: float) -> Array:
-    """Where a nut with ``play_mm`` of play is, pushed by the screw from either side."""
+    """Position of a nut with ``play_mm`` of play, pushed by the screw from either side."""
     nut, found = float(stroke[0]), []
     half = 0.5 * play_mm
     values: list[float] = stroke.tolist()

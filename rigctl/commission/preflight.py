@@ -1,7 +1,7 @@
-"""The part of the preflight the loop cannot make itself: files, margins, what the system granted, room on the disks.
+"""The host checks, the part of the preflight the loop cannot make itself: files, margins, real time, disk space.
 
-The gateway judges it in a thread of its own, twice a second and more often while something fails, because a disk may
-be slow; the loop is told when it changes and before every ARM (`rigctl.control.modes.Setting.HOST_CHECKS`).
+The gateway judges them in a separate thread, because a disk may be slow, twice a second and more often while a check
+fails. The loop gets the result when it changes and before every ARM (`rigctl.control.modes.Setting.HOST_CHECKS`).
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ from rigctl.ipc.ledger import CLOCKS_DIFFER, Standing, moment
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 
 CONTROL = "control.json"
-LOOK_S, LOOK_AGAIN_S = 0.5, 0.1  # between two looks, and while something fails
-FIRST_LOOK_S = 1.0  # a gateway that starts waits so long for the first
-STALE_NS = 2_000_000_000  # a look older than this is none: a disk that hangs does not arm a rig
+LOOK_S, LOOK_AGAIN_S = 0.5, 0.1  # interval of the checks, normally and while one fails
+FIRST_LOOK_S = 1.0  # a starting gateway waits at most this long for the first result
+STALE_NS = 2_000_000_000  # an older result is not valid: with a hanging disk no rig is armed
 MIB = 1 << 20
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What fails, in words that say what to do, and what would but for a waiver, in the waiver's words."""
+    """Failing checks with the words for the operator, and waived checks with the waiver's words."""
 
     failing: Mapping[Check, str] = field(default_factory=dict)
     waived: Mapping[Check, str] = field(default_factory=dict)
-    known: Mapping[Check, str] = field(default_factory=dict)  # what else is known of checks of the loop, if they fail
+    known: Mapping[Check, str] = field(default_factory=dict)  # details of the loop's own checks, if they fail
 
     @property
     def words(self) -> Mapping[Check, str]:
-        """For every check of which more is known than that it fails."""
+        """Details by check, for those that have any."""
         return {**self.known, **self.failing}
 
     @property
     def host_checks(self) -> Check:
-        """Bits for the loop: CALIBRATION it is told otherwise, and the drive's stop it knows."""
+        """Bits for the loop; without CALIBRATION, which has its own setting, and the drive's stop, which it knows."""
         bits = Check(0)
         for check in self.failing:
             bits |= check & HOST_CHECKS
@@ -54,7 +54,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Folder:
-    """Where the rig writes: the folder asked for, what is free there (None: unknown), whether we may write there."""
+    """A folder the rig writes to, its free space (None: unknown), and whether this process may write there."""
 
     path: pathlib.Path
     free_mib: int | None
@@ -69,9 +69,9 @@ def judge(
     folders: Sequence[Folder],
     now: datetime,
 ) -> Verdict:
-    """Every check, from what was read.
+    """Judge every check.
 
-    ``active`` and ``control`` are the daemon's files of these names; what is not in them is not known, and fails.
+    ``active`` and ``control`` are the daemon's files of these names; a check fails if its values are missing there.
     """
     calibration = settings.calibration
     waiver = calibration.waiver if calibration is not None else None
@@ -89,7 +89,7 @@ def judge(
 
 
 def folders(settings: RigSettings) -> list[Folder]:
-    """Every folder the rig file has something written to: each disk once, and each folder that we may not write to."""
+    """Folders the rig file has written to: one for each disk, and each folder this process may not write to."""
     ledger = settings.ledger
     places = [*([ledger.parent] if ledger else []), settings.audit_log.parent, settings.file(settings.audit.trips)]
     found: dict[int, Folder] = {}
@@ -166,7 +166,7 @@ def _disk(settings: RigSettings, found: Sequence[Folder]) -> str:
 
 
 def _supervision(control: Mapping[str, Any]) -> str:
-    """Which of the drive's own stop settings is not what was written, as start-up read them back."""
+    """The drive's own stop settings that start-up did not read back as written, in words; empty if all are right."""
     listed = control.get("supervision")
     wrong = [item for item in listed if not item.get("ok")] if isinstance(listed, list) else []
     words = [
@@ -178,7 +178,7 @@ def _supervision(control: Mapping[str, Any]) -> str:
 
 
 class Preflight:
-    """Looks by itself, and keeps the newest verdict."""
+    """Judges the host checks in a thread and keeps the newest verdict."""
 
     def __init__(
         self,
@@ -187,7 +187,7 @@ class Preflight:
         standing: Callable[[], Standing],
         told: Callable[[], Mapping[Check, str]] = dict,
     ) -> None:
-        """``standing``: what the ledger says now. ``told``: what the loop has said of its own checks."""
+        """``standing``: the ledger's standing now. ``told``: details of the loop's own checks."""
         self._told = told
         self._runtime, self._settings, self._standing = runtime, settings, standing
         self._newest: tuple[int, Verdict] | None = None
@@ -197,11 +197,11 @@ class Preflight:
         self._first.wait(FIRST_LOOK_S)
 
     def close(self) -> None:
-        """Look no more."""
+        """End the thread."""
         self._stop.set()
 
     def verdict(self, now_ns: int) -> Verdict:
-        """The newest, as of ``now_ns`` (CLOCK_MONOTONIC); one that says nothing but `Check.HOST` where that is old."""
+        """The newest verdict; only `Check.HOST` fails in it if it is stale at ``now_ns`` (CLOCK_MONOTONIC)."""
         if self._newest is None or now_ns - self._newest[0] > STALE_NS:
             return Verdict({Check.HOST: "tare, margins, real time and disk cannot be looked at: does a disk hang?"})
         return replace(self._newest[1], known=self._told())
@@ -216,7 +216,7 @@ class Preflight:
 
 
 def look(runtime: Runtime, settings: RigSettings, standing: Standing, now: datetime) -> Verdict:
-    """Read what there is to read, and judge it."""
+    """Read files and disks and judge them."""
     read: dict[str, dict[str, Any]] = {ACTIVE: {}, CONTROL: {}}
     for name in read:
         with contextlib.suppress(OSError, msgspec.MsgspecError):

@@ -1,4 +1,4 @@
-"""A plant for the rig file from what an identification found: each key with what is in the file, and what was found."""
+"""A proposal for the rig file's plant from an identification: each key with its value in the file and the one found."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from rigctl.config.quantity import count
 from rigctl.config.settings import RigSettings
 from rigctl.control.trials import QUIET_S
 
-LAST_QUIET_S = 0.01  # of the rest before the first step, left out
-LAG_SHARE = STIFFNESS_SHARE = 0.1  # uncertainty over value: a figure less certain than this is none
+LAST_QUIET_S = 0.01  # end of the rest before the first step, left out
+LAG_SHARE = STIFFNESS_SHARE = 0.1  # largest uncertainty over value of a figure that is proposed
 DELAY_ERROR_S = 2e-3
-SKIPPED_S = 0.01  # the rig goes on while the loop stands: half a lag of it is no measurement any more
+SKIPPED_S = 0.01  # longest gap of the loop: the rig moves on meanwhile, and half a lag spoils the measurement
 
 
 def signals_of(records: npt.NDArray[Any], period_s: float) -> Signals:
-    """The columns an identification needs, tick by tick: in one that was skipped everything stayed as it was.
+    """The columns for an identification, tick by tick; a skipped tick repeats the values before it.
 
     Raises:
-        IdentificationError: records are missing, or the loop was stopped meanwhile.
+        IdentificationError: records are missing, or the loop was stopped for too long.
     """
     if len(records) < 2:
         raise IdentificationError("the records of the excitation are not there any more")
@@ -44,7 +44,7 @@ def signals_of(records: npt.NDArray[Any], period_s: float) -> Signals:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a proposal; ``why`` there is no ``found``."""
+    """One line of a proposal; ``why``: reason without a ``found``."""
 
     key: str
     unit: str
@@ -53,7 +53,7 @@ class Row:
     why: str = ""
 
     def told(self, *, share: float = math.inf, error: float = math.inf) -> Row:
-        """The same, without a figure whose uncertainty is larger than this share of it, or this error."""
+        """The same row, without its figure if the uncertainty exceeds ``share`` of it or ``error``."""
         found = self.found
         if found is None or found.error <= min(error, share * abs(found.value)):
             return self
@@ -61,7 +61,7 @@ class Row:
         return replace(self, found=None, why=f"too uncertain: {value} +- {uncertainty} {self.unit}".rstrip())
 
     def as_json(self) -> dict[str, Any]:
-        """Of numbers and words."""
+        """As JSON values."""
         found = self.found
         figures = (found.value, found.error) if found is not None and math.isfinite(found.value) else (None, None)
         return {
@@ -71,10 +71,10 @@ class Row:
 
 
 def rows(signals: Signals, settings: RigSettings) -> list[dict[str, Any]]:
-    """What was found: key, unit, ``before`` (null: no such key), ``found``, its ``error`` (95 %); or null, and ``why``.
+    """Rows of key, unit, ``before`` (null: no such key), ``found`` with ``error`` (95 %), or null and ``why``.
 
     Raises:
-        IdentificationError: the records do not tell.
+        IdentificationError: the records do not determine the plant.
     """
     plant, drive = settings.plant, identification.drive(signals)
     rest = slice(0, round((QUIET_S - LAST_QUIET_S) / signals.period_s))
@@ -92,7 +92,7 @@ def rows(signals: Signals, settings: RigSettings) -> list[dict[str, Any]]:
 
 
 def _of_rope(signals: Signals, settings: RigSettings, drive: Drive, cell: Estimate) -> list[Row]:
-    """Stiffness with what of the rig file it stands for, and backlash."""
+    """Stiffness, the key of the rig file that follows from it, and backlash."""
     plant = settings.plant
     stiffness = Row("stiffness", "N/mm", plant.stiffness_n_mm)
     backlash = Row("backlash", "mm")
@@ -115,7 +115,7 @@ def _of_rope(signals: Signals, settings: RigSettings, drive: Drive, cell: Estima
 
 
 def _spring(stiffness: Estimate, rope_n_mm: float) -> Estimate | None:
-    """The spring that makes this stiffness in series with the rope, equation (17); None if the rope alone is softer."""
+    """Spring that gives this stiffness in series with the rope, equation (17); None if the rope alone is softer."""
     compliance = 1.0 / stiffness.value - 1.0 / rope_n_mm if stiffness.value > 0.0 else 0.0
     if compliance <= 0.0:
         return None
@@ -146,6 +146,6 @@ def in_words(found: list[dict[str, Any]]) -> str:
 
 
 def rounded(value: float, error: float) -> tuple[str, str]:
-    """A value to the second digit of its uncertainty, and that; six decimals at most."""
+    """A value to the second digit of its uncertainty, and the uncertainty; six decimals at most."""
     digits = 4 if error <= 0.0 else min(6, max(0, 1 - math.floor(math.log10(error))))
     return f"{value:z.{digits}f}", f"{error:.{digits}f}"

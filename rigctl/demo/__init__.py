@@ -1,1 +1,1 @@
-"""``rigctl demo``: the daemon's main job on the simulated rig, played, watched and judged."""
+"""``rigctl demo``: plays the paper's move on the simulated rig and judges it."""

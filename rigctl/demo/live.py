@@ -1,4 +1,4 @@
-"""The demo in real time: simulated rig, daemon and an independent subscriber, each in processes of their own."""
+"""The demo in real time: simulated rig, daemon and an independent subscriber, each in its own processes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from rigctl.recorder import parts
 
 OPERATOR = "demo"
 STATE_LIMIT_S = 2.0
-PAUSE_TICKS = 10  # missed together: more than a computer that has time for the loop ever takes
+PAUSE_TICKS = 10  # ticks missed together that mean a pause: a computer with time for the loop never misses as many
 
 
 class LiveStage:
@@ -98,7 +98,7 @@ class LiveStage:
         return (t_ns - self._start_ns) * 1e-9
 
     def pass_time(self, seconds: float) -> None:
-        """See `Stage`; also keeps the lease, and takes the records out of the ring before they are overwritten."""
+        """See `Stage`; also renews the lease, and reads the records before the ring overwrites them."""
         time.sleep(seconds)
         if self._renew_ns and time.monotonic_ns() >= self._renew_ns:
             try:
@@ -135,7 +135,7 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
     """Play the demo in real time.
 
     Raises:
-        PausedError: it tripped because this computer stopped the loop.
+        PausedError: the rig tripped because this computer stopped the loop.
         DemoError: a process did not start or answer, or the script could not be played to its end.
     """
     if settings.can.interface != "rigsim":
@@ -167,9 +167,9 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
 
 
 def _by_pause(stage: LiveStage, settings: RigSettings) -> PausedError | None:
-    """What is to be said of a trip that a pause of this computer has caused; None where none has.
+    """The error for a trip caused by a pause of this computer; None for any other trip.
 
-    The loop measures it itself: it missed periods of its grid within the window of the overrun's limit.
+    The loop's own records show the pause: missed periods of the grid within the window of the overrun's limit.
     """
     stage.pass_time(0.0)
     records = np.concatenate(stage.records)

@@ -1,7 +1,7 @@
-"""The simulated rig and a daemon of its own, for demo, bench and tests: their bus, rig name, endpoint and files too.
+"""The test rig: simulated rig and daemon with their own bus, rig name, endpoint and files, for demo, bench and tests.
 
-A rig's own daemon may run on the same computer: nothing here reaches it. Every command carries the run id of the
-daemon that was started here, and no other daemon accepts it.
+A real rig's daemon may run on the same computer; nothing here reaches it. Every command carries the run id of the
+daemon started here, and no other daemon accepts it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class LiveRigError(RuntimeError):
 
 @dataclass(frozen=True)
 class LiveRig:
-    """What runs, and the connection to it."""
+    """The running processes, and the connection to the daemon."""
 
     settings: RigSettings
     client: Client
@@ -47,10 +47,10 @@ class LiveRig:
     daemon: subprocess.Popen[bytes]
 
     def command(self, verb: Verb, operator: str, value: float | None = None) -> dict[str, Any]:
-        """Give a command; its answer. A daemon that has just come up has not heard every device yet: it is tried anew.
+        """Give a command; returns its answer. It is repeated while a new daemon has not heard every device yet.
 
         Raises:
-            LiveRigError: it was refused, or nobody answered.
+            LiveRigError: it was refused, or the daemon did not answer.
         """
         until_ns = time.monotonic_ns() + ARM_NS
         while True:
@@ -66,7 +66,7 @@ class LiveRig:
         return answer
 
     def end(self) -> None:
-        """End both, the daemon first: the rig has closed its truth log when this returns.
+        """End daemon, then simulated rig, which has closed its truth log when this returns.
 
         Raises:
             LiveRigError: one of them did not end.
@@ -82,7 +82,7 @@ class LiveRig:
         """The daemon's state.
 
         Raises:
-            LiveRigError: nobody answered.
+            LiveRigError: the daemon did not answer.
         """
         try:
             return self.client.state()
@@ -91,11 +91,11 @@ class LiveRig:
 
 
 def own(settings: RigSettings, purpose: str) -> RigSettings:
-    """The rig's settings under a name and an endpoint of their own, with state files beside a rig file of their own.
+    """The rig's settings with another name and endpoint, and with their own state files and rig file.
 
     Args:
         settings: the rig's.
-        purpose: what the name begins with; one name for each rig, so that its recordings are limited as the rig's are.
+        purpose: prefix of the name; each rig has one name while that is free, so that its recordings stay limited.
     """
 
     def of(section: str, **changes: Any) -> Any:
@@ -122,7 +122,7 @@ def own(settings: RigSettings, purpose: str) -> RigSettings:
 
 
 def free_endpoint() -> str:
-    """A loopback port nobody listens on."""
+    """A free loopback port."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{free.getsockname()[1]}"
@@ -132,16 +132,16 @@ def free_endpoint() -> str:
 def start_live_rig(
     settings: RigSettings, folder: pathlib.Path, *options: str, quiet: bool = False
 ) -> Iterator[LiveRig]:
-    """Run both until the block ends; it begins once the daemon is DISARMED.
+    """Run daemon and simulated rig until the block ends; the block begins once the daemon is DISARMED.
 
     Args:
-        settings: as they are to be played, see `own`; the bus is replaced by a socket in ``folder``.
-        folder: where rig file and bus socket stand meanwhile.
-        options: further ones for ``python -m hil serve``.
-        quiet: what the daemon tells of its way is not shown, its complaints are.
+        settings: those to run with, see `own`; the bus is replaced by a socket in ``folder``.
+        folder: folder for rig file and bus socket.
+        options: further options of ``python -m hil serve``.
+        quiet: hide the daemon's log, but not its errors.
 
     Raises:
-        LiveRigError: one of them could not start; what it had to say stands on standard error.
+        LiveRigError: one of them could not start; its message is on standard error.
     """
     bus = settings.can.model_copy(update={"channel": str(folder / "bus.sock")})
     settings = settings.model_copy(update={"can": bus})
@@ -149,7 +149,7 @@ def start_live_rig(
     with contextlib.ExitStack() as stack:
         rig = stack.enter_context(process("hil", "serve", file, *options, stdout=subprocess.PIPE))
         assert rig.stdout is not None
-        rig.stdout.readline()  # it serves, or it has ended and said why
+        rig.stdout.readline()  # returns when the rig serves or has ended
         daemon = stack.enter_context(process("rigctl", "run", file, stdout=subprocess.DEVNULL if quiet else None))
         client = stack.enter_context(_connect(daemon, rig, settings))
         yield LiveRig(settings, client, rig, daemon)
@@ -157,9 +157,9 @@ def start_live_rig(
 
 @contextlib.contextmanager
 def process(*arguments: str, **options: Any) -> Iterator[subprocess.Popen[bytes]]:
-    """``python -m arguments``, told to end with the block, and then made to.
+    """``python -m arguments``; at the end of the block it gets SIGTERM and, if it does not end, SIGKILL.
 
-    In a session of its own: a Ctrl-C reaches the command alone, which ends the daemon before the rig.
+    It has a session of its own, so that Ctrl-C reaches only the command, which ends the daemon before the rig.
     """
     child = subprocess.Popen([sys.executable, "-m", *arguments], start_new_session=True, **options)
     try:
@@ -175,7 +175,7 @@ def process(*arguments: str, **options: Any) -> Iterator[subprocess.Popen[bytes]
 
 
 def run_id_of(daemon: subprocess.Popen[bytes], rig: str) -> str | None:
-    """Run id of a daemon of ``rig`` that was started here; None as long as the runtime folder is not that one's."""
+    """Run id of the daemon of ``rig`` started here; None until the runtime folder belongs to it."""
     with contextlib.suppress(OSError, msgspec.MsgspecError):
         written = Runtime.of(rig).read_json(ACTIVE)
         if written.get("pid") == daemon.pid and isinstance(run_id := written.get("run_id"), str):
@@ -184,7 +184,7 @@ def run_id_of(daemon: subprocess.Popen[bytes], rig: str) -> str | None:
 
 
 def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], settings: RigSettings) -> Client:
-    """The operator's connection to the daemon that was started here and to no other, once its loop runs."""
+    """The operator's connection to the daemon started here, and to no other, once its loop runs."""
     limit_s = START_LIMIT_S + settings.start_up_limit_s
     until = time.monotonic() + limit_s
     while time.monotonic() < until:
@@ -206,7 +206,7 @@ def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], sett
 
 
 def rig_file(settings: RigSettings, folder: pathlib.Path) -> pathlib.Path:
-    """The rig file as it is played, with device files by their whole path."""
+    """The rig file to run with, with absolute paths of device files."""
     data = settings.model_dump(mode="json", exclude={"directory", "plain"}, exclude_none=False)
     for device in ("tension_cell", "inclinometer", "cylinder", "rail_encoder", "io"):
         if not data[device]:

@@ -76,7 +76,7 @@ class LockstepStage:
             self._recording.poll(now_ns, now_ns + self._wall_offset_ns)
 
     def end_recording(self) -> pathlib.Path | None:
-        """Its file; None: it is not recorded.
+        """End the recording; returns its file, or None without one.
 
         Raises:
             DemoError: it could not be written.
@@ -111,7 +111,7 @@ def play_lockstep(settings: RigSettings, demo: DemoSettings, show: Show) -> Summ
 
 
 def _recorded(rig: Lockstep, design: dict[str, Any]) -> Continuous:
-    """A recording of the rig, as the recorder process of a daemon would make it."""
+    """A recording of the rig as a daemon's recorder makes it."""
     wall_ns = time.time_ns()
     active = {
         "settings": rig.settings.model_dump(mode="json"),

@@ -1,4 +1,4 @@
-"""The demo's script: arm, tension, the paper's move, release, disarm. The same for real time and lockstep."""
+"""The demo's script, the same for real time and lockstep: arm, tension, the paper's move, release, disarm."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class TrippedError(DemoError):
 
 
 class PausedError(DemoError):
-    """This computer stopped the loop for longer than the rig may be left alone."""
+    """This computer stopped the loop for longer than the rig tolerates."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What a person sees of one moment."""
+    """The values shown of one moment."""
 
     t_s: float  # since the start of the demo
     mode: Mode
@@ -42,7 +42,7 @@ Show = Callable[[Moment, str], None]
 
 
 class Stage(Protocol):
-    """Where the script is played: on real processes, or in lockstep."""
+    """The rig of the script: real processes, or lockstep."""
 
     def command(self, verb: Verb) -> None:
         """Give a command; raises `DemoError` if it is refused."""
@@ -51,10 +51,10 @@ class Stage(Protocol):
         """Start the mechanism's move."""
 
     def moving(self) -> bool:
-        """The mechanism moves."""
+        """Whether the mechanism moves."""
 
     def moment(self) -> Moment:
-        """How things are now."""
+        """The present values."""
 
     def pass_time(self, seconds: float) -> None:
         """Let time pass."""

@@ -1,4 +1,4 @@
-"""What the demo measured, held against the limits in the rig file."""
+"""The demo's figures, compared with the limits in the rig file."""
 
 from __future__ import annotations
 
@@ -48,17 +48,17 @@ class Summary:
     eta_cell_max_pct: float
     skipped_ticks: int
     ticks: int
-    lateness_us: dict[str, float] | None  # None in lockstep: nothing is late in simulated time
+    lateness_us: dict[str, float] | None  # None in lockstep: no tick is late in simulated time
     work_us: dict[str, float] | None
     frames: Frames
     telemetry: Telemetry | None  # None in lockstep: there is no subscriber
     duration_s: float
     tripped: bool
-    recording: str | None  # first part of it; None: nothing was recorded
+    recording: str | None  # its first part; None without a recording
     passed: bool
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; a figure that could not be taken is null."""
+        """As JSON values; a missing figure is null."""
         values = asdict(self)
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
 
@@ -71,9 +71,9 @@ def summarise(
     Args:
         records: ``record.RECORD`` slots.
         truth: a structured array with ``t_ns`` and ``vertical_n`` from the plant.
-        telemetry: what the subscriber counted; None in simulated time, where neither it nor lateness exists.
+        telemetry: the subscriber's count; None in simulated time, which has no subscriber and no lateness.
         demo: the limits.
-        recording: what was kept of it.
+        recording: its file, if there is one.
     """
     spans = metrics.compensating_windows(records, demo.settle_s)
     target_n = float(records["target_n"][-1])
@@ -108,7 +108,7 @@ def summarise(
 
 
 def rows(summary: Summary, demo: DemoSettings) -> list[tuple[str, str, str, bool | None]]:
-    """Table for a person: quantity, measured, limit, met (None: no limit)."""
+    """Rows of the table: quantity, measured, limit, met (None: no limit)."""
     s = summary
     table: list[tuple[str, str, str, bool | None]] = [
         ("true vertical error, max", f"{s.eta_true_max_pct:.4f} %", f"{demo.eta_max_pct:g} %",

@@ -1,6 +1,6 @@
-"""``python -m rigctl.design.admission RUNTIME_DIR NAME < GAIN_FILE``: may the rig that runs there act by these gains?
+"""``python -m rigctl.design.admission RUNTIME_DIR NAME < GAIN_FILE``: judges gains for a running rig.
 
-A process of its own, because the design's libraries are slow to load and the gateway must go on publishing. Answers
+It is a process of its own because the design's libraries load slowly and the gateway must go on publishing. It answers
 one line of JSON: ``{"design": ...}`` as in ``active.json``, or ``{"refused": "why, in one line"}``.
 """
 
@@ -20,14 +20,14 @@ LIMIT_S = 15.0
 
 
 class NotAdmittedError(ValueError):
-    """The gains are not to be used; ``str()`` says why, in one line."""
+    """The gains are refused; ``str()`` says why, in one line."""
 
 
 def admit(runtime: Runtime, text: str, name: str) -> dict[str, Any]:
-    """The design that a gain file comes to on the rig that runs, as in ``active.json``.
+    """The design of a gain file on the running rig, as in ``active.json``.
 
     Raises:
-        NotAdmittedError: it is no gain file, not for this rig, or its margins are refused.
+        NotAdmittedError: it is not a gain file, not for this rig, or its margins are refused.
     """
     command = [sys.executable, "-m", "rigctl.design.admission", str(runtime.directory), name]
     try:
@@ -50,7 +50,7 @@ def _judge(directory: str, name: str, text: bytes) -> dict[str, Any]:
         return {"refused": "active.json holds no valid settings to judge the gains by"}
     try:
         found = design_while_running(settings, text.decode(), name)
-    except (DesignError, ArithmeticError, ValueError) as error:  # ... or numbers no plant has
+    except (DesignError, ArithmeticError, ValueError) as error:  # the others: numbers that no plant has
         return {"refused": " ".join(str(error).split())}
     return {"design": found.as_dict()} if found.accepted else {"refused": found.verdict()}
 

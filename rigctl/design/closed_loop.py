@@ -1,8 +1,8 @@
-"""The controller as the loop runs it, as one linear system, and closed around a plant.
+"""The controller of the loop as one linear system, and that system closed around a plant.
 
 Tick n reads the sample latched in tick n - 1, corrects the state of tick n - 1, predicts it to tick n and ahead to
 the instant the command acts, and sends ``u = -w - K_T T - K_v (v + w) - I`` (set-point zero, no limits). With the
-filter at its steady gain that is linear; the margins are of this system, and a test holds it against the objects.
+filter at its steady gain that is linear; the margins are of this system, and a test compares it with the loop's code.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Controller:
     def response(self, z: ComplexArray) -> ComplexArray:
         """Command per tension (mm/s per N) and per speed (1), shape (2, len(z)).
 
-        The commands already sent are delays of u itself; without them six states are left to solve for, however
-        long the transport delay.
+        The commands already sent are delays of u itself; without them six states remain to be solved for, for any
+        transport delay.
         """
         size = len(self.a)
         sent = np.arange(_SENT, size - 1)
@@ -49,7 +49,7 @@ class Controller:
 
 
 def controller(model: FilterModel, gains: Gains, filter_gain: Array) -> Controller:
-    """What ``TensionFilter`` and ``TensionLaw`` do in a tick, with the filter's gain settled (shape (3, 2))."""
+    """``TensionFilter`` and ``TensionLaw`` over one tick, with the filter's settled gain (shape (3, 2))."""
     delay = model.delay_ticks
     size = 7 + delay
     corrected = np.zeros((3, size))
@@ -94,7 +94,7 @@ def closed_loop(plant: Member, law: Controller) -> ClosedLoop:
     a, b = np.zeros((size, size)), np.zeros((size, 3))
     command = np.concatenate([np.zeros(n + d), law.c])
     a[:n, :n] = plant.a
-    a[:n] += np.outer(plant.b_command, np.eye(size)[n] if d else command)  # oldest command under way, or this one
+    a[:n] += np.outer(plant.b_command, np.eye(size)[n] if d else command)  # oldest command sent, or this one
     if d:
         a[n : n + d - 1, n + 1 : n + d] = np.eye(d - 1)
         a[n + d - 1] = command

@@ -1,8 +1,8 @@
-"""Gains kept in a file (YAML): with the inputs they were computed from, and what with, when and for which rig.
+"""A file of gains (YAML) with the inputs they were computed from, the versions used, the date and the rig.
 
 ``rigctl tune RIG --gains FILE`` writes it; ``design.gains_file: FILE`` in the rig file makes the daemon use it. It
-fits as long as the inputs in the rig file are those it was made from; the limit and the waiver are not among them,
-they are of the verdict, which is given anew every time.
+fits as long as the rig file has the same inputs. Limit and waiver are not inputs: they belong to the verdict, which is
+made again at every use.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rigctl.design.gains import DesignError, design
 from rigctl.design.margins import design_and_check, judge
 from rigctl.design.verdict import Design, Source
 
-# What gains, margins and performance follow from, key by key.
+# Keys that determine gains, margins and performance.
 INPUTS: dict[str, tuple[str, ...]] = {
     "loop": ("rate_hz",),
     "tension_cell": ("noise_n",),
@@ -41,7 +41,7 @@ INPUTS: dict[str, tuple[str, ...]] = {
     ),
     "design": ("stretch_weight", "integral_weight", "command_weight"),
 }  # fmt: skip
-SAME_GAIN = 1e-6  # relative: between versions of the libraries a gain moves in its last digits
+SAME_GAIN = 1e-6  # relative: the last digits of a gain differ between versions of the libraries
 _PACKAGES = {"python-control": "control", "numpy": "numpy", "scipy": "scipy"}
 _HEADING = """\
 # Gains of the tension law, written by `rigctl tune`. To use them: `gains_file` under `design` in the rig file.
@@ -54,7 +54,7 @@ Inputs = dict[str, dict[str, float | None]]
 
 
 class GainFileError(DesignError):
-    """A gain file that is not to be used; ``str()`` is one line that names it."""
+    """A gain file that cannot be used; ``str()`` is one line that names it."""
 
 
 class GainValues(Settings):
@@ -66,7 +66,7 @@ class GainValues(Settings):
 
 
 class VerdictThen(Settings):
-    """What was found when the file was written; to read, not to rely on."""
+    """Verdict at the time the file was written; for the reader only."""
 
     ms_max: float | None  # null = unstable somewhere in the family
     limit: float
@@ -75,7 +75,7 @@ class VerdictThen(Settings):
 
 
 class Provenance(Settings):
-    """Where the gains come from."""
+    """Origin of the gains."""
 
     rig: str
     rig_file: str
@@ -94,7 +94,7 @@ class GainFile(Settings):
 
 
 def inputs(settings: RigSettings) -> Inputs:
-    """What a design follows from, by section and key of the rig file."""
+    """The inputs of a design, by section and key of the rig file."""
     return {
         section: {key: _number(getattr(getattr(settings, section), key)) for key in keys}
         for section, keys in INPUTS.items()
@@ -124,7 +124,7 @@ def provenance(settings: RigSettings, rig_file: pathlib.Path, now: datetime) -> 
 
 
 def write(file: pathlib.Path, found: Design, made: Provenance) -> None:
-    """Write a gain file, at once: a reader sees the old file or the new one.
+    """Write a gain file atomically: a reader sees the old file or the new one.
 
     Raises:
         OSError: it cannot be written.
@@ -140,7 +140,7 @@ def write(file: pathlib.Path, found: Design, made: Provenance) -> None:
         "provenance": made.model_dump(),
     }
     text = yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=10_000)
-    file = file.resolve()  # a link stays a link
+    file = file.resolve()  # so that a link stays a link
     part = file.with_name(f".{file.name}.{os.getpid()}")
     try:
         part.write_text(_HEADING + text, encoding="utf-8")
@@ -153,7 +153,7 @@ def read(file: pathlib.Path) -> GainFile:
     """Read a gain file, whatever rig it is for.
 
     Raises:
-        GainFileError: it cannot be read or is none, or its inputs do not give its hash.
+        GainFileError: it cannot be read, is not a gain file, or its inputs do not match its hash.
     """
     try:
         return _understood(strict_yaml.read(file), file)
@@ -162,10 +162,10 @@ def read(file: pathlib.Path) -> GainFile:
 
 
 def parse(text: str, name: str) -> GainFile:
-    """Read the text of a gain file that goes by ``name``.
+    """Read the text of a gain file named ``name``.
 
     Raises:
-        GainFileError: it is none, or its inputs do not give its hash.
+        GainFileError: it is not a gain file, or its inputs do not match its hash.
     """
     try:
         return _understood(strict_yaml.load(text), pathlib.Path(name))
@@ -187,7 +187,7 @@ def _understood(document: strict_yaml.Document, file: pathlib.Path) -> GainFile:
 
 
 def read_for(settings: RigSettings) -> tuple[Gains, Provenance] | None:
-    """What the gain file in the settings holds; None where they name none.
+    """Gains and provenance of the gain file in the settings; None if they name none.
 
     Raises:
         GainFileError: it cannot be read, or was made for other settings.
@@ -203,7 +203,7 @@ def read_for(settings: RigSettings) -> tuple[Gains, Provenance] | None:
 
 
 def design_in_use(settings: RigSettings) -> Design:
-    """The design a rig runs with, judged now: that of its gain file, or without one a new one.
+    """The design of a rig, judged now: that of its gain file, or a new one without a file.
 
     Raises:
         DesignError: there are no gains for these settings, or the gain file does not fit them.
@@ -215,10 +215,10 @@ def design_in_use(settings: RigSettings) -> Design:
 
 
 def design_while_running(settings: RigSettings, text: str, name: str) -> Design:
-    """What the text of a gain file comes to on a rig that runs with ``settings``: only its weights may be others.
+    """The design of a gain file's text on a rig that runs with ``settings``; only its weights may differ from them.
 
     Raises:
-        GainFileError: it is none, was made for another rig, plant, rate or estimator, or has no margins.
+        GainFileError: it is not a gain file, is for another rig, plant, rate or estimator, or has no margins.
     """
     found = parse(text, name)
     then = found.provenance.inputs
@@ -239,12 +239,12 @@ def _judged(settings: RigSettings, gains: Gains, made: Provenance, name: str) ->
     edited = not all(math.isclose(asdict(gains)[k], g, rel_tol=SAME_GAIN) for k, g in asdict(own).items())
     try:
         return judge(settings, gains, Source(name, made.model_dump(), edited))
-    except (ArithmeticError, ValueError) as error:  # numbers no law has
+    except (ArithmeticError, ValueError) as error:  # numbers that no law has
         raise GainFileError(f"{settings.file(name)}: no margins for its gains: {error}") from None
 
 
 class _Dumper(yaml.SafeDumper):
-    """Text between quotes, so that a hash or a version is never taken for a number; keys as plain words."""
+    """Quotes every text, so that a hash or a version is never read as a number; keys stay unquoted."""
 
     def represent_mapping(self, tag: str, mapping: Any, flow_style: bool | None = None) -> yaml.MappingNode:
         node = super().represent_mapping(tag, mapping, flow_style)

@@ -27,7 +27,7 @@ def design(settings: RigSettings) -> Gains:
     Raises:
         DesignError: the Riccati equation has no solution, or no finite one.
     """
-    import control  # 0.5 s: only when a design is asked for
+    import control  # takes 0.5 s, so only for a design
 
     model, weights = filter_model(settings), settings.design
     k = settings.plant.stiffness_n_mm
@@ -50,7 +50,7 @@ def design(settings: RigSettings) -> Gains:
 
 
 def filter_gain(model: FilterModel) -> Array:
-    """Gain the Kalman filter settles at, states by (tension, speed), shape (3, 2): ``x += gain (y - H x)``.
+    """Settled gain of the Kalman filter, states by (tension, speed), shape (3, 2): ``x += gain (y - H x)``.
 
     Raises:
         DesignError: the Riccati equation has no solution, or no finite one.

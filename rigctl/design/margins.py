@@ -1,4 +1,4 @@
-"""Gains, and how far they are from instability over the whole family of plants.
+"""Gains, and their margins to instability over the whole family of plants.
 
 The loop is broken at the plant's input (the command) and at the tension output, each with the drive-speed loop
 closed. With plant responses P_T, P_v and controller responses C_T, C_v (positive feedback, ``u = C_T T + C_v v``):
@@ -6,8 +6,8 @@ closed. With plant responses P_T, P_v and controller responses C_T, C_v (positiv
     S_input = 1 / (1 - C_T P_T - C_v P_v),    S_output = (1 - C_v P_v) S_input
 
 Ms is the largest modulus of S from MIN_HZ to the Nyquist frequency. Gain, phase and delay margin are of
-``L = -(C_T P_T + C_v P_v)`` at the plant's input. S_output is also what a disturbance leaves of the true tension,
-over what it makes of it with the stroke locked.
+``L = -(C_T P_T + C_v P_v)`` at the plant's input. S_output is also the effect of a disturbance on the true tension,
+over its effect with the stroke locked.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ REAL_RAD = 1e-6
 
 
 def design_and_check(settings: RigSettings) -> Design:
-    """Compute the gains, close the loop around every member of the family, and judge.
+    """Compute the gains, close the loop around every member of the family, and judge the result.
 
     Raises:
         DesignError: there are no gains for these settings.
@@ -96,7 +96,7 @@ class Responses:
 
 
 def responses(members: list[Member], law: Controller, grid_hz: Array, period_s: float) -> Iterator[Responses]:
-    """Responses of every member with one controller, one after the other."""
+    """Responses of every member with one controller."""
     z = np.exp(2j * np.pi * grid_hz * period_s)
     per_tension, per_speed = law.response(z)
     for plant in members:
@@ -124,7 +124,7 @@ def margins_over(members: list[Member], law: Controller, grid_hz: Array, period_
 def classical_margins(loop: ComplexArray, omega: Array) -> tuple[float, float, float]:
     """Gain margin dB, phase margin deg and delay margin ms of a stable loop sampled at ``omega`` rad/s.
 
-    The smallest over all crossovers, interpolated between samples; infinite where there is none.
+    The smallest over all crossovers, interpolated between samples; infinite without a crossover.
     """
     modulus_db = 20.0 * np.log10(np.abs(loop))
     turned = np.unwrap(np.angle(-loop))  # 0 where the loop is real and negative

@@ -1,4 +1,4 @@
-"""What a design does on the plant of the file: disturbance, sensitivity and noise, from the linear closed loop."""
+"""Performance of a design on the plant of the file: disturbance, sensitivity and noise, from the linear closed loop."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from rigctl.control.estimator import Array
 from rigctl.design.closed_loop import Controller, closed_loop
 from rigctl.design.plant_family import member
 
-VERTICAL_MM, VERTICAL_HZ = 10.0, 0.1  # the payload's slow vertical motion a design is judged by
+VERTICAL_MM, VERTICAL_HZ = 10.0, 0.1  # the payload's slow vertical motion, by which a design is judged
 SHAKE_HZ = (3.0, 8.0)  # floor and building vibration
-DOUBLINGS = 24  # 2^24 ticks: hours at the slowest rate, so that the slowest mode has died out
+DOUBLINGS = 24  # 2^24 ticks are hours at the slowest rate, in which the slowest mode dies out
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def performance(settings: RigSettings, law: Controller) -> Performance:
 def stationary_covariance(a: Array, q: Array) -> Array:
     """Covariance of ``x' = a x + noise`` with noise covariance ``q``, of a stable ``a``.
 
-    The sum of ``a^i q a^iT`` by doubling: it cannot turn negative by rounding, as scipy's bilinear solver did here.
+    The sum of ``a^i q a^iT`` by doubling; unlike scipy's bilinear solver it cannot become negative by rounding.
     """
     total, power = q, a
     for _ in range(DOUBLINGS):

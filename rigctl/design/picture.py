@@ -1,4 +1,4 @@
-"""A design as a picture: Bode, Nyquist, and the sensitivities with their limit, for every plant of the family."""
+"""Plot of a design: Bode, Nyquist, and the sensitivities with their limit, for every plant of the family."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ SIZE_INCHES, DOTS_PER_INCH = (12.0, 13.0), 110
 NYQUIST_WINDOW = (-2.9, 2.0, -1.8, 1.2)  # real and imaginary part; L itself goes to infinity at low frequency
 SHOWN_DB, SHOWN_DEG = (-60.0, 60.0), (-540.0, 120.0)
 SHOWN_HZ = 0.02
-# Okabe and Ito: told apart by colour-blind readers and in print
+# Okabe and Ito: distinct for colour-blind readers and in print
 COLOURS = ("#0072B2", "#56B4E9", "#009E73", "#E69F00", "#CC79A7", "#D55E00")
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One plant of the family, ready to be drawn."""
+    """Curve of one plant of the family."""
 
     plant: Member
     margins: MemberMargins
@@ -50,7 +50,7 @@ class Curve:
 
 
 def draw(settings: RigSettings, found: Design, file: pathlib.Path) -> None:
-    """Write the picture; its kind is the name's suffix (.png, .svg, .pdf).
+    """Write the picture; the name's suffix gives its format (.png, .svg, .pdf).
 
     Raises:
         OSError: it cannot be written.

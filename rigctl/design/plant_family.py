@@ -1,6 +1,6 @@
 """The family of plants a design is judged over, in discrete time at the loop's period.
 
-From the speed of the rope's upper end to tension, the mechanism being a mass on a spring of its own:
+From the speed of the rope's upper end to tension, with the mechanism as a mass on a spring of its own:
 
     dT/dt = k (v + w - p'),   m p'' = T - c p' - K_m p,   tau dv/dt = u(t - Td) - v
 
@@ -85,7 +85,7 @@ def member(settings: RigSettings, k_m: float | None, k_scale: float = 1.0, delay
 
 
 def family(settings: RigSettings) -> list[Member]:
-    """Every member the verdict rests on; the stiffness in the file is one of them even where the list has it not."""
+    """Every member that the verdict covers; it always includes the mechanism's stiffness of the file."""
     stiffnesses = list(STIFFNESSES_N_MM)
     if settings.plant.mechanism_n_mm not in stiffnesses:
         stiffnesses.append(settings.plant.mechanism_n_mm)
@@ -93,5 +93,5 @@ def family(settings: RigSettings) -> list[Member]:
 
 
 def reported(settings: RigSettings) -> list[Member]:
-    """Members shown beside the family: a mechanism so soft that the rope's spring hardly moves it."""
+    """Members shown beside the family, with a mechanism much softer than the rope's spring."""
     return [member(settings, REPORTED_N_MM, k_scale, delay) for k_scale, delay in product(K_SCALES, DELAY_SCALES)]

@@ -1,7 +1,7 @@
-"""Weights that bring a design within its limit on Ms: each alone, then together, or what stands against it.
+"""Search for weights that bring a design within its limit on Ms: each alone, then together, or why none do.
 
-Feedback that acts less is more robust and lets more error through: a smaller weight of stretch or integral, a filter
-that believes the disturbance less quickly. What is looked for is the least change that meets the limit.
+Weaker feedback is more robust and lets more error through: a smaller weight of stretch or integral, or a filter that
+follows the disturbance more slowly. The search finds the least change that meets the limit.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ KNOBS = (
     "estimator.disturbance_walk_mm_s",
     "estimator.tension_walk_n",
 )
-"""What is turned, the law before the filter. Of stretch, integral and command only the ratios of the weights count, so
-that command_weight is not among them."""
+"""The weights of the search, those of the law before those of the filter. Of stretch, integral and command only the
+ratios count, so command_weight is not among them."""
 LADDER = (2.0, 4.0, 16.0, 64.0)
-"""Factors, down and up, by which a weight is changed; a design costs a fifth of a second."""
-HALVINGS = 3  # of the interval in which a weight begins to do, in its logarithm
-SPARE = 1e-4  # below the limit, so that the libraries' rounding does not decide
-DESIGNS = 60  # of the search over all weights together
+"""Factors, down and up, by which a weight is changed; a design takes a fifth of a second."""
+HALVINGS = 3  # of the logarithmic interval in which a weight begins to meet the limit
+SPARE = 1e-4  # distance from the limit, so that the libraries' rounding does not decide
+DESIGNS = 60  # most designs of the search over all weights together
 LEAST_STEP = 0.25  # of that search, in octaves
-UNSTABLE = 100.0  # counts as so much Ms, for each plant
+UNSTABLE = 100.0  # score in Ms of each plant with which the loop is unstable
 _RELIEF = (
     ("plant.command_delay_s", 0.5, "half the drive's delay (plant.command_delay_s)"),
     ("plant.cylinder_lag_s", 0.5, "half the drive's lag (plant.cylinder_lag_s)"),
@@ -54,7 +54,7 @@ class Weight:
 
 @dataclass(frozen=True)
 class Hint:
-    """What one weight alone can do: the least change that meets the limit, or else the best it reaches."""
+    """Effect of one weight alone: the least change that meets the limit, or else the best it reaches."""
 
     weight: Weight
     ms_max: float
@@ -68,26 +68,26 @@ class Hint:
 
 @dataclass(frozen=True)
 class Found:
-    """What the search has come to; ``weights`` is empty where nothing need be changed."""
+    """Result of the search; ``weights`` is empty if no change is needed."""
 
     weights: tuple[Weight, ...]
     settings: RigSettings
     design: Design
     meets: bool
-    against: tuple[str, ...] = ()  # a line each, where it does not
+    against: tuple[str, ...] = ()  # one line for each reason, if the limit is not met
 
 
 def hints(settings: RigSettings) -> list[Hint]:
-    """What each weight alone can do about a refused design; what meets the limit comes first, in the order of KNOBS."""
+    """Effect of each weight alone on a refused design; those that meet the limit first, in the order of KNOBS."""
     found = [hint for key in KNOBS if (hint := _alone(settings, key)) is not None]
     return sorted(found, key=lambda hint: (not hint.meets, 0.0 if hint.meets else hint.ms_max))
 
 
 def auto(settings: RigSettings) -> Found:
-    """Weights that meet ``design.ms_max``: one that does it alone, else several together.
+    """Weights that meet ``design.ms_max``: one alone if that is enough, else several together.
 
     Raises:
-        DesignError: there are no gains for the settings as they are.
+        DesignError: there are no gains for the present settings.
     """
     now = design_and_check(settings)
     if _meets(now):
@@ -102,7 +102,7 @@ def auto(settings: RigSettings) -> Found:
 
 
 def _alone(settings: RigSettings, key: str) -> Hint | None:
-    """The least factor, down or up, by which one weight meets the limit; else where it gets nearest."""
+    """The least factor, down or up, by which one weight meets the limit, else the one that gets nearest."""
     before = float(_value(settings, key))
     tried: dict[float, Hint | None] = {}
 
@@ -134,7 +134,7 @@ def _alone(settings: RigSettings, key: str) -> Hint | None:
 
 
 def _together(settings: RigSettings, now: Design) -> tuple[Weight, ...]:
-    """Pattern search over all weights, in octaves; ends where the limit is met, or where nothing helps any more."""
+    """Pattern search over all weights, in octaves; ends when the limit is met or no step improves the score."""
     before = {key: float(_value(settings, key)) for key in KNOBS}
     best, score, step, designs = dict.fromkeys(KNOBS, 0.0), _score(now), 2.0, 0
 
@@ -158,7 +158,7 @@ def _together(settings: RigSettings, now: Design) -> tuple[Weight, ...]:
 
 
 def _against(settings: RigSettings, design: Design) -> Iterator[str]:
-    """What stands against a design that no weights bring within the limit."""
+    """Reasons why no weights bring a design within the limit."""
     worst = max(design.margins, key=lambda member: member.ms_worst)
     k_m = "rigid" if worst.k_m is None else f"{worst.k_m:g} N/mm"
     yield (
@@ -192,7 +192,7 @@ def _with(settings: RigSettings, weights: Sequence[Weight]) -> RigSettings:
 
 
 def _design(settings: RigSettings) -> Design | None:
-    """None where there is none, or a weight would be out of its bound."""
+    """The design; None if there is none, or if a weight is out of its bounds."""
     if any(found.key in KNOBS for found in findings(settings)):
         return None
     try:
@@ -206,7 +206,7 @@ def _meets(design: Design) -> bool:
 
 
 def _score(design: Design) -> float:
-    """Ms over the family; plants with which the loop is unstable count so much more than any Ms."""
+    """Ms over the family; each plant with which the loop is unstable counts more than any Ms."""
     unstable = sum(not member.stable for member in design.margins)
     return UNSTABLE * unstable + max((m.ms_worst for m in design.margins if m.stable), default=0.0)
 
@@ -216,5 +216,5 @@ def _octaves(weight: Weight) -> float:
 
 
 def _rounded(value: float) -> float:
-    """Two digits: what a person would write into the file."""
+    """The value to two digits, as a person writes it into the file."""
     return float(f"{value:.2g}")

@@ -20,7 +20,7 @@ _COLUMNS = "  K_m N/mm   k      delay   Ms in   Ms out   GM dB   PM deg   DM ms"
 
 
 def lines(settings: RigSettings, found: Design) -> Iterator[str]:
-    """The gains, every plant of the family, what it does on the plant in the file, and the verdict."""
+    """Gains, margins with every plant of the family, performance with the plant in the file, and the verdict."""
     yield f"{settings.rig}: gains"
     for name, unit, meaning in GAINS:
         yield f"  {name:<10} {getattr(found.gains, name):>10.6g}  {unit:<12}  {meaning}"

@@ -1,4 +1,4 @@
-"""What a design comes to: margins per plant, the verdict over the family, and both in words."""
+"""Verdict on a design: margins with each plant, the result over the family, and both in words."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class MemberMargins:
 
     @property
     def ms_worst(self) -> float:
-        """The larger of the two peaks, which is what is judged."""
+        """The larger of the two peaks, which is judged."""
         return max(self.ms, self.ms_output)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON: what is infinite is null."""
+        """As JSON values; an infinite figure becomes null."""
         return {name: None if value in (math.inf, -math.inf) else value for name, value in asdict(self).items()}
 
 
@@ -39,17 +39,17 @@ class Source:
     """The gain file that gave the gains."""
 
     file: str  # as the rig file names it
-    provenance: dict[str, Any]  # what it says of its making
-    edited: bool  # the gains are not those its inputs give
+    provenance: dict[str, Any]  # as the file has it
+    edited: bool  # the gains do not follow from its inputs
 
 
 @dataclass(frozen=True)
 class Design:
     """Gains with their verdict.
 
-    ``accepted``: stable and below the limit everywhere, or waived in words. A waiver excuses plants the rig does not
-    have; with the mechanism in the file the loop must be stable at every k and delay all the same. It excuses the
-    design it was written for, not gains that were edited since.
+    ``accepted``: stable and below the limit everywhere, or waived in words. A waiver is for plants that the rig does
+    not have: with the mechanism in the file the loop must be stable at every k and delay. It does not cover gains that
+    were edited later.
     """
 
     gains: Gains
@@ -58,12 +58,12 @@ class Design:
     ms_max: float  # over the family, both places
     limit: float
     accepted: bool
-    waiver: str | None  # the words, only where they were needed
+    waiver: str | None  # the words, only if they were needed
     performance: Performance | None  # None where the loop is unstable with the plant in the file
     source: Source | None = None  # None = designed from the settings
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON: what is infinite is null."""
+        """As JSON values; an infinite figure becomes null."""
         return {
             "gains": asdict(self.gains),
             "margins": [member.as_dict() for member in self.margins],
@@ -86,7 +86,7 @@ class Design:
         return f"Ms {self.ms_max:.{digits}f} over the family of plants"
 
     def verdict(self) -> str:
-        """One line: what the gains are worth, whether they are accepted, and where they come from."""
+        """One line: margins of the gains, whether they are accepted, and their source."""
         origin = ""
         if self.source:
             made = self.source.provenance
@@ -96,7 +96,7 @@ class Design:
         return f"{self.ms_in_words()} (limit {self.limit:g}{', waived' if self.waiver else ''}){origin}"
 
     def warnings(self) -> list[str]:
-        """What an operator should know while the design runs, a line each."""
+        """Warnings for the operator while the design runs, one line each."""
         found = []
         if self.source and self.source.edited:
             found.append(f"gains of {self.source.file} are not those its inputs give: edited by hand?")

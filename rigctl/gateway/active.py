@@ -11,11 +11,11 @@ from rigctl.ipc.ledger import IN_FORCE
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 
 CONTROL = "control.json"
-_FILES = {ACTIVE: None, CONTROL: "control", IN_FORCE: "calibration"}  # and the key they are put under, None: on top
+_FILES = {ACTIVE: None, CONTROL: "control", IN_FORCE: "calibration"}  # file: its key in the message, None: top level
 
 
 class Written:
-    """A file of the runtime folder that another process or thread replaces now and then; read when it was."""
+    """A file of the runtime folder that another process or thread replaces; read again only after a replacement."""
 
     def __init__(self, runtime: Runtime, name: str) -> None:
         self._runtime, self._name = runtime, name
@@ -23,7 +23,7 @@ class Written:
         self.value: dict[str, Any] = {}
 
     def look(self) -> bool:
-        """Read it if it was replaced; whether it was. One that cannot be read is empty."""
+        """Read the file if it was replaced; returns whether its value changed. An unreadable file counts as empty."""
         try:
             found = (self._runtime.directory / self._name).stat()
             mark = (found.st_ino, found.st_mtime_ns)
@@ -37,7 +37,7 @@ class Written:
 
 
 class Active:
-    """``cfg/active``; may be looked at from any thread."""
+    """The message ``cfg/active``; may be used from any thread."""
 
     def __init__(self, runtime: Runtime) -> None:
         self._files = {name: Written(runtime, name) for name in _FILES}
@@ -47,16 +47,16 @@ class Active:
 
     @property
     def written(self) -> dict[str, Any]:
-        """What supervisor and calibration wrote down: settings and the design in use, as last looked at."""
+        """Settings and the design in use, as supervisor and calibration service wrote them, at the last `look`."""
         return self._files[ACTIVE].value
 
     @property
     def control(self) -> dict[str, Any]:
-        """What the control process read back, as last looked at."""
+        """What the control process read back from the devices, at the last `look`."""
         return self._files[CONTROL].value
 
     def look(self) -> bytes:
-        """The message as it is now: the same object while nothing has changed."""
+        """The current message; the same object while nothing has changed."""
         with self._looking:
             changed = [file.look() for file in self._files.values()]
             if any(changed):

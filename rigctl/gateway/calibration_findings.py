@@ -1,6 +1,6 @@
-"""What a trial's answer means: the entry to write, the words for the operator, and what the loop is to be told.
+"""What a trial's answer means: the ledger entry, the text for the operator, and the settings for the loop.
 
-Pure functions of the request, the loop's figures and what the ledger says; nothing is written here.
+Pure functions of the request, the loop's figures and the ledger's standing; nothing is written here.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from rigctl.ipc.ledger import Entry, Standing, entry
 from rigctl.wire.command_request import Request
 
 EMPTY_SHARE = 0.1
-"""Of the reference: a cell that reads less carries no weight. A cell out of tolerance is wrong by a few percent."""
+"""Share of the reference below which a cell carries no weight; a cell out of tolerance is wrong by a few percent."""
 
 
 class FindingError(ValueError):
-    """The measurement leads to nothing; ``str()`` says why, in one line."""
+    """The measurement gives no finding; ``str()`` says why, in one line."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What the loop answered: mean and rms of the cell's reading in N, and the wall clock's time."""
+    """The loop's figures: mean and rms of the cell's reading in N, and the wall-clock time."""
 
     mean_n: float
     rms_n: float
@@ -39,7 +39,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Finding:
-    """``good`` False: on record all the same, but the operator's command has failed."""
+    """``good`` False: the finding is put on record, but the operator's command has failed."""
 
     entry: Entry
     text: str
@@ -48,7 +48,7 @@ class Finding:
 
 
 def impossible(settings: RigSettings, request: Request) -> str | None:
-    """Why a request cannot lead to anything on this rig, before anything is measured; None if it can."""
+    """Why this rig cannot carry out a request, known before anything is measured; None if it can."""
     section = settings.calibration
     if request.verb not in (Verb.TARE, Verb.CALIBRATE):
         return None
@@ -64,7 +64,7 @@ def impossible(settings: RigSettings, request: Request) -> str | None:
 
 
 def tare(settings: RigSettings, request: Request, now: Standing, measured: Measured) -> Finding:
-    """The mean reading becomes the zero."""
+    """The mean reading becomes the cell's zero."""
     after = replace(now, zero_n=round(measured.mean_n, 6))
     written = entry(
         settings, "tare", request.operator, measured.wall_ns,
@@ -75,13 +75,13 @@ def tare(settings: RigSettings, request: Request, now: Standing, measured: Measu
 
 
 def calibrate(settings: RigSettings, request: Request, now: Standing, measured: Measured) -> Finding:
-    """The corrected reading against its reference; with ``adopt`` the scale that makes them agree.
+    """Compare the corrected reading with its reference; with ``adopt`` find the scale that makes them agree.
 
     Raises:
         FindingError: nothing hangs on the cell, or no scale within the bounds makes them agree.
     """
     section = settings.calibration
-    assert section is not None  # `impossible` has said so
+    assert section is not None  # `impossible` refuses a rig file without it
     reference_n = _reference_n(section, request)
     reading_n = Correction(now.zero_n, now.scale).applied(measured.mean_n)
     if abs(reading_n) < EMPTY_SHARE * reference_n:
@@ -116,10 +116,10 @@ def calibrate(settings: RigSettings, request: Request, now: Standing, measured: 
 
 
 def identify(settings: RigSettings, request: Request, records: npt.NDArray[Any], wall_ns: int) -> Finding:
-    """What the records of the excitation say of the plant; nothing is changed by it.
+    """Plant parameters from the records of the excitation; changes nothing.
 
     Raises:
-        FindingError: they do not tell.
+        FindingError: the records do not determine them.
     """
     try:
         found = proposal.rows(proposal.signals_of(records, 1.0 / settings.loop.rate_hz), settings)
@@ -136,7 +136,7 @@ def identify(settings: RigSettings, request: Request, records: npt.NDArray[Any],
 def gains(
     settings: RigSettings, request: Request, before: dict[str, Any], after: dict[str, Any], wall_ns: int
 ) -> Finding:
-    """Other gains, from the design in force and the one that has been admitted, both as in ``active.json``."""
+    """A change of gains: ``before`` is the design in force, ``after`` the admitted one, both as in ``active.json``."""
     old, new = before["gains"], after["gains"]
     written = entry(
         settings, "gains", request.operator, wall_ns, before=old, after=new,
@@ -148,7 +148,7 @@ def gains(
 
 
 def withdrawn(settings: RigSettings, given: Entry, wall_ns: int) -> Entry:
-    """What is written when the loop would not take what ``given`` put on record: all is as it was before."""
+    """The entry that withdraws ``given`` because the loop refused it: the values before it hold again."""
     figures = {"withdraws": given.when}
     return entry(
         settings, f"{given.what} withdrawn", given.operator, wall_ns,
@@ -162,6 +162,6 @@ def _pair(standing: Standing) -> dict[str, float | None]:
 
 def _reference_n(section: CalibrationSettings, request: Request) -> float:
     if request.shunt:
-        assert section.shunt_n is not None  # `impossible` has said so
+        assert section.shunt_n is not None  # `impossible` refuses a shunt without a reference
         return section.shunt_n
     return request.value if math.isfinite(request.value) else section.reference_n

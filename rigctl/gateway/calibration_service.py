@@ -1,7 +1,7 @@
-"""The calibration: puts on record what trials found, in a thread of its own, so that no command ever waits for a disk.
+"""The calibration service: puts on record what trials found, in its own thread so that no command waits for a disk.
 
-First on record, then in force: what cannot be written down changes nothing, and what the loop then refuses is
-withdrawn by another entry.
+A finding is first written to the ledger, then put in force. A finding that cannot be written changes nothing; one that
+the loop then refuses is withdrawn by another entry.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.wire.command_request import Request
 
-LOOK_NS = 500_000_000  # how often what is in force is looked at
-SETTLE_NS = 2_000_000_000  # by then the loop has taken what it is told, or never will
+LOOK_NS = 500_000_000  # between two readings of the standing in force
+SETTLE_NS = 2_000_000_000  # a setting the loop has not taken by then it will never take
 
 
 @dataclass(frozen=True)
 class Filed:
-    """A finding on record with what then stands, or the reason why there is none."""
+    """A finding on record with the standing that follows from it, or the reason why there is none."""
 
     finding: Finding | None = None
     standing: Standing | None = None
     reason: str = ""
     text: str = ""
-    design: dict[str, Any] | None = None  # of other gains
+    design: dict[str, Any] | None = None  # only after a change of gains
 
 
 class CalibrationService:
-    """Keeps the ledger of one rig. ``file`` and ``withdraw`` return at once; results come by ``done``."""
+    """Keeps the ledger of one rig. ``file`` and ``withdraw`` return at once; a result arrives through ``done``."""
 
     def __init__(self, runtime: Runtime, settings: RigSettings) -> None:
         self._runtime, self._settings = runtime, settings
@@ -60,7 +60,7 @@ class CalibrationService:
         self._thread.start()
 
     def close(self) -> None:
-        """Finish what is in hand."""
+        """Finish the queued work and end the thread."""
         self._work.put(None)
         self._thread.join(timeout=2.0)
 
@@ -75,23 +75,23 @@ class CalibrationService:
         self._work.put(lambda: done(self._file(request, measured, t_ns)))
 
     def withdraw(self, filed: Filed) -> None:
-        """The loop would not take it: say so in the ledger."""
+        """Withdraw in the ledger a finding that the loop refused."""
         self._work.put(lambda: self._withdraw(filed))
 
     def put_in_force(self, filed: Filed) -> None:
-        """The loop has taken it."""
+        """Publish as in force a finding that the loop has taken."""
         if filed.design is not None and (active := self._runtime.known(ACTIVE)):
             self._write(ACTIVE, {**active, "design": filed.design})
         if filed.standing is not None:
             self._show(filed.standing)
 
     def unanswered(self, filed: Filed) -> None:
-        """The loop has not said whether it has taken it: what it goes by now tells, see `left_over`."""
+        """The loop gave no answer: compare the ledger with the correction in its events, see `left_over`."""
         if filed.standing is not None:
             self._seen_ledger = False
 
     def news(self, now_ns: int, wall_ns: int) -> Sequence[tuple[Setting, float]]:
-        """What the loop is to be told of the ledger and its due date; looked at twice a second."""
+        """Settings for the loop that follow from the ledger and its due date; computed twice a second."""
         if now_ns < self._look_ns:
             return ()
         self._look_ns = now_ns + LOOK_NS
@@ -107,7 +107,7 @@ class CalibrationService:
         return told
 
     def _bring_together(self, now_ns: int, wall_ns: int) -> Sequence[tuple[Setting, float]]:
-        """The ledger and what the loop goes by, once after a start and whenever an answer has been missing."""
+        """Compare ledger and loop once after a start and after every missing answer; settings that make them agree."""
         if self._left_over is not None:
             return self._settle(self._left_over, now_ns)
         if self._seen_ledger:
@@ -128,7 +128,7 @@ class CalibrationService:
         return found.settings
 
     def _settle(self, found: LeftOver, now_ns: int) -> Sequence[tuple[Setting, float]]:
-        """What was left over is in force once the loop goes by it; if it does not, the entry is withdrawn."""
+        """Show a left-over entry as in force once the loop uses it; withdraw the entry if the loop does not take it."""
         if left_over.loop_has(self._runtime) == found.pair:
             self._say(f"{found}, left over from before, is in force")
             self._show(found.standing)
@@ -146,7 +146,7 @@ class CalibrationService:
             self._write(IN_FORCE, standing)
 
     def _write(self, name: str, value: object) -> None:
-        """A file that cannot be written ends no thread: the loop goes by what it was told all the same."""
+        """Write a file of the runtime folder; a failure does not end the thread, as the loop has its settings."""
         try:
             self._runtime.write_json(name, value)
         except OSError as error:
@@ -178,13 +178,13 @@ class CalibrationService:
             return Filed(reason="not_admitted", text=str(error))
         except LedgerError as error:
             return Filed(reason="not_recorded", text=f"{error}; nothing was changed")
-        except Exception as error:  # noqa: BLE001 - the edge of the thread: without an answer no later trial had one
+        except Exception as error:  # noqa: BLE001 - an exception would end the thread, and no later trial be answered
             what = " ".join(f"{type(error).__name__}: {error}".split())
             return Filed(reason="out_of_bounds", text=f"the measurement cannot be judged ({what}); nothing was changed")
         return Filed(finding, ledger.standing(settings, entries, measured.wall_ns), design=design)
 
     def _records_of(self, measured: Measured, t_ns: int) -> npt.NDArray[Any]:
-        """The ticks of an excitation that ended at ``t_ns``: its answer's value is how long it took."""
+        """Records of an excitation that ended at ``t_ns``; the answer's value is its duration in s."""
         records = self._runtime.record_reader(from_start=True).read()
         return records[(records["t_ns"] <= t_ns) & (records["t_ns"] > t_ns - round(measured.mean_n * 1e9))]
 
@@ -193,8 +193,8 @@ class CalibrationService:
             self._strike_out(filed.finding.entry)
 
     def _strike_out(self, given: Entry) -> None:
-        """The ledger says that it was withdrawn; with a calibration check what that had found goes too."""
-        with contextlib.suppress(LedgerError):  # the operator has been told already that it is not in force
+        """Write the withdrawal to the ledger; that of a calibration check also restores the result before it."""
+        with contextlib.suppress(LedgerError):  # the operator's answer already says that it is not in force
             wall_ns = time.time_ns()
             entries = ledger.append(self._settings, findings.withdrawn(self._settings, given, wall_ns))
             if given.passed is not None:

@@ -1,8 +1,8 @@
-"""How many commands are let through: of each operator, and of all together. Pure: time is passed in.
+"""Rate limits of commands: for each operator, and for all together. Pure: time is passed in.
 
-Zenoh names no peer in a query (its source info is what the peer says of itself, or nothing), so that a peer is known by
-the operator's name it gives; who changes the name meets the limit of all. The holder of the lease, whom the lease's id
-proves, has a limit of his own beside it, and HOLD none: see `rigctl.gateway.command_server`.
+Zenoh identifies no peer in a query (its source info is what the peer states itself, or empty), so the limit goes by the
+operator's name in the command; a peer that changes its name meets the limit of all. The holder of the lease, proved by
+the lease's id, has a limit beside that of all. HOLD has no limit: see `rigctl.gateway.command_server`.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 PER_OPERATOR_HZ, PER_OPERATOR_BURST = 50, 200  # a program that follows a target at 50 Hz is not refused
 ALL_HZ, ALL_BURST = 100, 400
-NAMES_MAX = 256  # whose limits are remembered; beyond, those who have asked nothing for longest start anew
-TOLD_NS = 10_000_000_000  # how often the refusals are told
+NAMES_MAX = 256  # names with a bucket; beyond that, the name whose last command is oldest is forgotten
+TOLD_NS = 10_000_000_000  # between two reports of refused commands
 _OTHERS = "others"
 
 
 @dataclass
 class Bucket:
-    """Tokens that come at a steady rate, at most ``burst`` of them."""
+    """Token bucket: tokens arrive at a steady rate, at most ``burst`` of them are kept."""
 
     rate_hz: float
     burst: float
@@ -27,7 +27,7 @@ class Bucket:
     seen_ns: int
 
     def fill(self, now_ns: int) -> bool:
-        """Add what has come since; whether there is a token."""
+        """Add the tokens due since the last call; returns whether there is one."""
         self.tokens = min(self.burst, self.tokens + max(0, now_ns - self.seen_ns) * 1e-9 * self.rate_hz)
         self.seen_ns = now_ns
         return self.tokens >= 1.0
@@ -35,7 +35,7 @@ class Bucket:
 
 @dataclass(frozen=True)
 class Crowd:
-    """Commands of one name that were refused since the last time this was told."""
+    """Commands of one name that were refused since the last report."""
 
     operator: str
     count: int
@@ -53,11 +53,11 @@ class Flow:
         self._since_ns = 0
 
     def admit(self, operator: str, now_ns: int, *, holder: bool = False) -> str:
-        """Why a command is refused, empty if it is let through; ``holder``: of the lease, as its id proves."""
+        """Why a command is refused, empty if it is admitted; ``holder``: the lease's id proves its holder."""
         with self._lock:
-            name = f"\0{operator}" if holder else operator  # who only uses the holder's name has another's limit
+            name = f"\0{operator}" if holder else operator  # a peer that only uses the holder's name shares no bucket
             own = self._of.pop(name, None) or Bucket(PER_OPERATOR_HZ, PER_OPERATOR_BURST, PER_OPERATOR_BURST, now_ns)
-            self._of[name] = own  # the last to ask is the last to be forgotten
+            self._of[name] = own  # moved to the end: the front is forgotten first
             if len(self._of) > NAMES_MAX:
                 del self._of[next(iter(self._of))]
             mine, everybody = own.fill(now_ns), self._all.fill(now_ns)
@@ -78,11 +78,11 @@ class Flow:
         return f"too many commands: more than {limit}; it was not given; HOLD is taken all the same; ask less often"
 
     def due(self, now_ns: int) -> bool:
-        """Whether there are refusals to be told."""
+        """Whether there are refusals to report."""
         return bool(self._refused) and now_ns - self._since_ns >= TOLD_NS
 
     def told(self) -> list[Crowd]:
-        """The refusals since the last time, by name, most first; counts begin anew."""
+        """The refusals since the last report, by name, most first; starts the counts again at 0."""
         with self._lock:
             found = [Crowd(name, count, self._since_ns) for name, count in self._refused.items()]
             self._refused = {}

@@ -35,17 +35,17 @@ from rigctl.wire.lease_request import LeaseRequest, parse_lease
 from rigctl.wire.session import MESSAGE_BYTES, finish
 
 POLL_S = 0.002
-ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # after its lifetime the loop would not carry it out any more
+ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # the loop carries out no command older than its lifetime
 WAIT_NS = {
     Verb.ARM: 8_000_000_000,  # standstill 2 s, brake test 2 s, the drive 2 s
     Verb.TARE: ANSWER_NS + 2_000_000_000,
     Verb.CALIBRATE: ANSWER_NS + 2_000_000_000,
     Verb.IDENTIFY: ANSWER_NS + 10_000_000_000,
 }
-READ_BACK_NS = 15_000_000_000  # more, while the loop says that it is arming: it reads the devices' settings back first
-_PENDING_MAX = 64  # of all but HOLD
-_NAMES_ON_RECORD = 8  # of those who share a HOLD
-_HOLD_SPACING_NS = 20_000_000  # between two HOLDs for the loop; those that come in between share the next one
+READ_BACK_NS = 15_000_000_000  # added while the record shows ARMING: the loop reads the devices' settings back first
+_PENDING_MAX = 64  # commands without an answer, HOLD not counted
+_NAMES_ON_RECORD = 8  # operators put on record for one shared HOLD
+_HOLD_SPACING_NS = 20_000_000  # between two HOLDs for the loop; those that arrive in between share the next one
 
 
 @dataclass(frozen=True)
@@ -55,13 +55,13 @@ class Pending:
     query: zenoh.Query
     request: Request
     until_ns: int
-    recorded: Recorded | None = None  # waits for the loop to take what is on record
-    sharing: tuple[Asked, ...] = ()  # HOLDs that came with it, and get the same answer
+    recorded: Recorded | None = None  # a finding on record that the loop has yet to take
+    sharing: tuple[Asked, ...] = ()  # HOLDs that arrived with it and get the same answer
 
 
 @dataclass(frozen=True)
 class Asked:
-    """A command that has come."""
+    """A command that has arrived."""
 
     query: zenoh.Query
     request: Request
@@ -69,7 +69,7 @@ class Asked:
 
 @dataclass(frozen=True)
 class LeaseAsked:
-    """The lease itself is asked for."""
+    """A request to take or return the lease."""
 
     query: zenoh.Query
     request: LeaseRequest
@@ -77,22 +77,22 @@ class LeaseAsked:
 
 @dataclass(frozen=True)
 class HoldAsked:
-    """HOLD waits in its own queue."""
+    """Wakes the server's thread: a HOLD waits in its own queue."""
 
 
 @dataclass(frozen=True)
 class Crowded:
-    """Commands were refused because there were too many, and that is to be told."""
+    """Commands were refused because there were too many, and a report of it is due."""
 
 
 @dataclass(frozen=True)
 class LeaseLapsed:
-    """Time has run out for a lease, as it seemed to who looked."""
+    """The lease has expired; the server's thread checks this again before it ends the lease."""
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """What the calibration service has made of a trial's answer; ``message`` is that answer."""
+    """The calibration service's result for a trial; ``message`` is the loop's answer to that trial."""
 
     query: zenoh.Query
     request: Request
@@ -102,14 +102,14 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Refused:
-    """A query that was no command, and has been answered."""
+    """A query that was refused and has been answered; it has yet to be put on record."""
 
     message: dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Told:
-    """Something the loop is to be told by the daemon itself."""
+    """A setting for the loop that comes from the daemon, not from an operator."""
 
     setting: Setting
     value: float
@@ -119,7 +119,7 @@ _Any = Asked | HoldAsked | Crowded | LeaseAsked | LeaseLapsed | Recorded | Refus
 
 
 def send_answer(query: zenoh.Query, key: str, message: dict[str, Any]) -> None:
-    """Answer and finish a query; a querier that has gone is no error."""
+    """Answer and finish a query; a querier that has disconnected is no error."""
     payload = msgspec.json.encode(message)
     with contextlib.suppress(zenoh.ZError):
         if message["accepted"]:
@@ -139,7 +139,7 @@ def _payload_of(query: zenoh.Query) -> bytes | None:
 
 
 def _by_operator(asked: list[Asked]) -> list[Request]:
-    """One request of each operator, of a few at most: the others are answered, but not on record by name."""
+    """One request of each operator, for the record: of at most ``_NAMES_ON_RECORD``, though all are answered."""
     return list({one.request.operator: one.request for one in asked}.values())[:_NAMES_ON_RECORD]
 
 
@@ -159,9 +159,9 @@ class CommandServer:
         preflight: Preflight,
         run_id: str = "",
     ) -> None:
-        """``newest``: what the newest record says; ``limits_n``: lowest and highest target. ``log``: for the record.
+        """``newest``: reads the newest record; ``limits_n``: lowest and highest target; ``log``: for the audit log.
 
-        ``run_id``: of this daemon; a command that is meant for another is refused.
+        ``run_id``: of this daemon; a command that names another run is refused.
         """
         self._run_id = run_id
         self._log, self._preflight = log, preflight
@@ -170,7 +170,7 @@ class CommandServer:
         self._newest_record, self._limits_n = newest, limits_n
         self._asked: queue.SimpleQueue[_Any] = queue.SimpleQueue()
         self._holds: deque[Asked] = deque()  # served before all others
-        self._hold_ns = 0  # not before is the loop given another
+        self._hold_ns = 0  # earliest time of the next HOLD for the loop
         self._flow = Flow(time.monotonic_ns())
         self._pending: dict[int, Pending] = {}
         self._last_id = 0
@@ -182,23 +182,23 @@ class CommandServer:
         session.declare_queryable(self._keys.command("*"), self._take)
 
     def tell(self, setting: Setting, value: float) -> None:
-        """Tell the loop something that no operator gives."""
+        """Send the loop a setting that no operator gives."""
         self._asked.put(Told(setting, value))
 
     def look_at_lease(self, now_ns: int) -> None:
-        """See that a lease that has lapsed is struck out, also while nobody asks anything."""
+        """Have a lapsed lease ended and refused commands reported, also while no command arrives."""
         if self._leases.has_lapsed(now_ns):
             self._asked.put(LeaseLapsed())
         if self._flow.due(now_ns):
             self._asked.put(Crowded())
 
     def close(self) -> None:
-        """Answer no more."""
+        """End the thread; nothing is answered after it."""
         self._asked.put(None)
         self._thread.join(timeout=1.0)
 
     def _take(self, query: zenoh.Query) -> None:
-        """Zenoh's thread: check, limit and queue, nothing that waits; what is too many is written nowhere."""
+        """Check, limit and queue, in Zenoh's thread: nothing here may wait. Commands over the limit go on no record."""
         key = str(query.key_expr)
         name = key.rsplit("/", 1)[-1]
         asked: Asked | LeaseAsked | Refused
@@ -266,14 +266,14 @@ class CommandServer:
                 self._write(setting, value)
 
     def _meant_for_another(self, run_id: str, name: str, operator: str) -> dict[str, Any] | None:
-        """The refusal of a command that a program gave to the daemon it started, and which reached this one."""
+        """The refusal of a command that names another daemon's run; None if it is meant for this one or for any."""
         if not run_id or run_id == self._run_id:
             return None
         text = f"found the run id of another daemon, expected {self._run_id}; nothing was done here"
         return refused(name, operator, "other_run", text)
 
     def _write(self, code: Verb | Setting, value: float) -> int:
-        """Hand the loop a command; returns its id: never that of one given before, by this gateway or another."""
+        """Write a command for the loop; returns its id, which no earlier command of any gateway has."""
         now = time.monotonic_ns()
         self._last_id = max(self._last_id + 1, now)
         self._commands.write(now, self._last_id, int(code), value)
@@ -293,7 +293,7 @@ class CommandServer:
             return
         request = admitted
         until_ns = now + WAIT_NS.get(request.verb, ANSWER_NS)
-        if request.verb is Verb.ARM:  # never on what the loop was told a while ago
+        if request.verb is Verb.ARM:  # the preflight must not use host checks of an earlier time
             self._write(Setting.HOST_CHECKS, float(self._preflight.verdict(now).host_checks))
         number = self._write(request.verb, request.number)
         self._pending[number] = Pending(query, request, until_ns)
@@ -301,7 +301,7 @@ class CommandServer:
         self._log.given(now, number, name, request.operator, self._holder(), request.number)
 
     def _give_holds(self, now_ns: int) -> None:
-        """HOLD is safe: given by anyone, before all else, and never too many; a flood of them becomes a few."""
+        """Send HOLD before all else and from anyone, since it is safe; waiting HOLDs become one, so no flood forms."""
         if not self._holds or now_ns < self._hold_ns:
             return
         self._hold_ns = now_ns + _HOLD_SPACING_NS
@@ -314,7 +314,7 @@ class CommandServer:
             self._leases.note_hold(request, now_ns)
 
     def _put_in_force(self, recorded: Recorded) -> None:
-        """What is on record now takes effect; the operator is answered when the loop has taken it."""
+        """Send the loop what is on record now; the operator is answered when the loop has taken it."""
         request, finding = recorded.request, recorded.filed.finding
         if finding is None:
             name, filed = request.verb.name.lower(), recorded.filed
@@ -352,7 +352,7 @@ class CommandServer:
         return now_ns > given.until_ns + more_ns
 
     def _answered(self, given: Pending, reply: Any, number: int) -> None:
-        """The loop's reply goes to the operator; that of a trial goes to the calibration service first."""
+        """Pass the loop's reply to the operator; that of a trial goes to the calibration service first."""
         query, request = given.query, given.request
         try:
             verdict = self._preflight.verdict(time.monotonic_ns())
@@ -378,7 +378,7 @@ class CommandServer:
         self._answer_sharing(given, lambda request: {**message, "operator": request.operator})
 
     def _answer_sharing(self, given: Pending, answer_to: Callable[[Request], dict[str, Any]]) -> None:
-        """The answer of a HOLD goes to those who asked for it at the same time; it is on record once."""
+        """Answer every operator who shares this HOLD; the answer is put on record once."""
         now = time.monotonic_ns()
         for query, request in ((asked.query, asked.request) for asked in given.sharing):
             message = self._leases.with_lease(request.operator, request.lease, answer_to(request), now)
@@ -396,6 +396,6 @@ class CommandServer:
         self._log.answered(now, number, self._holder(), message, entry)
 
     def _holder(self) -> str:
-        """Who holds the lease."""
+        """The lease holder's name, empty without a lease."""
         lease = self._leases.shown(time.monotonic_ns())
         return str(lease["holder"]) if lease is not None else ""

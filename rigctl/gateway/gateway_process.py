@@ -1,6 +1,6 @@
 """``python -m rigctl.gateway.gateway_process RUNTIME_DIR``: rings in, Zenoh out; commands the other way.
 
-May be killed at any time: the loop does not notice, and the next gateway goes on where this one stopped.
+It may be killed at any time: the loop does not notice, and the next gateway continues where this one stopped.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ from rigctl.wire.state_message import (
 
 _JSON = zenoh.Encoding.APPLICATION_JSON
 _DROP = zenoh.CongestionControl.DROP
-_LOOK_NS = 500_000_000  # how often the files of the other processes are looked at
-_LINK_S = 1.5  # at most, for links to the routers joined: there at once, but on a busy computer
-_JOIN_S = 0.5  # for what is behind them to come in newest
+_LOOK_NS = 500_000_000  # between two readings of the other processes' files
+_LINK_S = 1.5  # limit for links to the joined routers; they are up at once unless the computer is busy
+_JOIN_S = 0.5  # for the declarations behind those routers to arrive
 
 
 class StateView:
-    """The state message of this instant."""
+    """Makes the state message."""
 
     def __init__(self, runtime: Runtime, settings: RigSettings, active: Active) -> None:
         self._rig, self._active = settings.rig, active
@@ -69,7 +69,7 @@ class StateView:
         self._recent, self._trip = Recent(), Trip()
         self._causes = Causes((*safety.table(settings), *limits.rows(settings)))
         self.standing: Mapping[Fault, str] = {}
-        """Causes of a fault that stand, in words, the strongest first."""
+        """Causes of a fault that stand now, in words, the strongest first."""
         self.doubts = Doubts(runtime.event_reader(from_start=True))
         self._warnings: list[str] = []
         self._design: str | None = None
@@ -87,8 +87,8 @@ class StateView:
         verdict: Verdict,
         cursor: Cursor,
     ) -> bytes:
-        """Read what is new and encode it; ``cursor``: how far events and notes are published, once this is shown."""
-        record = self._records.latest()  # before the events: the loop tells why it tripped before a record shows it
+        """Read what is new and encode it; ``cursor``: how far events and notes are published with this state."""
+        record = self._records.latest()  # before the events: the loop writes a trip's event before its record
         self._recent.add(self._records.read())
         events = self._events.read()
         self._trip.note(events)
@@ -126,7 +126,7 @@ class StateView:
 
 
 def _answering(answer: Callable[[zenoh.Query], tuple[str, bytes]]) -> Callable[[zenoh.Query], None]:
-    """A queryable's callback from a function that gives key and payload; its failure is an error reply."""
+    """A queryable's callback, from a function that returns key and payload; an exception becomes an error reply."""
 
     def take(query: zenoh.Query) -> None:
         try:
@@ -182,13 +182,13 @@ class Gateway:
         """Open everything.
 
         Raises:
-            SessionError: the endpoint is in use or is none.
+            SessionError: the endpoint is in use or not valid, or another daemon has this rig's name.
         """
         keys, now = Keys(settings.rig), time.monotonic_ns()
         socket = f"unixsock-stream/{runtime.gateway_socket}"
         self._session = open_router([settings.telemetry.listen, socket], settings.telemetry.join)
         self._refuse_duplicate_name(keys, settings)
-        # Commands have a session of their own: nothing that happens to the data can hold one up.
+        # Commands have a session of their own, so that congestion of the data cannot delay them.
         self._command_session = open_client(socket)
         self._period_ns = 1_000_000_000 // settings.telemetry.rate_hz
         self._per_call = max(1, settings.loop.rate_hz // settings.telemetry.rate_hz)
@@ -210,7 +210,7 @@ class Gateway:
         self._calibration = calibration = CalibrationService(runtime, settings)
         self._preflight = Preflight(runtime, settings, lambda: calibration.standing, self._view.doubts.look)
         self._look_ns = 0
-        self._tell_ns = now  # not before is the loop told again what the host's checks say
+        self._tell_ns = now  # earliest time at which the host checks are sent to the loop again
         self._leases = LeaseService(runtime, settings.telemetry.lease_s, now)
         self._commands = CommandServer(
             keys,
@@ -232,9 +232,9 @@ class Gateway:
         self._token = self._session.liveliness().declare_token(keys.daemon)
 
     def publish(self) -> None:
-        """One period's worth of everything.
+        """Publish what one period brought.
 
-        Who has heard an event and then asks for the state gets one that knows it: that is made first.
+        The state is made before the events are sent: a client that queries it on an event gets one that includes it.
         """
         now = time.monotonic_ns()
         self._fast.publish(self._per_call, now)
@@ -250,7 +250,7 @@ class Gateway:
             self._tell_active()
         lease = self._leases.shown(now)
         state = self._view.make(now, self._fast.lost, self._calibration.standing, lease, verdict, self._cursor)
-        self._view.newest = state  # before the events: whoever hears one may ask at once
+        self._view.newest = state  # before the events, see above
         self._events.publish()
         self._state.put(state)
 
@@ -260,7 +260,7 @@ class Gateway:
             self._configuration.put(found)
 
     def _refuse_duplicate_name(self, keys: Keys, settings: RigSettings) -> None:
-        """Behind joined routers another rig may have this name; a command would reach both."""
+        """Refuse to start where a rig behind the joined routers has the same name: a command would reach both."""
         joined = settings.telemetry.join
         if not joined:
             return
@@ -274,7 +274,7 @@ class Gateway:
             raise SessionError(f"another daemon named {settings.rig} answers behind {', '.join(joined)}: rename one")
 
     def _tell_checks(self, verdict: Verdict, now_ns: int) -> None:
-        """The loop's records say what it goes by; a loop that has just started goes by nothing."""
+        """Send the host checks whenever the loop's record shows others; a loop that has just started has none."""
         record = self._newest.latest()
         if record is None or int(record["checks"]) & int(HOST_CHECKS) == verdict.host_checks or now_ns < self._tell_ns:
             return
@@ -282,7 +282,7 @@ class Gateway:
         self._commands.tell(Setting.HOST_CHECKS, float(verdict.host_checks))
 
     def run(self, stop: Termination) -> None:
-        """Publish on an absolute grid until ``stop``; periods that were missed are left out."""
+        """Publish on an absolute grid until ``stop``; missed periods are skipped."""
         due = time.monotonic_ns()
         while not stop.requested:
             self.publish()
@@ -291,7 +291,7 @@ class Gateway:
             time.sleep(max(0.0, (due - time.monotonic_ns()) / 1e9))
 
     def close(self) -> None:
-        """Publish what is left and end the sessions."""
+        """Publish the rest and end the sessions."""
         self._calibration.close()
         self._preflight.close()
         self._commands.close()
@@ -302,7 +302,7 @@ class Gateway:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the gateway of the runtime folder named; exit code."""
+    """Run the gateway of the runtime folder named; returns the exit code."""
     if len(arguments) != 1:
         sys.stderr.write("usage: python -m rigctl.gateway.gateway_process RUNTIME_DIR\n")
         return 2

@@ -1,6 +1,6 @@
-"""The leases of the lease in the gateway: the register, its place in the runtime folder, its notes and its words.
+"""The lease service of the gateway: the register, its file in the runtime folder, its notes and its messages.
 
-Changed by the rig's thread alone; ``shown``, ``has_lapsed`` and ``is_holder`` may be asked by any.
+Only the command server's thread changes it; ``shown``, ``has_lapsed`` and ``is_holder`` may be called from any.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ CROWDS_TOLD = 4
 
 
 def believed(written: Any, duration_ns: int, now_ns: int) -> Lease | None:
-    """The lease that was written down; None for anything a gateway would not have written."""
+    """The lease read from the file; None for anything that a gateway would not have written."""
     try:
         lease = msgspec.convert(written, Lease)
         if operator_of(lease.holder) != lease.holder or not is_id(lease.id):
@@ -43,7 +43,7 @@ def believed(written: Any, duration_ns: int, now_ns: int) -> Lease | None:
 
 
 def why_not(denial: Denial, operator: str, lease: Lease | None, now_ns: int) -> str:
-    """A denial in one line."""
+    """A denial as one line for the operator."""
     if denial is Denial.LAPSED:
         return f"the lease shown has lapsed or was never given, and nobody holds it now; look at the rig, then {_TAKE}"
     if denial is Denial.NOT_HELD or lease is None:
@@ -58,7 +58,7 @@ class LeaseService:
     """The lease of one rig."""
 
     def __init__(self, runtime: Runtime, duration_s: int, now_ns: int) -> None:
-        """Goes on with the lease the gateway before this one wrote down, if that can be believed."""
+        """Continues the lease that the gateway before this one wrote down, if it is valid."""
         self._runtime, self._notes = runtime, runtime.note_writer()
         duration_ns = duration_s * 1_000_000_000
         self._register = LeaseRegister(duration_ns, self._tell, self._read(duration_ns, now_ns))
@@ -74,7 +74,7 @@ class LeaseService:
         return lease
 
     def admit(self, request: Request, now_ns: int) -> Request | dict[str, Any]:
-        """The command with the lease it is given under, or why it is refused."""
+        """The command with the lease it is given under, or the refusal."""
         self.expire(now_ns)
         found = self._register.admit(request.operator, request.lease, now_ns)
         if isinstance(found, Lease):
@@ -84,17 +84,17 @@ class LeaseService:
         return refused(request.verb.name.lower(), request.operator, found.value, why)
 
     def note_hold(self, request: Request, now_ns: int) -> None:
-        """HOLD has been given, which anyone may; without the lease it neither takes nor renews it, and is noted."""
+        """Note a HOLD given without the lease, which anyone may do; it neither takes nor renews the lease."""
         if not self._register.is_holder(request.operator, request.lease, now_ns):
             lease = self._register.lease(now_ns)
             self._note(now_ns, Note.HOLD_WITHOUT_LEASE, request.operator, lease.holder if lease else "")
 
     def is_holder(self, operator: str, id_: str | None, now_ns: int) -> bool:
-        """Whether both name and id are those of the lease in force; may be asked from any thread."""
+        """Whether both name and id are those of the lease in force; may be called from any thread."""
         return self._register.is_holder(operator, id_, now_ns)
 
     def note_crowd(self, crowds: list[Crowd], now_ns: int) -> None:
-        """Tell of commands that were refused because there were too many: the worst few by name, the rest as one."""
+        """Note commands refused because there were too many: the operators with most by name, the rest as one note."""
         worst, rest = crowds[:CROWDS_TOLD], crowds[CROWDS_TOLD:]
         if rest:
             worst.append(Crowd(count(len(rest), "other"), sum(crowd.count for crowd in rest), rest[0].since_ns))
@@ -103,7 +103,7 @@ class LeaseService:
             self._note(now_ns, Note.TOO_MANY_COMMANDS, crowd.operator, reason=text)
 
     def decide(self, request: LeaseRequest, now_ns: int) -> dict[str, Any]:
-        """Take the lease or give it back; the answer."""
+        """Take the lease or give it back; returns the answer."""
         self.expire(now_ns)
         operator, id_ = request.operator, request.lease
         found: Lease | Denial | None
@@ -123,7 +123,7 @@ class LeaseService:
         return self.with_lease(operator, id_, message, now_ns)
 
     def with_lease(self, operator: str, id_: str | None, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
-        """An answer and the lease in force: its id for the holder alone, whom what was carried out renews."""
+        """An answer with the lease in force, whose id only the holder sees; a command carried out renews it."""
         if message["accepted"] and self._register.renew(operator, id_, now_ns) is not None:
             self._save(now_ns)
         told = self.shown(now_ns)
@@ -132,7 +132,7 @@ class LeaseService:
         return message | {"lease": told}
 
     def shown(self, now_ns: int) -> dict[str, Any] | None:
-        """The lease in force, for everyone: all but the id."""
+        """The lease in force as everyone may see it: without the id."""
         lease = self._register.lease(now_ns)
         if lease is None:
             return None
@@ -147,7 +147,7 @@ class LeaseService:
         return self._register.has_lapsed(now_ns)
 
     def expire(self, now_ns: int) -> None:
-        """Strike out a lease that has lapsed. Nothing follows from it for the rig."""
+        """End a lease that has lapsed. The rig gets no command from this."""
         if self._register.has_lapsed(now_ns):
             self._register.expire(now_ns)
             self._save(now_ns)
@@ -159,6 +159,6 @@ class LeaseService:
         self._notes.write(t_ns, int(kind), operator.encode(), other.encode(), reason.encode())
 
     def _save(self, now_ns: int) -> None:
-        # A lease that cannot be written down ends with this gateway, which is no reason to refuse anything.
+        # Without the file a lease only ends with this gateway, so a failed write refuses no command.
         with contextlib.suppress(OSError):
             self._runtime.write_json(IN_FORCE, self._register.lease(now_ns) or {})

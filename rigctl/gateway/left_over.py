@@ -1,9 +1,9 @@
-"""What a gateway put on record and did not live to see in force: the next one brings ledger and loop together.
+"""A ledger entry that was written but not put in force: the next gateway makes ledger and loop agree.
 
-An entry is on record before the loop is told. Between the two the gateway may be killed, or the loop may give no
-answer. Whoever comes next looks at the newest entry: the loop is told again, and where it takes nothing (it moves, or
-the rope is loaded) the entry is withdrawn. A ledger that differs in any other way, somebody else has changed: that
-holds from the next start of the daemon.
+An entry is on record before the loop gets its settings. In between, the gateway may be killed or the loop may give no
+answer. The newest entry is then sent to the loop again; if the loop refuses it (it moves, or the rope is loaded), the
+entry is withdrawn. Any other difference means that somebody else changed the ledger; such a change takes effect at the
+next start of the daemon.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True)
 class LeftOver:
-    """``entry`` is on record and not in force; ``settings`` would put it there. None: it is not known what to do."""
+    """``entry`` is on record but not in force; ``settings`` puts it in force, None where that cannot be known."""
 
     entry: Entry
     standing: Standing
@@ -35,12 +35,12 @@ class LeftOver:
         return self.standing.zero_n, self.standing.scale
 
     def __str__(self) -> str:
-        """Which entry it is."""
+        """The entry's name for messages."""
         return f"the {self.entry.what} by {self.entry.operator} of {self.entry.when}"
 
 
 def loop_has(runtime: Runtime) -> Pair:
-    """Zero in N and scale the loop goes by: it says so whenever they change."""
+    """Zero in N and scale that the loop uses, from its newest CORRECTION event."""
     events = runtime.event_reader(from_start=True).read()
     told = events[events["kind"] == Kind.CORRECTION]
     if len(told):
@@ -50,7 +50,7 @@ def loop_has(runtime: Runtime) -> Pair:
 
 
 def find(settings: RigSettings, entries: Sequence[Entry], has: Pair, now: Standing, wall_ns: int) -> LeftOver | None:
-    """What of the ledger the loop does not go by; ``has``: what it goes by, ``now``: what was last put in force."""
+    """The ledger's newest entry if the loop does not use it; ``has``: what it uses, ``now``: what was last in force."""
     if not entries or settings.calibration is None:
         return None
     wanted = ledger.standing(settings, entries, wall_ns)

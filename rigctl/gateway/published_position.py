@@ -1,7 +1,7 @@
-"""How far the streams have been published, kept in the runtime folder so that a new gateway goes on from there.
+"""How far the streams have been published, kept in the runtime folder so that a new gateway continues from there.
 
-Written after each publication with one system call. A gateway killed between the two publishes its last block again:
-repeated rather than lost, and a subscriber sees it by the sequence number.
+It is written after each publication with one system call. After a gateway is killed between the two, the next one
+publishes the last block again: it is repeated rather than lost, and a subscriber sees it by the sequence number.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Cursor:
         """``ring``: the records; ``head``: its last sequence number. A cursor of another ring is not used.
 
         Raises:
-            OSError: it can be neither read nor made anew.
+            OSError: the file can be neither read nor created.
         """
         self._fd = _open(path)
         self._ring = ring.stat().st_ino
@@ -44,17 +44,17 @@ class Cursor:
         self.save()
 
     def save(self) -> None:
-        """Write the positions down."""
+        """Write the positions to the file."""
         positions = (self._ring, self.stream, self.fast_seq, self.fast_lost, self.event_seq, self.note_seq)
         os.pwrite(self._fd, _sealed(_LAYOUT.pack(_MAGIC, *positions, self.fast_listened, self.events_listened)), 0)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         os.close(self._fd)
 
 
 def _open(path: pathlib.Path) -> int:
-    """The file; what stands in its place and is none is taken away."""
+    """The opened file; anything else of its name that is not a regular file is removed first."""
     with contextlib.suppress(FileNotFoundError):
         mode = path.lstat().st_mode
         if stat.S_ISDIR(mode):
@@ -65,5 +65,5 @@ def _open(path: pathlib.Path) -> int:
 
 
 def _sealed(data: bytes) -> bytes:
-    """With its checksum: damaged positions would leave out events, or repeat all of them."""
+    """Data with its checksum, because damaged positions would skip events or repeat all of them."""
     return data + _CHECKSUM.pack(zlib.crc32(data)) if len(data) == _LAYOUT.size else b""

@@ -1,4 +1,4 @@
-"""The fast stream and the events: what is due to be published now, going on where the previous gateway stopped."""
+"""The fast stream and the events: what is due to be published, continuing where the previous gateway stopped."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from rigctl.wire.keys import SEVERITIES, Keys
 
 BLOCK_RECORDS = 60_000 // RECORD.dtype.itemsize  # a block fits one Zenoh batch (64 KB)
 HISTORY_RECORDS = 1000  # in one answer
-BACKLOG_SPEED = 16  # a backlog goes out at so many times the rate it was made; at 8, gateways killed in turn lag
-PATIENCE_NS = 5_000_000_000  # after a restart, so long for the subscribers to come back
-UNRECORDED_NS = 100_000_000  # an event waits no longer than this for the record of its tick
+BACKLOG_SPEED = 16  # a backlog goes out at this multiple of the loop's rate; at 8, gateways killed in turn lag behind
+PATIENCE_NS = 5_000_000_000  # longest wait for subscribers to come back after a restart
+UNRECORDED_NS = 100_000_000  # an event waits at most this long for the record of its tick
 
 
 def blocks_of(records: npt.NDArray[Any], reader: RingReader, lost: int, stream: int) -> list[bytes]:
-    """Records as blocks, none longer than ``BLOCK_RECORDS``, a new one after every gap."""
+    """Records as blocks of at most ``BLOCK_RECORDS``; a gap starts a new block."""
     if not len(records):
         return []
     gaps = np.flatnonzero(np.diff(records["seq"].astype(np.int64)) != 1) + 1
@@ -43,7 +43,7 @@ def blocks_of(records: npt.NDArray[Any], reader: RingReader, lost: int, stream: 
 
 
 def past_block(reader: RingReader, after: int, stream: int) -> bytes:
-    """One block with the records after ``after`` that are still held, at most ``HISTORY_RECORDS``."""
+    """One block with the records after ``after`` that the ring still holds, at most ``HISTORY_RECORDS``."""
     head = reader.head
     reader.cursor = min(max(after, 0), head)
     records = reader.read(HISTORY_RECORDS)
@@ -57,20 +57,20 @@ def past_block(reader: RingReader, after: int, stream: int) -> bytes:
 
 
 def has_subscriber(publisher: zenoh.Publisher) -> bool:
-    """Whether anyone listens. (zenoh 1.10's stub says bool; it is an object, and always true.)"""
+    """Whether a subscriber exists. (zenoh 1.10's stub says bool; it is an object, and always true.)"""
     return bool(getattr(publisher.matching_status, "matching", publisher.matching_status))
 
 
 class Resumption:
-    """After a restart, waits until those who listened before are back, but not for ever."""
+    """Holds a stream back after a restart until a subscriber is back, for at most ``PATIENCE_NS``."""
 
     def __init__(self, listened: bool, now_ns: int) -> None:
-        """``listened``: whether anyone did when the previous gateway ended."""
+        """``listened``: whether there was a subscriber when the previous gateway ended."""
         self._waiting = listened
         self._until_ns = now_ns + PATIENCE_NS
 
     def waits(self, publishers: list[zenoh.Publisher], now_ns: int) -> bool:
-        """Whether to hold the stream back for now."""
+        """Whether to hold the stream back now."""
         if self._waiting and (now_ns > self._until_ns or any(map(has_subscriber, publishers))):
             self._waiting = False
         return self._waiting
@@ -80,7 +80,7 @@ class FastStream:
     """Every record, in blocks."""
 
     def __init__(self, publisher: zenoh.Publisher, reader: RingReader, cursor: Cursor, now_ns: int) -> None:
-        """``reader`` begins with the oldest record held; a cursor of the previous gateway moves it on."""
+        """``reader`` starts at the oldest record held; a cursor of the previous gateway moves it on."""
         self._publisher, self._reader, self._cursor = publisher, reader, cursor
         self._lost_before = cursor.fast_lost
         self._resumption = Resumption(cursor.fast_listened, now_ns)
@@ -93,7 +93,7 @@ class FastStream:
         return self._lost_before + self._reader.lost
 
     def publish(self, per_call: int, now_ns: int) -> None:
-        """Publish what is new; ``per_call`` records are made between two calls."""
+        """Publish what is new; ``per_call``: records written between two calls."""
         cursor, publisher = self._cursor, self._publisher
         if self._resumption.waits([publisher], now_ns):
             return
@@ -108,7 +108,7 @@ class FastStream:
 def past_messages(
     events: RingReader, notes: RingReader, after: int, after_note: int, wall_offset_ns: int, stream: int
 ) -> list[dict[str, Any]]:
-    """Events of the loop after one and notes of the gateway after another that are still held, oldest first."""
+    """The loop's events after ``after`` and the gateway's notes after ``after_note`` that are held, oldest first."""
     events.cursor, notes.cursor = min(after, events.head), min(after_note, notes.head)
     found = [event_message(event, wall_offset_ns)[1] for event in events.read()]
     found += [note_message(note, wall_offset_ns)[1] for note in notes.read()]
@@ -136,8 +136,9 @@ class EventStream:
     def read(self, wall_offset_ns: int, now_ns: int, recorded_ns: int) -> None:
         """Take what is new from the rings, for `publish`.
 
-        ``recorded_ns``: of the newest record. An event of a tick whose record is not written yet is left for the next
-        time, so that nobody who has heard it is then shown a state from before it; a loop that died records no more.
+        ``recorded_ns``: time of the newest record. An event whose tick has no record yet waits for the next call, so
+        that no client sees a state older than an event it already has. The wait is limited by ``UNRECORDED_NS``,
+        because a loop that died writes no more records.
         """
         if self._resumption.waits(list(self._publishers.values()), now_ns):
             return
@@ -152,7 +153,7 @@ class EventStream:
         self._cursor.event_seq, self._cursor.note_seq = self._reader.cursor, self._notes.cursor
 
     def publish(self) -> None:
-        """Publish what `read` took, if it took anything."""
+        """Publish what `read` took."""
         if self._worded is None:
             return
         self._cursor.events_listened = any(map(has_subscriber, self._publishers.values()))
@@ -163,7 +164,7 @@ class EventStream:
 
 
 def event_publishers(session: zenoh.Session, keys: Keys) -> dict[str, zenoh.Publisher]:
-    """One per severity, ahead of the data streams."""
+    """One publisher per severity, with priority over the data streams."""
     return {
         severity: session.declare_publisher(
             keys.event(severity),

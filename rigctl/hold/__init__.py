@@ -1,1 +1,1 @@
-"""The hold service: HOLD from this computer's operators to the loop, on a way that nothing else uses."""
+"""The hold service: HOLD from this computer's operators to the loop, on a path that nothing else uses."""

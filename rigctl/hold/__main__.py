@@ -5,7 +5,7 @@ import sys
 
 from rigctl.ipc.termination import Termination
 
-stop = Termination(signal.SIGTERM, signal.SIGHUP)  # before the other imports: a daemon may end within them
+stop = Termination(signal.SIGTERM, signal.SIGHUP)  # before the other imports: the daemon may end during them
 
 from rigctl.hold.service import main  # noqa: E402
 

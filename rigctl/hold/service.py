@@ -1,8 +1,8 @@
 """The hold service: a local socket, and a ring to the loop that carries nothing but HOLD.
 
-It uses no network and needs no gateway, so neither a flood at the gateway nor a gateway that hangs can hold it up. One
-thread; every wait in it is bounded. A request is one packet with the payload of the command ``hold``, the answer is one
-packet with the gateway's answer to it and ``"via": "local socket"``.
+It uses no network and needs no gateway, so neither a flood at the gateway nor a hanging gateway delays it. It has one
+thread, in which every wait is bounded. A request is one packet with the payload of the command ``hold``; the answer is
+one packet with the gateway's answer to that command and ``"via": "local socket"``.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from rigctl.ipc.runtime_folder import Runtime
 from rigctl.ipc.termination import Termination
 from rigctl.wire.command_request import Request, RequestError, answer, newest_record, parse, refused, silent
 
-PRIORITY = 1  # SCHED_FIFO: below every loop, before a gateway that is flooded
+PRIORITY = 1  # SCHED_FIFO: below every loop, above a flooded gateway
 POLL_S = 0.001  # while a hold waits for the loop
 IDLE_S = 0.2
 REQUEST_BYTES = 1024
-CONNECTIONS_MAX = 32  # the one that has said nothing for longest goes for a new one: idle ones never fill the service
-SAYS_NOTHING_NS = 500_000_000  # so long a connection may be open without a request
-ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # after its lifetime the loop would not carry it out any more
-SPACING_NS = 20_000_000  # between two slots of the ring; requests that come in between share the next one
+CONNECTIONS_MAX = 32  # a new connection replaces the oldest idle one, so idle ones cannot block the service
+SAYS_NOTHING_NS = 500_000_000  # a connection without a request is closed after this time
+ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # the loop carries out no command older than its lifetime
+SPACING_NS = 20_000_000  # between two slots of the ring; requests that arrive in between share the next one
 VIA = "local socket"
 _CREDENTIALS = struct.Struct("3i")  # struct ucred: pid, uid, gid
 
@@ -55,7 +55,7 @@ class Peer:
 
 @dataclass
 class Given:
-    """A slot that was written, and who waits for what comes of it."""
+    """A slot that was written, and the peers that wait for its reply."""
 
     until_ns: int
     peers: list[Peer] = field(default_factory=list)
@@ -68,8 +68,8 @@ class HoldService:
         """Listen.
 
         Raises:
-            OSError: the socket cannot be made.
-            RingError: the rings are another version's.
+            OSError: the socket cannot be created.
+            RingError: the rings have another version.
         """
         self._holds, self._replies = runtime.hold_writer(), runtime.reply_reader()
         self._records = runtime.record_reader()
@@ -77,7 +77,7 @@ class HoldService:
         self._waiting: list[Peer] = []
         self._given: dict[int, Given] = {}
         self._last_id = self._next_ns = 0
-        runtime.hold_socket.unlink(missing_ok=True)  # of a service that was killed
+        runtime.hold_socket.unlink(missing_ok=True)  # left by a killed service
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._listener.setblocking(False)
         self._listener.bind(str(runtime.hold_socket))
@@ -87,12 +87,12 @@ class HoldService:
         self._selector.register(self._listener, selectors.EVENT_READ)
 
     def serve(self, stop: Termination) -> None:
-        """Until told to stop."""
+        """Serve until ``stop``."""
         while not stop.requested:
             self.turn(POLL_S if self._waiting or self._given else IDLE_S)
 
     def turn(self, wait_s: float) -> None:
-        """Wait for what comes, at most so long, and do what is due."""
+        """Wait for input, ``wait_s`` at most, and do what is due."""
         found = self._selector.select(wait_s)
         now_ns = time.monotonic_ns()
         for key, _ in found:
@@ -107,14 +107,14 @@ class HoldService:
                 self._close(peer)
 
     def close(self) -> None:
-        """Take nothing more."""
+        """Close all connections and the socket."""
         for peer in [*self._peers.values()]:
             self._close(peer)
         self._selector.close()
         self._listener.close()
 
     def _accept(self, now_ns: int) -> None:
-        with contextlib.suppress(OSError):  # it has gone again, or no descriptor is left
+        with contextlib.suppress(OSError):  # the peer has closed again, or no descriptor is free
             connection, _ = self._listener.accept()
             connection.setblocking(False)
             found = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
@@ -132,7 +132,7 @@ class HoldService:
             return
         except OSError:
             payload = b""
-        if not payload or peer.request is not None:  # who goes away after asking has given HOLD all the same
+        if not payload or peer.request is not None:  # a HOLD stays valid when its sender closes the connection
             self._selector.unregister(peer.socket)
             if peer.request is None:
                 self._drop(peer)
@@ -149,7 +149,7 @@ class HoldService:
         self._waiting.append(peer)
 
     def _give(self, now_ns: int) -> None:
-        """Hand the loop what waits, as one slot."""
+        """Write the waiting requests as one slot for the loop."""
         if not self._waiting or now_ns < self._next_ns:
             return
         if not self._given:
@@ -176,7 +176,7 @@ class HoldService:
                 self._answer(peer, self._unanswered(peer, now_ns))
 
     def _unanswered(self, peer: Peer, now_ns: int) -> dict[str, Any]:
-        """What is known of the rig when the loop says nothing."""
+        """The answer without a reply of the loop, with what the last record shows."""
         message = silent("hold", peer.request.operator if peer.request is not None else "")
         record = self._records.latest()
         if record is None:
@@ -205,7 +205,7 @@ class HoldService:
 
 
 def main(arguments: Sequence[str], stop: Termination) -> int:
-    """Run the hold service of the runtime folder named until ``stop``; exit code."""
+    """Run the hold service of the runtime folder named until ``stop``; returns the exit code."""
     if len(arguments) != 1:
         sys.stderr.write("usage: python -m rigctl.hold RUNTIME_DIR\n")
         return 2
@@ -216,7 +216,7 @@ def main(arguments: Sequence[str], stop: Termination) -> int:
     except (OSError, RingError) as error:
         sys.stderr.write(f"hold: no socket for HOLD: {error}\n")
         return 1
-    with contextlib.suppress(OSError):  # without the right it waits for a processor like everybody else
+    with contextlib.suppress(OSError):  # without the right it runs at normal priority
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
     service.serve(stop)
     service.close()

@@ -1,1 +1,1 @@
-"""Equation (16), the windows it is taken over, and percentiles."""
+"""Equation (16), its windows, and percentiles."""

@@ -1,4 +1,4 @@
-"""The error of the vertical tension in figures: largest, rms, spread, and how long it stayed beyond a bound."""
+"""Statistics of the error of the vertical tension: largest, rms, spread, and longest time beyond a bound."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ErrorStatistics:
-    """Of one or several phases; the error is vertical less target, in percent of the target (equation 16)."""
+    """Statistics over one or several phases; the error is vertical less target, in percent of it (equation 16)."""
 
     seconds: float
     samples: int
@@ -31,20 +31,20 @@ class ErrorStatistics:
     vertical_max_n: float
     max_at_ns: int
     not_good: int
-    """Samples of cell or inclinometer that were not good; they are judged all the same."""
+    """Samples of cell or inclinometer that were not good; they count in the statistics."""
     without_value: int
-    """Ticks in which there is no number to judge."""
+    """Ticks without a finite error."""
     missing: int
-    """Records that are not in the file."""
+    """Records missing from the file."""
 
 
 def error_n(records: Array, phase: Phase) -> Floats:
-    """Vertical tension less the target over the judged part of a phase, in N; NaN where there is none."""
+    """Vertical tension less the target over the judged part of a phase, in N; NaN for no value."""
     return np.asarray(records["vertical_n"][phase.judged], np.float64) - phase.target_n
 
 
 def statistics(records: Array, judged: list[Phase], rate_hz: float) -> ErrorStatistics | None:
-    """Over all of ``judged`` together, each against its own target; None where there is nothing."""
+    """Statistics over all of ``judged`` together, each against its own target; None without a sample."""
     errors = [error_n(records, phase) for phase in judged]
     whole = np.concatenate(errors) if errors else np.empty(0)
     known = np.isfinite(whole)
@@ -76,7 +76,7 @@ def statistics(records: Array, judged: list[Phase], rate_hz: float) -> ErrorStat
 
 
 def longest_beyond_s(errors_n: Floats, bound_n: float, rate_hz: float) -> float:
-    """For how long ``|error|`` was above ``bound_n`` without a break, at most, in s; 0 if it never was."""
+    """Longest unbroken time of ``|error|`` above ``bound_n``, in s; 0 if it never was."""
     beyond = np.abs(errors_n) > bound_n
     edges = np.flatnonzero(np.diff(np.concatenate(([False], beyond, [False])).astype(np.int8)))
     return float(np.max(edges[1::2] - edges[::2], initial=0)) / rate_hz

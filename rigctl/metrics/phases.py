@@ -1,4 +1,4 @@
-"""The times a recording is judged by: COMPENSATING on one target, once it has settled."""
+"""The phases in which a recording is judged: COMPENSATING on one target, once it has settled."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ import numpy.typing as npt
 from rigctl.control.modes import Mode
 
 SETTLE_S = 2.0
-"""Left out after COMPENSATING is entered, and after a new target is reached."""
+"""Time left out after entry into COMPENSATING, and after a new target is reached."""
 ON_TARGET = 5e-4
-"""A ramp is over when the set-point is within this fraction of the target: it gets there exactly, recorded as float."""
+"""A ramp is over when the set-point is within this fraction of the target; it ends there up to a float's precision."""
 
 Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A stay in COMPENSATING on one target; ``first`` to ``after`` (exclusive) are the records that are judged."""
+    """A stay in COMPENSATING on one target; the records ``first`` to ``after`` (exclusive) are judged."""
 
     number: int
     entered_ns: int
@@ -29,23 +29,23 @@ class Phase:
     after: int
     target_n: float
     ended: str
-    """What ended it, in words."""
+    """Why it ended, in words."""
     faulted: bool
 
     @property
     def judged(self) -> slice:
-        """Of the records."""
+        """Indices of the judged records."""
         return slice(self.first, self.after)
 
 
 def phases(records: Array, settle_s: float = SETTLE_S) -> list[Phase]:
     """Every phase long enough to be judged, in order.
 
-    A change of target ends one and begins another, which is judged from when the set-point's ramp is over.
+    A change of target ends one phase and begins another, which is judged after the end of the set-point's ramp.
 
     Args:
         records: ``RECORD`` slots, sorted.
-        settle_s: left out at the beginning of each.
+        settle_s: time left out at the beginning of each phase.
     """
     inside = records["mode"] == Mode.COMPENSATING
     edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
@@ -66,7 +66,7 @@ def phases(records: Array, settle_s: float = SETTLE_S) -> list[Phase]:
 
 
 def _on_target(records: Array, start: int, after: int) -> int:
-    """Where the ramp to a new target is over."""
+    """Index at which the ramp to a new target is over."""
     there = records[start:after]
     cosine = np.cos(there["tangential_estimate_rad"]) * np.cos(there["normal_estimate_rad"])
     close = np.abs(there["setpoint_n"] * cosine / there["target_n"] - 1.0) < ON_TARGET

@@ -1,4 +1,4 @@
-"""The compensating error of equation (16), the windows it is taken over, and percentiles of nanoseconds."""
+"""The compensating error of equation (16), its windows, and percentiles of nanoseconds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from rigctl.control.modes import Mode
 
 Array = npt.NDArray[Any]
-IN_FLIGHT_TICKS = 200  # answers to the last SYNCs may still be on their way: the least missing of these is lost
+IN_FLIGHT_TICKS = 200  # answers to the last SYNCs may still arrive: the fewest missing within these ticks are lost
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
@@ -36,7 +36,7 @@ def compensating_windows(records: Array, settle_s: float) -> list[tuple[int, int
 
 
 def within(t_ns: Array, spans: list[tuple[int, int]]) -> npt.NDArray[np.bool_]:
-    """Which times lie in any of the spans."""
+    """Mask of the times that lie in any of the spans."""
     inside = np.zeros(len(t_ns), dtype=bool)
     for start, end in spans:
         inside |= (t_ns >= start) & (t_ns <= end)

@@ -1,4 +1,4 @@
-"""How the loop kept its time: lateness, work, deadlines missed."""
+"""Timing of the loop: lateness, work, missed deadlines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True)
 class Timing:
-    """Of all ticks in the recording; a missed deadline is a period of the grid that had no tick of its own."""
+    """Timing of all ticks in the recording; a missed deadline is a grid period without a tick."""
 
     ticks: int
     period_us: float
@@ -24,9 +24,9 @@ class Timing:
     missed_deadlines: int
     later_than_period: int
     simulated: bool
-    """Nothing is late in simulated time."""
+    """The recording is of simulated time, in which no tick is late."""
     latest_ns: int
-    """When the latest tick was."""
+    """Time of the tick with the largest lateness."""
 
 
 def timing(records: Array, rate_hz: float) -> Timing:
@@ -46,7 +46,7 @@ def timing(records: Array, rate_hz: float) -> Timing:
 
 
 def grown(records: Array, name: str) -> int:
-    """By how much a counter has grown over the records; it begins anew with each control process."""
+    """Growth of a counter over the records; each control process starts it at 0 again."""
     values = np.asarray(records[name]).astype(np.int64)
     steps = np.diff(values)
     restarted = np.diff(np.asarray(records["tick"]).astype(np.int64)) < 0

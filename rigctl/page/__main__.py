@@ -19,12 +19,12 @@ from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.page.guard import Guard
 from rigctl.page.serve import serve
 
-NICENESS = 10  # a page is what can wait
+NICENESS = 10  # the page is the least urgent process
 RETRY_S = 2.0
 
 
 def _listen(address: Address) -> socket.socket:
-    """A socket there; one that is in use is waited for, with one line."""
+    """A listening socket; while the address is in use, warn once and try again."""
     said = False
     while True:
         try:
@@ -45,7 +45,7 @@ def _say(text: str) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Serve the page of the daemon whose runtime folder is named; exit code."""
+    """Serve the page of the daemon whose runtime folder is named; returns the exit code."""
     if len(arguments) != 1:
         sys.stderr.write("usage: python -m rigctl.page RUNTIME_DIR\n")
         return 2

@@ -1,7 +1,7 @@
-"""Connections of the page's server: how long one may take to ask, how many there are, and room for a command.
+"""Connections of the page's server: time for a request, number of connections, and room for a command.
 
-Whoever reaches the port may open connections and say nothing. The newest is always let in, and the oldest that is
-neither a viewer nor a command under way goes for it: who asks at once, as an operator's HOLD does, is served.
+Anyone who reaches the port may open connections without a request. A new connection is always accepted; at the limit
+the oldest one that is neither a viewer nor a running command is closed for it, so an operator's HOLD is served.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from rigctl.page.guard import Guard
 
 CONNECTIONS = 256
 VIEWERS = 32
-"""Streams among them. What is left is more than can be accepted in one turn of the event loop (BACKLOG)."""
+"""Limit of streams. The rest exceeds what can be accepted in one turn of the event loop (BACKLOG)."""
 BACKLOG = 128
-REQUEST_S = 5.0  # for headers and body, from the opening or the answer before on
-ANSWER_S = 30.0  # for the answer to be made and taken
+REQUEST_S = 5.0  # for headers and body, after the opening or the last answer
+ANSWER_S = 30.0  # to make and deliver the answer
 HEADER_BYTES = 16_384
 
 
 class Connection(H11Protocol):
-    """One connection until it is closed, or becomes a viewer's stream."""
+    """One connection, until it is closed or becomes a viewer's stream."""
 
     guard: Guard
 
@@ -40,12 +40,12 @@ class Connection(H11Protocol):
     def _make_room(self) -> None:
         others = [one for one in self.connections if isinstance(one, Connection) and not one.commands]
         oldest = min(others, key=lambda one: one._opened_s)
-        self.connections.discard(oldest)  # it is told a turn later, the next one in needs room in this
+        self.connections.discard(oldest)  # abort removes it only in the next turn, but its place is needed now
         oldest.transport.abort()
 
     @property
     def commands(self) -> bool:
-        """Whether a command that shows the token is under way here."""
+        """Whether a command with the token is being carried out here."""
         if not self._asked or not self.scope["path"].startswith("/api/"):
             return False
         return self.guard.may_command(Headers(raw=self.headers))
@@ -56,7 +56,7 @@ class Connection(H11Protocol):
         self._look()
 
     def _look(self) -> None:
-        """Once a request is there in full, its answer may take longer."""
+        """Extend the time limit once a request is complete."""
         if not self._asked and self.cycle is not None and self.conn.their_state is not h11.SEND_BODY:
             self._asked = not self.cycle.response_complete
             if self._asked:
@@ -74,7 +74,7 @@ class Connection(H11Protocol):
         self._look()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """See `H11Protocol`; the viewer's stream has limits of its own."""
+        """See `H11Protocol`; a viewer's stream has its own limits."""
         if sum(not isinstance(one, Connection) for one in self.connections) >= VIEWERS:
             self.transport.write(b"HTTP/1.1 503 Service Unavailable\r\ncontent-length: 0\r\nconnection: close\r\n\r\n")
             self.transport.close()

@@ -1,4 +1,4 @@
-"""Who may ask the page for what: no other site's page, no other name for this host, no command without the token."""
+"""Checks of a request: no page of another site, no foreign name for this host, no command without the token."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ HEADERS = {
 
 @dataclass(frozen=True)
 class Guard:
-    """Rules of one page server. ``token``: what a command must show, None where there are no commands."""
+    """Rules of one page server. ``token``: needed for a command, None for a read-only page."""
 
     address: Address
     token: str | None = None
 
     def names_us(self, headers: Headers) -> bool:
-        """Whether Host is a name of this server: another one is a foreign name that was made to point here."""
+        """Whether Host is a name of this server, not a foreign name made to point here (DNS rebinding)."""
         host = _host_of(headers.get("host", ""))
         if host in {"localhost", self.address.host.lower(), *_this_host()}:
             return True
@@ -41,20 +41,20 @@ class Guard:
         return ip.is_loopback or not self.address.is_loopback
 
     def is_own_page(self, headers: Headers) -> bool:
-        """Whether the request comes from a page of this very server, as the browser says."""
+        """Whether the request comes from a page of this server, by the browser's Origin header."""
         origin = headers.get("origin", "")
         return self.names_us(headers) and origin == f"http://{headers.get('host')}"
 
     def may_command(self, headers: Headers) -> bool:
-        """Whether it shows the token this start of the server printed."""
+        """Whether the request has the token that this server printed at its start."""
         shown = headers.get(TOKEN_HEADER, "").encode(errors="replace")
         return self.token is not None and secrets.compare_digest(shown, self.token.encode())
 
 
 def _this_host() -> tuple[str, str, str]:
-    """Whole names of this computer: its own, that without its domain, and that in the link's (RFC 6762).
+    """Names of this computer: its full name, that without the domain, and that in the link's domain (RFC 6762).
 
-    Anyone may have its first label in a domain of his own. Another name it is served under: ``--listen NAME:PORT``.
+    The first label in any other domain may belong to anyone. ``--listen NAME:PORT`` allows another name.
     """
     name = socket.gethostname().lower()
     label = name.partition(".")[0]
@@ -62,6 +62,6 @@ def _this_host() -> tuple[str, str, str]:
 
 
 def _host_of(header: str) -> str:
-    """Host without port, lower case, IPv6 without brackets; empty for what is none."""
+    """Host without port, lower case, IPv6 without brackets; empty if it is not valid."""
     found = re.fullmatch(r"(\[[0-9a-f:.%]+\]|[^:\[\]]+)(:[0-9]{1,5})?", header.lower())
     return found[1].strip("[]") if found else ""

@@ -1,6 +1,6 @@
-"""What the charts show of the past: smallest and largest value of every signal, in buckets of several widths.
+"""History for the charts: smallest and largest value of every signal, in buckets of several widths.
 
-Every tick is in its bucket, so no spike is lost however wide the window; memory is bounded by the windows.
+Every tick counts in its bucket, so no spike is lost however wide the window; memory is bounded by the windows.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ class Level:
     def __init__(self, window_s: int, signals: int = len(SIGNALS), buckets: int = BUCKETS) -> None:
         self.window_s = window_s
         self.width_ns = window_s * 1_000_000_000 // buckets
-        self.newest = -1  # number of the newest bucket, -1 before there is one
+        self.newest = -1  # number of the newest bucket, -1 without one
         self._low = np.full((buckets, signals), np.nan, np.float32)
         self._high = self._low.copy()
 
     def add(self, wall_ns: Ids, values: Values) -> None:
-        """Values (n, signals) at ``wall_ns`` (n), ascending, not older than what is held."""
+        """Add values (n, signals) at ``wall_ns`` (n), ascending, not older than those held."""
         ids = wall_ns // self.width_ns
         starts = np.concatenate(([0], np.flatnonzero(np.diff(ids)) + 1))
         numbers = ids[starts]
@@ -40,7 +40,7 @@ class Level:
             self._high[slots] = np.fmax(self._high[slots], high)
 
     def _open(self, newest: int) -> None:
-        """Empty the buckets up to a new one."""
+        """Clear the buckets up to a new one."""
         fresh = min(newest - self.newest, len(self._low))
         if fresh > 0:
             slots = np.arange(newest - fresh + 1, newest + 1) % len(self._low)
@@ -48,7 +48,7 @@ class Level:
             self.newest = newest
 
     def since(self, number: int) -> tuple[int, npt.NDArray[np.float32]]:
-        """Number of the first bucket, and buckets (n, signals, 2: smallest and largest) from ``number`` on."""
+        """Number of the first bucket, and the buckets (n, signals, 2: smallest and largest) from ``number`` on."""
         if self.newest < 0:
             return 0, np.empty((0, self._low.shape[1], 2), np.float32)
         first = max(number, self.newest - len(self._low) + 1)
@@ -57,7 +57,7 @@ class Level:
 
 
 class History:
-    """Every window; ``reset`` is for a clock that went backwards."""
+    """All windows; ``reset`` is for a clock that went backwards."""
 
     def __init__(self) -> None:
         self.reset()
@@ -68,7 +68,7 @@ class History:
         self.newest_ns = 0  # wall clock of the newest record
 
     def add(self, wall_ns: Ids, values: Values) -> None:
-        """Values (n, signals) of records at ``wall_ns`` (n), ascending."""
+        """Add values (n, signals) of records at ``wall_ns`` (n), ascending."""
         if not len(wall_ns):
             return
         if wall_ns[0] < self.newest_ns - 1_000_000_000:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from rigctl.page.history import WINDOWS_S, Ids
 
 PER_DECADE = 8
-DECADES = 5  # 1 us to 100 ms; what is beyond counts in the first or the last class
+DECADES = 5  # 1 us to 100 ms; values beyond count in the first or the last class
 EDGES_US = 10.0 ** (np.arange(PER_DECADE * DECADES + 1) / PER_DECADE)
 _SECOND_NS = 1_000_000_000
 _SECONDS = WINDOWS_S[-1]
@@ -31,7 +31,7 @@ class Lateness:
         self._skipped: int | None = None
 
     def add(self, wall_ns: Ids, records: npt.NDArray[Any]) -> None:
-        """Records of the fast stream at ``wall_ns``, ascending; at most 65535 of one second are counted."""
+        """Add records of the fast stream at ``wall_ns``, ascending; at most 65535 of one second are counted."""
         if not len(wall_ns):
             return
         seconds = wall_ns // _SECOND_NS
@@ -48,7 +48,7 @@ class Lateness:
             self._worst_ns[slot] = max(int(self._worst_ns[slot]), int(records["lateness_ns"][here].max()))
 
     def _missed_in(self, records: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
-        """Ticks skipped since the record before; a loop that started anew counts from 0."""
+        """Ticks skipped since the record before; the counter of a new loop starts at 0."""
         skipped = records["skipped"].astype(np.int64)
         before = skipped[0] if self._skipped is None else self._skipped
         missed = np.diff(skipped, prepend=before)

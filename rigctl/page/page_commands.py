@@ -1,6 +1,6 @@
-"""Commands given on the page, where it was started with operator rights: under the lease, confirmed, or HOLD at once.
+"""Commands of a page that was started with operator rights: under the lease and confirmed, or HOLD at once.
 
-Without rights there is no commands, and every command is refused by the server itself.
+A page without these rights has no `PageCommands`, and its server refuses every command.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class RefusedError(Exception):
 
 @dataclass(frozen=True)
 class Proposal:
-    """A command that waits for its confirmation; it holds for the mode the operator saw."""
+    """A command that waits for its confirmation; it is valid only in the mode the operator saw."""
 
     id: str
     verb: str
@@ -39,7 +39,7 @@ class Proposal:
 
 
 def meaning(verb: str, value: float | None, state: dict[str, Any]) -> str:
-    """What a command is about to do, in one line."""
+    """The effect of a command, in one line."""
     target = number(state.get("target_n"), 1, "N")
     match verb:
         case "arm":
@@ -58,7 +58,7 @@ def meaning(verb: str, value: float | None, state: dict[str, Any]) -> str:
 
 
 class PageCommands:
-    """One operator's commands. Every method may block for as long as the daemon takes to answer."""
+    """One operator's commands. Every method may block until the daemon answers."""
 
     def __init__(self, operator: str, rig: str | None, picture: Picture) -> None:
         self.operator, self._rig, self._picture = operator, rig, picture
@@ -67,7 +67,7 @@ class PageCommands:
         self._proposal: Proposal | None = None
 
     def holds_lease(self, state: dict[str, Any] | None) -> bool:
-        """Whether the lease in force is the one this page was given."""
+        """Whether this page holds the lease in force."""
         held = (state or {}).get("lease") or {}
         return held.get("holder") == self.operator and self._has_id
 
@@ -79,7 +79,7 @@ class PageCommands:
         """Take the lease (from another with a reason), or give it back.
 
         Raises:
-            RefusedError: no daemon, or not an act.
+            RefusedError: no daemon answers, or ``act`` is not valid.
         """
         if act == "take":
             return self._ask(lambda client: client.take_lease(self.operator, reason))
@@ -88,7 +88,7 @@ class PageCommands:
         raise RefusedError(f"found act {act!r}, expected take, return")
 
     def propose(self, verb: str, value: float | None) -> Answer:
-        """A command to be confirmed: ``confirm`` is its number; HOLD is given at once.
+        """Propose a command, to be confirmed by the number ``confirm``; HOLD is given at once.
 
         Raises:
             RefusedError: no such command, no lease, no daemon.
@@ -107,7 +107,7 @@ class PageCommands:
         return {"accepted": True, "confirm": self._proposal.id, "text": text, "for_s": CONFIRM_S}
 
     def _hold(self) -> Answer:
-        """HOLD, past the network where the daemon is on this computer: neither a flood nor a hung gateway delays it."""
+        """Give HOLD; to a daemon of this computer without the network, so a flood or a hung gateway cannot delay it."""
         shown = (self._picture.state or {}).get("rig") or self._rig
         answer = local_hold.hold(self._picture.endpoint, shown, self.operator)
         return answer or self._ask(lambda client: client.command("hold", self.operator))
@@ -116,7 +116,7 @@ class PageCommands:
         """Give the command that was proposed last.
 
         Raises:
-            RefusedError: another one, too late, or the rig is not as it was.
+            RefusedError: ``id_`` is another, the time is over, or the rig's mode has changed.
         """
         proposal, self._proposal = self._proposal, None
         if proposal is None or not secrets.compare_digest(proposal.id.encode(), id_.encode(errors="replace")):
@@ -138,7 +138,7 @@ class PageCommands:
             raise RefusedError(str(error)) from None
 
     def _opened(self) -> Client:
-        """A client of the very rig the page shows: another may have come in its place at the same endpoint."""
+        """A client of the rig that the page shows; another rig may have taken its endpoint."""
         shown = (self._picture.state or {}).get("rig") or self._rig
         with self._opening:
             if self._client is not None and shown is not None and self._client.rig != shown:
@@ -149,6 +149,6 @@ class PageCommands:
             return self._client
 
     def close(self) -> None:
-        """End the session; the lease lapses by itself, and the rig goes on as it is."""
+        """End the session; the lease lapses by itself, and the rig continues unchanged."""
         if self._client is not None:
             self._client.close()

@@ -1,4 +1,4 @@
-"""What the page says in words: the same words as `rigctl watch`, as messages of JSON for the browser."""
+"""Texts of the page, the same as those of `rigctl watch`, as JSON messages for the browser."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NUMBERS = (
 
 
 def state_message(picture: Picture, holds_lease: bool) -> dict[str, Any]:
-    """The newest state for the browser; ``holds_lease``: commands of this page's operator are under the lease."""
+    """The newest state for the browser; ``holds_lease``: whether this page's operator holds the lease."""
     with picture.lock:
         state, passed = picture.state, picture.limits.now
     silent_s = picture.silent_s
@@ -55,7 +55,7 @@ def state_message(picture: Picture, holds_lease: bool) -> dict[str, Any]:
 
 
 def settings_message(active: dict[str, Any]) -> dict[str, Any]:
-    """What the charts draw beside the signals: bands, limits and ranges from the configuration in force."""
+    """Bands, limits and ranges for the charts, from the active configuration."""
     settings = active.get("settings") or {}
     cylinder, safety, tension = (settings.get(name) or {} for name in ("cylinder", "safety", "tension"))
     limits = [limit for limit in settings.get("limits") or [] if isinstance(limit, dict)]

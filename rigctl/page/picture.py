@@ -1,4 +1,4 @@
-"""All the page knows of the rig at this instant. One thread writes it, the server's reads it."""
+"""Everything the page shows of the rig. The client's thread writes it, the server's thread reads it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SILENT_S = 1.0
 
 
 class Picture:
-    """History, newest state, events, and how the connection is; guarded by ``lock``."""
+    """History, newest state, events, and state of the connection; guarded by ``lock``."""
 
     def __init__(self, endpoint: str) -> None:
         self.lock = threading.Lock()
@@ -35,18 +35,18 @@ class Picture:
         self.active_serial = 0  # changes with ``active``
         self.events: deque[dict[str, Any]] = deque(maxlen=EVENTS_HELD)
         self.events_serial = 0  # changes with ``events``
-        self.samples_lost = 0  # of the fast stream on its way here
-        self.refused = ""  # how many messages were none of a daemon's, in words
-        self.trouble = f"no daemon has answered at {endpoint} yet"  # why nothing comes, while nothing does
+        self.samples_lost = 0  # of the fast stream, between gateway and page
+        self.refused = ""  # number of messages without the shape of a daemon's, in words
+        self.trouble = f"no daemon has answered at {endpoint} yet"  # why no data comes
         self._heard: float | None = None
 
     @property
     def silent_s(self) -> float:
-        """Seconds since the daemon was last heard; infinite before the first time."""
+        """Seconds since the last data from the daemon; infinite before the first."""
         return math.inf if self._heard is None else time.monotonic() - self._heard
 
     def add_records(self, records: npt.NDArray[Any], wall_offset_ns: int) -> None:
-        """Records of the fast stream; ``wall_offset_ns``: wall clock less the records' clock."""
+        """Add records of the fast stream; ``wall_offset_ns``: wall clock less the records' clock."""
         wall_ns: Ids = records["t_ns"].astype(np.int64) + wall_offset_ns
         values = values_of(records)
         with self.lock:
@@ -54,18 +54,18 @@ class Picture:
             self.lateness.add(wall_ns, records)
 
     def take_state(self, state: dict[str, Any]) -> None:
-        """The newest state message."""
+        """Store the newest state message."""
         with self.lock:
             self.state, self._heard = state, time.monotonic()
 
     def take_active(self, active: dict[str, Any]) -> None:
-        """What runs."""
+        """Store the active configuration."""
         with self.lock:
             self.active = active
             self.active_serial += 1
 
     def add_events(self, events: Iterable[dict[str, Any]], *, anew: bool = False) -> None:
-        """Events, oldest first; ``anew``: these are all there are."""
+        """Add events, oldest first; ``anew``: they replace all held."""
         with self.lock:
             if anew:
                 self.events.clear()

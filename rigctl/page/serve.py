@@ -1,4 +1,4 @@
-"""Running the page's server in this process."""
+"""Runs the page's server in this process."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from rigctl.page.picture import Picture
 from rigctl.page.server import Page
 from rigctl.page.source import Source
 
-CLOSE_S = 1  # for browsers to let go
+CLOSE_S = 1  # for browsers to close their connections
 
 
 class _Server(uvicorn.Server):
-    """uvicorn's server, whose process does its own signal handling."""
+    """uvicorn's server without its signal handling, which this process does itself."""
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Leave them alone."""
+        """Do nothing."""
         yield
 
 
 def serve(
     listening: socket.socket, endpoint: str, rig: str | None, guard: Guard, operator: str | None = None
 ) -> NoReturn:
-    """Serve until a signal of ``ENDING``, and end the process. ``operator``: who commands, None: a read-only page."""
+    """Serve until a signal of ``ENDING``, then end the process. ``operator``: name for commands, None: read-only."""
     picture, stop = Picture(endpoint), threading.Event()
     source = Source(picture, rig, stop)
     commands = PageCommands(operator, rig, picture) if operator is not None else None
@@ -47,7 +47,7 @@ def serve(
         log_config=None,
         access_log=False,
         server_header=False,
-        ws_per_message_deflate=False,  # costs more than a loopback or a control room's network saves
+        ws_per_message_deflate=False,  # compression costs more than it saves on a local network
         ws_max_size=4096,
         timeout_graceful_shutdown=CLOSE_S,
         http=protocol(guard),
@@ -69,7 +69,7 @@ def serve(
         stop.set()
         source.join(CLOSE_S)
         page.close()
-    # Not the interpreter's way out: it would abort on a thread that is still inside Zenoh, opening a session.
+    # Not sys.exit: the interpreter would abort on a thread that is still opening a Zenoh session.
     with contextlib.suppress(OSError):
         sys.stdout.flush()
     os._exit(0)

@@ -1,4 +1,4 @@
-"""The page's HTTP and websocket server: static assets, a stream for each browser, and the commands' commands."""
+"""The page's HTTP and websocket server: static assets, a stream for each browser, and commands."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ class _Rights(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Headers:
-    """Middleware: every answer carries the security headers; a Host that is not ours gets none of it."""
+    """Middleware: adds the security headers to every answer and refuses a Host that is not this server's."""
 
     def __init__(self, app: ASGIApp, guard: Guard) -> None:
         self._app, self._guard = app, guard
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
+        """Handle one request (ASGI)."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -74,7 +74,7 @@ class Headers:
 
 
 def assets_digest() -> str:
-    """What a browser compares to see that the page was replaced by another version."""
+    """Digest by which a browser sees that the page was replaced by another version."""
     digest = hashlib.sha256()
     for file in sorted(STATIC.iterdir()):
         digest.update(file.read_bytes())
@@ -85,12 +85,12 @@ class Page:
     """Routes of one page server."""
 
     def __init__(self, picture: Picture, guard: Guard, commands: PageCommands | None = None) -> None:
-        """``commands``: None for a page that is read-only."""
+        """``commands``: None for a read-only page."""
         self._picture, self._guard, self._commands = picture, guard, commands
         self._hello = {
             "kind": "hello", "server": secrets.token_hex(8), "assets": assets_digest(), "windows_s": WINDOWS_S,
         }  # fmt: skip
-        # HOLD must not wait behind commands that wait for a rig that is slow: more threads than browsers click with.
+        # More threads than commands in progress, so that HOLD never waits behind commands to a slow rig.
         self._threads = ThreadPoolExecutor(32, "commands")
         acts: dict[str, tuple[type[Any], Callable[[PageCommands, Any], Answer]]] = {
             "rights": (_Rights, lambda commands, _: {"accepted": True, "operator": commands.operator}),
@@ -144,7 +144,7 @@ class Page:
         await Stream(socket, self._picture, self._hello, self._commands).run()
 
     def close(self) -> None:
-        """End what commands are under way with."""
+        """End the commands' threads and client."""
         self._threads.shutdown(wait=False, cancel_futures=True)
         if self._commands is not None:
             self._commands.close()
@@ -160,7 +160,7 @@ async def _body_of(request: Request) -> bytes:
 
 
 def _told(answer: Answer) -> Answer:
-    """An answer for the browser, which has no business with the lease's id."""
+    """An answer for the browser, without the lease's id."""
     return {name: value for name, value in answer.items() if name != "lease"}
 
 

@@ -1,4 +1,4 @@
-"""The signals the charts show, worked out of the records of the fast stream."""
+"""The signals of the charts, derived from the records of the fast stream."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _NOT_SEEN = int(Quality.STALE | Quality.INVALID | Quality.NEVER)
 
 @dataclass(frozen=True)
 class Signal:
-    """One value per record; NaN where there is none."""
+    """One value per record; NaN for no value."""
 
     name: str
     unit: str
@@ -27,7 +27,7 @@ class Signal:
 
 
 def _seen(field: str, device: str, factor: float = 1.0) -> Callable[[npt.NDArray[Any]], Values]:
-    """A field while its device's sample is fresh and valid: an old value drawn on would look like a steady one."""
+    """A field while its device's sample is fresh and valid; an old value would look like a steady one."""
 
     def values(records: npt.NDArray[Any]) -> Values:
         return np.where(records[f"{device}_quality"] & _NOT_SEEN, np.nan, records[field] * factor)
@@ -60,11 +60,11 @@ FIELDS = frozenset(
     {"vertical_n", "target_n", "stroke_mm", "speed_mm_s", "tangential_rad", "normal_rad", "mode"}
     | {f"{device}_quality" for device in ("tension", "drive", "inclination")}
 )
-"""Fields of a record that the signals are worked out of."""
+"""Fields of a record from which the signals are derived."""
 
 
 def values_of(records: npt.NDArray[Any]) -> Values:
-    """Records (n) as values (n, signals); whatever is not finite is NaN."""
+    """Records (n) as values (n, signals); a value that is not finite becomes NaN."""
     with np.errstate(invalid="ignore", over="ignore"):
         values = np.stack([signal.of(records) for signal in SIGNALS], axis=1)
     values[~np.isfinite(values)] = np.nan

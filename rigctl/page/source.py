@@ -1,4 +1,4 @@
-"""The page's Zenoh client: keeps a picture up to date, through restarts of gateway and daemon, and without one."""
+"""The page's Zenoh client: keeps a picture up to date, also across restarts or without a daemon."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from rigctl.wire.block import Block
 PERIOD_S = 0.033
 RETRY_S = 0.5
 _LAST = 200  # an answer with fewer records ends with the newest
-GIVE_UP_S = 6.0  # of silence: Zenoh reconnects by itself, but another daemon may have come in its place
+GIVE_UP_S = 6.0  # without data: Zenoh reconnects by itself, but another daemon may have taken the endpoint
 
 
 _NEEDED = {"t_ns", "skipped", "lateness_ns"} | FIELDS
 
 
 def layout_of(schema: dict[str, Any]) -> Layout:
-    """Layout of a record as ``meta/schema`` has it: the daemon may be older or newer than this page.
+    """Layout of a record by ``meta/schema``, because the daemon may be older or newer than this page.
 
     Raises:
-        SchemaError: it cannot be read, or lacks what the charts show.
+        SchemaError: the schema cannot be used, or lacks a field that the charts show.
     """
     layout = decoding.layout_of(schema)
     for name in sorted(_NEEDED):
@@ -56,7 +56,7 @@ class Connection:
         self._take_history()
 
     def _take_history(self) -> None:
-        """What the daemon's rings still hold, so that the charts begin before the page did."""
+        """Read the records that the daemon's ring holds, so that the charts begin before the page's start."""
         self._look_at_clock()
         last = 0
         while True:
@@ -75,7 +75,7 @@ class Connection:
             self._offset_ns = int(state["wall_ns"]) - int(state["t_ns"])
 
     def take(self) -> None:
-        """What has come since."""
+        """Take all data that arrived since the last call."""
         state = self._states.newest()
         for block in self._reader.read():
             self._add(block)
@@ -92,7 +92,7 @@ class Connection:
         self._picture.samples_lost = self._reader.count.lost
 
     def _add(self, block: Block) -> None:
-        if block.stream != self._stream or self._offset_ns is None:  # the daemon was started anew
+        if block.stream != self._stream or self._offset_ns is None:  # the daemon was restarted
             self._look_at_clock()
             self._stream, self._last_seq = block.stream, 0
         new = block.part(max(block.first_seq, self._last_seq + 1), block.last_seq)
@@ -105,7 +105,7 @@ class Connection:
         self._last_seq = new.last_seq
 
     def _catch_up(self, gateway: int) -> None:
-        """A gateway that has just started: what runs and what has happened, as it knows it."""
+        """Read active configuration and past events from a gateway that has just started."""
         self._picture.take_active(self.client.active())
         self._picture.add_events(self.client.past_events(), anew=True)
         self._gateway = gateway
@@ -119,7 +119,7 @@ class Source(threading.Thread):
         self._picture, self._rig, self._ended = picture, rig, stop
 
     def run(self) -> None:
-        """Until ``stop``; whatever ends a connection is what the page shows meanwhile."""
+        """Connect and follow until ``stop``; the page shows why a connection ended."""
         while not self._ended.is_set():
             try:
                 with Client(self._picture.endpoint, self._rig) as client:
@@ -131,7 +131,7 @@ class Source(threading.Thread):
     def _follow(self, connection: Connection) -> None:
         started = time.monotonic()
         while not self._ended.is_set():
-            with contextlib.suppress(NoDaemonError):  # the gateway is away; what it was to be asked is asked again
+            with contextlib.suppress(NoDaemonError):  # the gateway is away; the next turn repeats the query
                 connection.take()
             if min(self._picture.silent_s, time.monotonic() - started) > GIVE_UP_S:
                 raise NoDaemonError(f"no data from {self._picture.endpoint}")

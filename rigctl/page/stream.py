@@ -1,4 +1,4 @@
-"""What one browser is sent: charts in binary frames, words in JSON. A browser that is slow gets less, never old."""
+"""Stream to one browser: charts in binary frames, texts in JSON. A slow browser gets fewer frames, never old ones."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from rigctl.page.wire import frame
 FRAME_S = 0.04
 WORDS_EVERY = 3  # frames
 LATENESS_EVERY = 12
-_SLOW_S = 10.0  # a browser that takes nothing for so long is gone
+_SLOW_S = 10.0  # a browser that accepts no data for this long counts as gone
 
 
 class Stream:
-    """One websocket. The browser sends ``{"window": N}`` and gets that window from its beginning."""
+    """One websocket. The browser sends ``{"window": N}`` and gets that window from its start."""
 
     def __init__(
         self, socket: WebSocket, picture: Picture, hello: dict[str, Any], commands: PageCommands | None
@@ -35,7 +35,7 @@ class Stream:
         self._events = self._active = -1
 
     async def run(self) -> None:
-        """Until the browser goes."""
+        """Send until the browser disconnects."""
         listening = asyncio.create_task(self._listen())
         try:
             await self._put(
@@ -47,7 +47,7 @@ class Stream:
                 count += 1
                 await asyncio.sleep(FRAME_S)
         except (WebSocketDisconnect, RuntimeError, OSError, TimeoutError):
-            pass  # it went while something was on its way to it
+            pass  # the browser disconnected during a send
         finally:
             listening.cancel()
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):

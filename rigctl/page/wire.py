@@ -6,13 +6,13 @@ offset  type  meaning
 0       u16   window, its number in ``history.WINDOWS_S``
 2       u16   signals
 4       u32   buckets
-8       f64   number of the first bucket, from 1970 in its widths
+8       f64   number of the first bucket, in its widths since 1970
 16      f64   width of a bucket in ms
 24      f64   wall clock of the newest record in ms
 ======  ====  ====================================================
 
-A bucket is two f32 for each signal: smallest and largest value, NaN where there is none. The last bucket of a frame is
-not complete and comes again with the next one.
+A bucket is two f32 for each signal: smallest and largest value, NaN for none. The last bucket of a frame is incomplete
+and comes again in the next frame.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ HEADER = struct.Struct("<HHIddd")
 
 
 def frame(history: History, window: int, since: int) -> tuple[bytes, int]:
-    """Buckets of a window from number ``since`` on, and the number to go on with."""
+    """Buckets of a window from number ``since`` on, and the number for the next call."""
     level = history.levels[window]
     first, buckets = level.since(since)
     count, signals = buckets.shape[:2]

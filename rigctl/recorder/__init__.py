@@ -1,1 +1,1 @@
-"""The recorder process: what is kept of a rig's running, straight from the rings."""
+"""The recorder process: writes audit log, trip dumps and recording straight from the rings."""

@@ -1,6 +1,6 @@
-"""A file that only grows, written by one thread and synced by another: a disk that stalls stalls nobody else.
+"""A file that only grows, written by one thread and synced by another, so that a stalled disk stalls only those.
 
-Written at once, so that the end of this process loses nothing; synced twice a second, for the end of the machine.
+Data is written at once, so that it survives the end of this process, and synced twice a second against a power loss.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ SYNC_S = 0.5
 
 
 class Appender:
-    """Takes bytes, and writes and syncs them in order; what cannot be written waits and is tried again.
+    """Writes and syncs bytes in order; a failed write is tried again.
 
-    ``error`` says why nothing can be written at the moment, "" if all is well; ``failures`` counts the attempts that
-    failed; ``pending`` bytes wait, ``synced`` are known to be on the disk. A file of which that cannot be known, or
-    that cannot be put back to where a failed write began, is ``torn``: nothing more is written to it.
+    ``error`` says why nothing can be written now, "" if all is well; ``failures`` counts failed attempts; ``pending``
+    bytes wait; ``synced`` bytes are on the disk for certain. After a failed sync, or when a failed write cannot be
+    truncated away, the file is ``torn``: nothing more is written to it.
     """
 
     def __init__(self, path: pathlib.Path) -> None:
         """Create ``path``.
 
         Raises:
-            OSError: it is there already, or cannot be made.
+            OSError: it exists already or cannot be created.
         """
         self.path = path
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o640)
@@ -38,13 +38,13 @@ class Appender:
         self._ending = self._all_written = False
         self.error, self.failures, self.pending, self.torn = "", 0, 0, False
         self.written = self.synced = 0
-        self._since: dict[str, float] = {}  # what is being done, since when
+        self._since: dict[str, float] = {}  # running operation: its start
         self._threads = [threading.Thread(target=run, name=path.name, daemon=True) for run in (self._write, self._sync)]
         for thread in self._threads:
             thread.start()
 
     def append(self, data: bytes) -> None:
-        """Write ``data`` after what was given before; returns at once."""
+        """Queue ``data`` to be written; returns at once."""
         if data:
             with self._awake:
                 self._waiting.append(data)
@@ -53,24 +53,24 @@ class Appender:
 
     @property
     def stalled_s(self) -> float:
-        """For how long the disk has not answered."""
+        """How long the oldest running operation on the disk has taken."""
         return time.monotonic() - min(self._since.copy().values(), default=time.monotonic())
 
     def in_place(self) -> bool:
-        """Whether the file is still there under its name."""
+        """Whether the file still exists under its name."""
         try:
             return self.path.stat().st_ino == self._inode
         except OSError:
             return False
 
     def end(self) -> None:
-        """No more is given: the threads end once all is on the disk, or at the first failure."""
+        """End the threads once all is on the disk, or at the first failure; nothing may be queued after it."""
         with self._awake:
             self._ending = True
             self._awake.notify_all()
 
     def join(self, limit_s: float) -> bool:
-        """Wait until all is on the disk; whether it is."""
+        """Wait until all is on the disk, ``limit_s`` at most; returns whether it is."""
         until = time.monotonic() + limit_s
         for thread in self._threads:
             thread.join(max(0.0, until - time.monotonic()))
@@ -111,7 +111,7 @@ class Appender:
             self._awake.notify_all()
 
     def _put_back(self, data: bytes) -> None:
-        """The file as it was before, and ``data`` as the next to be written."""
+        """Truncate the file to its state before a failed write and queue ``data`` first again."""
         with self._awake:
             self._waiting.appendleft(data)
         try:
@@ -133,7 +133,7 @@ class Appender:
             except OSError as error:
                 self._failed(error)
                 with self._awake:
-                    self.torn = True  # what the system had not written yet may be gone, and is not tried again
+                    self.torn = True  # after a failed fsync the kernel may have dropped the data and never retries it
                     self._awake.notify_all()
             else:
                 self.synced = upto

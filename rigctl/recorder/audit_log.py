@@ -1,7 +1,7 @@
-"""The audit log's file: only ever longer. What a crash or a full disk left half written is mended, and said.
+"""The audit log's file, which only grows. A line left incomplete by a crash or a full disk is cut off and reported.
 
-One recorder writes it. It is looked at again before each write: a log that was taken away, replaced or cut short
-while the daemon ran goes on with an entry that says so.
+One recorder writes it and checks it again before each write: if it was removed, replaced or cut short while the daemon
+ran, an entry says so.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class AuditError(RuntimeError):
 
 @dataclass(frozen=True)
 class Item:
-    """What is to be written: an entry without its place in the chain. ``wall_ns``: wall clock at ``t_ns``."""
+    """An entry to be written, without its place in the chain. ``wall_ns``: wall clock at ``t_ns``."""
 
     t_ns: int
     wall_ns: int
@@ -41,33 +41,33 @@ class Item:
 
 
 def moment(wall_ns: int) -> str:
-    """A moment on the wall clock as the log writes it."""
+    """A wall-clock time in the log's format."""
     seconds, rest_ns = divmod(wall_ns, 1_000_000_000)
     return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest_ns // 1_000_000:03d}Z"
 
 
 class AuditLog:
-    """One rig's log, open for appending. ``entries`` and ``head`` are those of its end."""
+    """One rig's log, open for appending; ``entries``: number of entries, ``head``: hash of the last."""
 
     def __init__(self, path: pathlib.Path, rig: str, at_least: int = 0) -> None:
-        """``at_least``: entries that are known to have been written."""
+        """``at_least``: number of entries known to have been written."""
         self.path, self._rig, self._at_least = path, rig, at_least
         self._fd = -1
         self._size = self._inode = 0
         self.entries, self.head = 0, ORIGIN
         self.read: dict[str, int] = {}  # of the last line
-        self._found: list[tuple[str, str, dict[str, Any]]] = []  # to be said before anything else
+        self._found: list[tuple[str, str, dict[str, Any]]] = []  # findings to be written before anything else
 
     @property
     def _torn(self) -> pathlib.Path:
-        """Where a half line is kept between being cut off and being on record."""
+        """File that keeps an incomplete line from its removal until the entry about it is written."""
         return self.path.with_name(f"{self.path.name}.torn")
 
     def open(self) -> None:
-        """Open or begin the log, and mend its end.
+        """Open or create the log and cut off an incomplete last line.
 
         Raises:
-            AuditError: another rig's, or its last line is no entry.
+            AuditError: it belongs to another rig, or its last line is not an entry.
             OSError: it cannot be read or written.
         """
         self.close()
@@ -104,26 +104,26 @@ class AuditLog:
             self.read = dict(found.read) if found else {}
 
     def _keep(self, torn: bytes) -> None:
-        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NONBLOCK | os.O_CLOEXEC  # a pipe is not waited for
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NONBLOCK | os.O_CLOEXEC  # opens a pipe without waiting
         with open(os.open(self._torn, flags, 0o640), "ab") as file:  # noqa: PTH123 - a descriptor
             file.write(torn)
             file.flush()
             os.fsync(file.fileno())
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
     def append(self, items: Sequence[Item], read: Sequence[dict[str, int]]) -> list[bytes]:
-        """Write entries and wait until they are on the disk; all or none. ``read``: for each, what stands in it.
+        """Write entries and wait until they are on the disk; all or none. ``read``: positions of the rings in each.
 
         Returns their lines.
 
         Raises:
             AuditError: see `open`.
-            OSError: the log is as it was, to be tried again.
+            OSError: the write failed; the log is unchanged and the call may be repeated.
         """
         if not self._in_place():
             self.open()
@@ -144,7 +144,7 @@ class AuditLog:
         except OSError:
             with contextlib.suppress(OSError):
                 os.ftruncate(self._fd, self._size)
-            self.close()  # and what is there is looked at again
+            self.close()  # the next write opens and checks the file again
             raise
         self._size += len(data)
         self.entries, self.head, self.read = n, head, dict(read[-1])
@@ -155,7 +155,7 @@ class AuditLog:
         return lines
 
     def _in_place(self) -> bool:
-        """The file is still there, and ends where we left it."""
+        """Whether the file still exists and ends where the last write left it."""
         if self._fd < 0:
             return False
         try:
@@ -172,10 +172,10 @@ def _write(fd: int, data: bytes) -> None:
 
 
 def last_line(fd: int, path: pathlib.Path, rig: str) -> tuple[Entry | None, str, int, bytes]:
-    """The last whole entry (None in an empty log) with its hash, where it ends, and half a line after it.
+    """The last whole entry (None in an empty log), its hash, the offset of its end, and an incomplete line after it.
 
     Raises:
-        AuditError: another rig's log, or none.
+        AuditError: the file is another rig's log or not a log.
     """
     size = os.fstat(fd).st_size
     start = max(0, size - 2 * TAIL_BYTES)
@@ -197,10 +197,10 @@ def last_line(fd: int, path: pathlib.Path, rig: str) -> tuple[Entry | None, str,
 
 
 def check(path: pathlib.Path, rig: str) -> None:
-    """Refuse a log that cannot be continued; one that is not there, or half a line at its end, is no reason.
+    """Refuse a log that cannot be continued; a missing log, or an incomplete last line, is accepted.
 
     Raises:
-        AuditError: one line.
+        AuditError: the message is one line.
     """
     try:
         fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK)

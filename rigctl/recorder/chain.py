@@ -1,8 +1,8 @@
-"""The chain of an audit log: a line for each entry, which carries the hash of the one before and its own.
+"""The chain of an audit log: one line for each entry, which carries the hash of the line before and its own.
 
 A line is the entry as canonical JSON (keys sorted, no spaces) with its own hash as the last key: the SHA-256 of the
-line without that key. Nobody can change, remove, insert or swap lines without breaking the chain after them; whoever
-computes the whole chain anew, or cuts lines off its end, is found out by a head hash noted elsewhere.
+line without that key. A line that is changed, removed, inserted or moved breaks the chain after it. A chain computed
+anew, or cut off at its end, is detected by a head hash noted elsewhere.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from typing import Any
 import msgspec
 
 ORIGIN = "0" * 64
-"""What the first entry names as the hash before it."""
+"""The hash that the first entry gives as its previous one."""
 _END = re.compile(rb',"hash":"([0-9a-f]{64})"\}\Z')
 _END_SIZE = len(',"hash":"') + 64 + len('"}')
 
 
 class ChainError(ValueError):
-    """A line that does not belong where it stands; ``str()`` says why."""
+    """A line that breaks the chain; ``str()`` says why."""
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One line without its hash.
 
     ``n`` counts from 1. ``wall`` is ISO 8601 UTC, ``t_ns`` the same moment on the daemon's CLOCK_MONOTONIC. ``seq`` is
-    its number in the ring ``source``, 0 for what the recorder says itself. ``read``: how far each ring is in the log.
+    its number in the ring ``source``, 0 for an entry of the recorder itself. ``read``: how far each ring is in the log.
     """
 
     n: int
@@ -47,22 +47,22 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def canonical(value: Any) -> bytes:
-    """The one JSON text of a value: keys sorted, no spaces, NaN as null."""
+    """Canonical JSON of a value: keys sorted, no spaces, NaN as null."""
     return msgspec.json.encode(value, order="sorted")
 
 
 def line_of(entry: Entry) -> tuple[bytes, str]:
-    """The line, its end included, and its hash."""
+    """The line with its line end, and its hash."""
     body = canonical(entry)
     own = hashlib.sha256(body).hexdigest()
     return body[:-1] + b',"hash":"' + own.encode() + b'"}\n', own
 
 
 def read_line(line: bytes) -> tuple[Entry, str]:
-    """A line as the entry it is, with its hash.
+    """The entry of a line, with its hash.
 
     Raises:
-        ChainError: torn off, no entry, or changed since it was written.
+        ChainError: the line is cut off, is not an entry, or was changed after it was written.
     """
     if not line.endswith(b"\n"):
         raise ChainError("truncated: it has no end")
@@ -84,16 +84,16 @@ def read_line(line: bytes) -> tuple[Entry, str]:
 
 @dataclass(frozen=True)
 class Report:
-    """What became of a log: the figures of what holds and, if the chain breaks, where and why."""
+    """Result of a verification: figures of the intact entries and, if the chain breaks, where and why."""
 
     entries: int
     rig: str = ""
     first: str = ""
     last: str = ""
     head: str = ORIGIN
-    line: int = 0  # the first that does not hold, 0 for none
+    line: int = 0  # the first that breaks the chain, 0 for none
     why: str = ""
-    head_line: int = 0  # where the head hash that was asked for stands
+    head_line: int = 0  # line with the head hash that was looked for
 
     @property
     def good(self) -> bool:
@@ -114,7 +114,7 @@ def _misplaced(entry: Entry, due: int, previous: str) -> str:
 
 
 def verify(lines: Iterable[bytes], head: str | None = None) -> Report:
-    """Follow the chain from the first line; ``head``: a hash it is known to have had at its end."""
+    """Follow the chain from the first line; ``head``: a hash that was once at its end."""
     report = Report(0)
     for number, line in enumerate(lines, 1):
         try:

@@ -20,9 +20,9 @@ _TIME = ("s", "t_ns after the first record")
 
 @dataclass(frozen=True)
 class Column:
-    """A quantity: ``values`` an array, or a list of text; ``unit`` "" for none.
+    """A quantity: ``values`` are an array or a list of texts; ``unit`` is "" for none.
 
-    ``names``: of an enumeration's numbers, None for what is none. ``absent``: rows without a value, None for none.
+    ``names``: names of an enumeration's numbers, else None. ``absent``: rows without a value, None if there are none.
     """
 
     name: str
@@ -34,7 +34,7 @@ class Column:
 
 
 def tables(recording: Recording) -> dict[str, list[Column]]:
-    """Columns by topic; topics with nothing in them are left out."""
+    """Columns by topic; empty topics are left out."""
     found = {}
     for name, slots in (
         ("records", recording.records), ("frames", recording.frames), ("commands", recording.commands),

@@ -1,4 +1,4 @@
-"""What is in a recording, in figures: for ``rigctl info``."""
+"""Contents of a recording in figures, for ``rigctl info``."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def moment(recording: Recording, t_ns: int) -> str:
 
 
 def mode_name(number: int) -> str:
-    """A mode's name, or its number if it has none here."""
+    """A mode's name, or its number if this version does not know it."""
     return Mode(number).name if number in Mode._value2member_map_ else str(number)
 
 
 def modes(recording: Recording) -> list[dict[str, Any]]:
-    """Modes in their order: name, since when (seconds after the first record), for how long, and the latched fault."""
+    """Modes in order of time: name, start (seconds after the first record), duration, and the latched fault."""
     records = recording.records
     if not len(records):
         return []

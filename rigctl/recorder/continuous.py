@@ -1,8 +1,8 @@
-"""The continuous recording: everything the rings carry, in parts that each can be read alone.
+"""The continuous recording: everything the rings carry, in parts that can each be read alone.
 
-A recorder that was killed is followed by one that goes on where the file ends, in the next part: the rings still hold
-what came meanwhile. The disk is written by a thread of its own; while it takes nothing, what is encoded waits, and then
-the rings, and what they no longer hold is counted.
+After a killed recorder the next one continues where the file ends, in a new part; the rings hold the data in between.
+A separate thread writes to the disk. While the disk stalls, encoded data waits up to a limit, then the rings hold the
+data, and slots they overwrite are counted as lost.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ CHECK_NS = 1_000_000_000
 PENDING_MAX = 8 << 20
 STALLED_S = 5.0
 END_LIMIT_S = 4.0
-ROOM_AGAIN = 32 << 20  # so much more must be free before it goes on
+ROOM_AGAIN = 32 << 20  # additional free space needed before recording resumes
 WRITTEN = "written"
-ATTACHED = (ACTIVE, "control.json", "calibration.json")  # of the runtime folder; lease.json holds a secret
+ATTACHED = (ACTIVE, "control.json", "calibration.json")  # of the runtime folder; not lease.json, which has the id
 _AUDIT_TAIL = 1 << 20
 
 
 @dataclass(frozen=True)
 class Place:
-    """How far a part goes once ``size`` bytes of it are on the disk."""
+    """Position of each ring in a part once ``size`` bytes of it are on the disk."""
 
     size: int
     read: dict[str, int]
@@ -55,7 +55,7 @@ class Continuous:
     """The recording of one daemon."""
 
     def __init__(self, runtime: Runtime, settings: RigSettings, run: int, wall_ns: int) -> None:
-        """``run``: wall clock at the daemon's start. Goes on where the last part of this run ends."""
+        """``run``: wall clock at the daemon's start. Continues where the last part of this run ends."""
         self._runtime, self._settings = runtime, settings
         self._run = run or wall_ns
         self.folder = settings.file(settings.recording.folder)
@@ -69,19 +69,19 @@ class Continuous:
         self._places: deque[Place] = deque()
         self._attached: dict[str, tuple[int, int]] = {}
         self._due_ns = self._check_ns = 0
-        self._failed = 0  # of parts that are closed
+        self._failed = 0  # failures of closed parts
         self.records = self.frames = 0
         self.why = ""
-        """Why it is not recorded at the moment."""
+        """Why nothing is recorded now; empty while recording."""
         self.deleted: list[str] = []
-        """Old parts that went, for the audit log."""
+        """Old parts that were deleted, for the audit log."""
         self._number, self._safe = self._left_off(settings.audit_log)
         self._words = Rings(runtime, self._safe)
         self._go_back(self._safe)
 
-    # -- where it goes on ---------------------------------------------------------------------------------------
+    # -- resumption ---------------------------------------------------------------------------------------------
     def _left_off(self, audit_log: pathlib.Path) -> tuple[int, dict[str, int]]:
-        """Number of the last part of this run, and how far each ring is in it."""
+        """Number of the last part of this run, and the position of each ring in it."""
         stamp = parts.path_of(self.folder, self._settings.rig, self._run, 0).name.rsplit("-", 1)[0]
         mine = [part for part in parts.parts(self.folder, self._settings.rig) if part.path.name.startswith(stamp)]
         read: dict[str, int] = {}
@@ -96,7 +96,7 @@ class Continuous:
 
     @property
     def _slots(self) -> dict[str, RingReader]:
-        """Readers of the rings that are recorded as slots, by the name their progress has in a part."""
+        """Readers of the rings recorded as slots, by the name of their position in a part."""
         return {"records": self._records, "frames": self._frames, "slots": self._commands, "hold_slots": self._holds}
 
     def _go_back(self, read: dict[str, int]) -> None:
@@ -108,16 +108,16 @@ class Continuous:
         cursors = {name: reader.cursor for name, reader in self._slots.items()}
         return {**cursors, "audit": audit, **self._words.position}
 
-    # -- what comes in ------------------------------------------------------------------------------------------
+    # -- input --------------------------------------------------------------------------------------------------
     def audit(self, lines: Sequence[bytes]) -> None:
-        """Lines that were written to the audit log."""
+        """Take lines that were written to the audit log."""
         for line in lines:
             with contextlib.suppress(ChainError):
                 entry, _ = read_line(line)
                 self._audit.append((entry.n, entry.t_ns, line.rstrip(b"\n")))
 
     def poll(self, now_ns: int, wall_ns: int, *, final: bool = False) -> None:
-        """Write what is new, if it is time to."""
+        """Write new data, if a batch is due."""
         if not final and now_ns < self._due_ns:
             return
         self._due_ns = now_ns + BATCH_NS
@@ -126,7 +126,7 @@ class Continuous:
             self._write(self._part, now_ns)
 
     def close(self, now_ns: int, wall_ns: int) -> None:
-        """The last of everything, and the end of the part."""
+        """Write the rest and end the part."""
         self.poll(now_ns, wall_ns, final=True)
         if (part := self._part) is not None:
             self._finish(part)
@@ -135,7 +135,7 @@ class Continuous:
 
     # -- the part ----------------------------------------------------------------------------------------------
     def _look(self, now_ns: int, wall_ns: int) -> None:
-        """Whether the part can be written on, and a new one if there has to be one."""
+        """Check the state of the part's file, close the part if it is over, and open a new one if none is open."""
         part = self._part
         if part is not None:
             disk = part.disk
@@ -164,7 +164,7 @@ class Continuous:
         return part.size >= own.part_mb * 1_000_000 or now_ns - part.opened_ns >= own.part_s * 1_000_000_000
 
     def _has_room(self) -> bool:
-        """Whether the disk has room for more. Parts beyond what is kept are deleted."""
+        """Delete parts beyond the limit; returns whether the disk has enough free space."""
         own, part = self._settings.recording, self._part
         least = max(own.free_mib, self._settings.preflight.disk_free_mib) << 20
         if part is None:
@@ -204,7 +204,7 @@ class Continuous:
         self._part.attach("schema.json", msgspec.json.encode(schema(rig)), now_ns, 0)
 
     def _finish(self, part: PartFile) -> None:
-        """Nothing more goes into it."""
+        """Close a part."""
         part.finish()
         self._failed += part.disk.failures
         self._part = None
@@ -212,7 +212,7 @@ class Continuous:
         self._safe = self._position(self._safe.get("audit", 0))
 
     def _abandon(self, part: PartFile) -> None:
-        """It is lost from what is on the disk on; that is read again for the next one."""
+        """Give up a part; data that is not on the disk for certain is read again for the next part."""
         part.disk.end()
         self._failed += part.disk.failures + 1
         self._part = None
@@ -222,7 +222,7 @@ class Continuous:
         self._audit.clear()
         self.audit(_lines_after(self._settings.audit_log, self._audit_written))
 
-    # -- its content -------------------------------------------------------------------------------------------
+    # -- content -----------------------------------------------------------------------------------------------
     def _write(self, part: PartFile, now_ns: int) -> None:
         self._attach(part, now_ns)
         records, frames = self._records.read(), self._frames.read()
@@ -239,7 +239,7 @@ class Continuous:
         self.frames += len(frames)
 
     def _attach(self, part: PartFile, now_ns: int) -> None:
-        """What has changed since it was attached last."""
+        """Attach the documents that have changed since they were last attached."""
         found = {name: self._runtime.directory / name for name in ATTACHED}
         if self._settings.ledger is not None:
             found["calibration_ledger.json"] = self._settings.ledger
@@ -257,7 +257,7 @@ class Continuous:
                     self._attached[name] = (status.st_mtime_ns, status.st_ino)
 
     def as_dict(self) -> dict[str, Any]:
-        """For others: where it is written, how much, and what did not get there."""
+        """Figures for the state message: file, amount written, losses and failures."""
         part = self._part
         return {
             "folder": str(self.folder),
@@ -274,12 +274,12 @@ class Continuous:
 
     @property
     def failures(self) -> int:
-        """Attempts to write that failed."""
+        """Number of failed writes."""
         return self._failed + (self._part.disk.failures if self._part is not None else 0)
 
 
 def _lines_after(audit_log: pathlib.Path, number: int) -> list[bytes]:
-    """Lines of the audit log after an entry, as far as they stand near its end."""
+    """Lines of the audit log after an entry, from the last ``_AUDIT_TAIL`` bytes."""
     try:
         if not audit_log.is_file():
             return []

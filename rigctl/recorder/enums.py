@@ -1,4 +1,4 @@
-"""Fields of the slots whose numbers have names, and the names, as recordings and exports give them."""
+"""Slot fields that are enumerations, and the names of their numbers in recordings and exports."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _KINDS: dict[str, Names] = {
     "Verdict": _of(Verdict),
     "Quality": {bits: quality_words(bits).replace("+", "_").upper() for bits in range(2 * max(Quality))},
 }
-"""Names of an enumeration by their number. Quality is a set of bits: every combination has its name."""
+"""Names of each enumeration by number. Quality is a set of bits, so every combination has a name."""
 
 
 def enum_of(slot: Slot, field: str) -> tuple[str, Names] | None:
-    """Enumeration a field of a table is of, and its names; None for a number."""
+    """The enumeration of a field and its names; None for a plain number."""
     if slot.name != RECORD.name:
         return None
     kind = {"mode": "Mode", "fault": "Fault"}.get(field)

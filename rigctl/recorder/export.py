@@ -1,4 +1,4 @@
-"""A recording written for other programs: Parquet, CSV or MAT, as a folder that is there whole or not at all."""
+"""Export of a recording as Parquet, CSV or MAT; the folder is complete or absent."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def check(out: pathlib.Path) -> None:
-    """Refuse a folder that is there, or could not be made.
+    """Refuse a folder that exists or cannot be created.
 
     Raises:
-        OutputError: one line that names it.
+        OutputError: the message is one line that names it.
     """
     try:
         if out.is_symlink() or out.exists():
@@ -44,15 +44,15 @@ def check(out: pathlib.Path) -> None:
 
 
 def write(recording: Recording, kind: str, out: pathlib.Path) -> list[str]:
-    """Write the folder ``out``; the names of its files.
+    """Write the folder ``out``; returns the names of its files.
 
     Args:
-        recording: what was read.
+        recording: the recording to export.
         kind: one of ``KINDS``.
-        out: a folder that is not there yet.
+        out: a folder that does not exist yet.
 
     Raises:
-        OutputError: it cannot be written; nothing is left of it.
+        OutputError: it cannot be written; no part of it is left.
     """
     check(out)
     part = out.with_name(f".{out.name}.part-{os.getpid()}")
@@ -67,7 +67,7 @@ def write(recording: Recording, kind: str, out: pathlib.Path) -> list[str]:
         (part / "recording.json").write_bytes(text + b"\n")
         check(out)
         part.rename(out)
-    except OSError as error:  # pyarrow has words of its own
+    except OSError as error:  # pyarrow adds its own text to the system's message
         code = error.errno
         raise OutputError(out, error if code is None else OSError(code, os.strerror(code)), "-o") from None
     finally:
@@ -77,7 +77,7 @@ def write(recording: Recording, kind: str, out: pathlib.Path) -> list[str]:
 
 
 def _arrow(columns: list[Column], words: dict[str, str], *, text: bool) -> pa.Table:
-    """``text``: for CSV, without bytes, enumerations and metadata: hexadecimal, numbers, units in the header."""
+    """``text``: for CSV, which has no bytes, enumerations and metadata: hexadecimal, numbers, units in the header."""
     import pyarrow as pa
 
     arrays, fields = [], []
@@ -99,7 +99,7 @@ def _arrow(columns: list[Column], words: dict[str, str], *, text: bool) -> pa.Ta
 
 
 def _dictionary(values: npt.NDArray[Any], names: Names) -> pa.Array:
-    """Numbers of an enumeration as their names; one without a name is its number in words."""
+    """Numbers of an enumeration as their names; a number without a name is given as text."""
     import pyarrow as pa
 
     known, places = np.unique(values, return_inverse=True)
@@ -108,7 +108,7 @@ def _dictionary(values: npt.NDArray[Any], names: Names) -> pa.Array:
 
 
 def _cell(text: str) -> str:
-    """Text as a spreadsheet shows it: what begins as a formula does would be reckoned, and may call a program."""
+    """Text that a spreadsheet only shows: one that begins as a formula would be evaluated, and may call a program."""
     return f"'{text}" if text.startswith(_FORMULA) else text
 
 
@@ -149,7 +149,7 @@ def _mat(recording: Recording, found: Tables, folder: pathlib.Path) -> None:
 def _for_matlab(column: Column) -> Any:
     values = column.values
     if column.absent is not None and isinstance(values, np.ndarray) and column.absent.any():
-        return np.where(column.absent, np.nan, values)  # it has no other null
+        return np.where(column.absent, np.nan, values)  # MAT has no other null
     if isinstance(values, list):
         cells = np.empty(len(values), object)
         cells[:] = values

@@ -1,6 +1,6 @@
-"""Frames of the bus as blocks: one protobuf message for many frames, a column for each of their values.
+"""Frames of the bus as blocks: one protobuf message for many frames, one column for each value.
 
-A message for each frame would cost more in headers and index than the frames themselves.
+With one message for each frame, headers and index would take more space than the frames.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ NAME = "rigctl.FrameBlock"
 BLOCK_FRAMES = 4096
 _P = FieldDescriptorProto
 _FIELDS = (
-    ("seq", _P.TYPE_FIXED64, _P.LABEL_OPTIONAL),  # of the first frame, the others follow it
+    ("seq", _P.TYPE_FIXED64, _P.LABEL_OPTIONAL),  # of the first frame; the others follow without a gap
     ("t_ns", _P.TYPE_SFIXED64, _P.LABEL_OPTIONAL),  # of the first frame, CLOCK_MONOTONIC
-    ("later_ns", _P.TYPE_SFIXED32, _P.LABEL_REPEATED),  # than the frame before
+    ("later_ns", _P.TYPE_SFIXED32, _P.LABEL_REPEATED),  # time since the frame before
     ("can_id", _P.TYPE_FIXED32, _P.LABEL_REPEATED),
     ("sent", _P.TYPE_BYTES, _P.LABEL_OPTIONAL),  # a byte for each frame: 1 sent, 0 received
     ("dlc", _P.TYPE_BYTES, _P.LABEL_OPTIONAL),
@@ -33,7 +33,7 @@ _LONGEST_NS = 2**31 - 1
 
 
 class BlockError(ValueError):
-    """Bytes that are no block."""
+    """Bytes that are not a block."""
 
 
 def descriptor() -> bytes:
@@ -74,7 +74,7 @@ def decode(message: memoryview) -> npt.NDArray[np.void]:
     """A block's frames.
 
     Raises:
-        BlockError: the bytes are no block.
+        BlockError: the bytes are not a block.
     """
     try:
         first, seq, second, t_ns = _HEAD.unpack_from(message)

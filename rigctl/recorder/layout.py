@@ -1,7 +1,7 @@
-"""Protobuf messages of fixed width as numpy arrays, by the descriptor that goes with them.
+"""Protobuf messages of fixed width as numpy arrays, by their descriptor.
 
-A message that holds each of its fields once, in order, and nothing else is a packed struct with constant bytes between
-its values; all that `protobuf.Encoding` writes is.
+A message that holds each of its fields once and in order, as `protobuf.Encoding` writes it, is a packed struct with
+constant bytes between its values.
 """
 
 from __future__ import annotations
@@ -68,13 +68,13 @@ def _fields(descriptor: bytes, name: str) -> list[tuple[str, int, int]]:
 
 
 class Layout:
-    """How the messages of one schema are laid out, and the array they become."""
+    """Layout of the messages of one schema, and the array they become."""
 
     def __init__(self, descriptor: bytes, name: str, slot: Slot) -> None:
-        """``slot``: the table they come from; where the schema has its fields, the array has its dtype.
+        """``slot``: their table; if the schema has the slot's fields, the array has its dtype.
 
         Raises:
-            LayoutError: the schema is not of this kind.
+            LayoutError: the schema is not of fixed width.
         """
         self._fields = _fields(descriptor, name)
         self.name = name
@@ -92,7 +92,7 @@ class Layout:
         self._has_bytes = self._fields[-1][2] == _P.TYPE_BYTES
 
     def _wired(self, width: int) -> tuple[np.dtype[Any], npt.NDArray[np.intp], bytes]:
-        """Packed struct of a message of ``width`` bytes, and where which constant bytes stand in it."""
+        """Packed struct of a message of ``width`` bytes, and the positions and values of its constant bytes."""
         if width not in self._wire:
             names, formats, offsets, at = [], [], [], 0
             constant = bytearray()
@@ -128,10 +128,10 @@ class Layout:
         return self._wire[width]
 
     def decode(self, data: bytes, starts: Sequence[int], widths: Sequence[int]) -> npt.NDArray[np.void]:
-        """The messages that begin at ``starts`` of ``data``, ``widths`` bytes each, in their order.
+        """The messages at offsets ``starts`` of ``data``, of ``widths`` bytes, in order.
 
         Raises:
-            LayoutError: one is laid out otherwise.
+            LayoutError: a message has another layout.
         """
         made = np.zeros(len(starts), self.dtype)
         at, sizes = np.asarray(starts), np.asarray(widths)
@@ -166,4 +166,4 @@ def _rows(data: bytes, starts: npt.NDArray[np.intp], width: int) -> npt.NDArray[
 
 
 HEAD = struct.Struct("<HIQQ")
-"""Of a message in a chunk: channel, sequence, log time, publish time."""
+"""Head of a message in a chunk: channel, sequence, log time, publish time."""

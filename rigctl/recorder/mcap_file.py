@@ -1,7 +1,7 @@
-"""What comes from the rings, as an MCAP file that Foxglove, Lichtblick and PlotJuggler open.
+"""Data of the rings as an MCAP file that Foxglove, Lichtblick and PlotJuggler open.
 
-Records and frames are protobuf (JSON knows no NaN, and 1 kHz of it no limit), the rest JSON with its schema. Times are
-those of the wall clock; CLOCK_MONOTONIC stands in every message as ``t_ns``.
+Records and frames are protobuf (JSON has no NaN, and takes too much space at 1 kHz), the rest is JSON with its schema.
+Times are those of the wall clock; every message has CLOCK_MONOTONIC as ``t_ns``.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ class Message(NamedTuple):
 
 
 class McapFile:
-    """An MCAP file being written: channels for records, frames, and what was said."""
+    """An MCAP file being written: channels for slots of the rings and for texts."""
 
     def __init__(self, stream: IO[bytes], wall_offset_ns: int, slots: Mapping[str, Encoding] = DUMPED) -> None:
-        """``wall_offset_ns``: wall clock less CLOCK_MONOTONIC, one for the whole file; ``slots``: by their topic."""
+        """``wall_offset_ns``: wall clock less CLOCK_MONOTONIC, the same for the whole file; ``slots``: by topic."""
         self._offset_ns = wall_offset_ns
         self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library=f"rigctl {__version__}")
@@ -70,12 +70,12 @@ class McapFile:
         return self._writer.register_channel(f"/{topic}", message, schema_id)
 
     def channel(self, topic: str, message: str, name: str, encoding: str, schema: bytes) -> int:
-        """A channel of its own; its number."""
+        """Add a channel; returns its number."""
         self._channels[topic] = self._channel(topic, message, name, encoding, schema)
         return self._channels[topic]
 
     def slots(self, topic: str, slots: npt.NDArray[np.void]) -> list[Message]:
-        """``records``, ``frames`` or ``commands`` as messages."""
+        """Slots of a topic as messages."""
         channel = self._channels[topic]
         walls = (slots["t_ns"] + self._offset_ns).tolist()
         numbers = slots["seq"].tolist()
@@ -83,7 +83,7 @@ class McapFile:
         return [Message(*found) for found in zip(walls, [channel] * len(slots), numbers, encoded, strict=True)]
 
     def said(self, items: Iterable[Item]) -> list[Message]:
-        """What was said in the other rings, each on a topic of its own."""
+        """Items of the other rings as messages, each ring on a topic of its own."""
         found = []
         for item in items:
             if item.source not in self._channels:
@@ -97,34 +97,34 @@ class McapFile:
         return found
 
     def write(self, messages: Sequence[Message]) -> None:
-        """Write messages in the order of time."""
+        """Write messages in order of time."""
         self.add(sorted(messages, key=lambda message: message.wall_ns))
 
     def add(self, messages: Iterable[Message]) -> None:
-        """Write messages as they come."""
+        """Write messages in the order given."""
         add = self._writer.add_message
         for wall_ns, channel, seq, data in messages:
             time_ns = _storable(wall_ns)
             add(channel, time_ns, data, time_ns, seq & 0xFFFFFFFF)
 
     def attach(self, name: str, data: bytes, wall_ns: int, written_ns: int | None = None) -> None:
-        """Put a JSON document in; ``written_ns``: when it was written, on the wall clock, if not at ``wall_ns``."""
+        """Add a JSON document; ``written_ns``: wall clock when it was written, if not at ``wall_ns``."""
         created_ns = wall_ns if written_ns is None else written_ns
         self._writer.add_attachment(_storable(created_ns), _storable(wall_ns), name, "application/json", data)
 
     def describe(self, name: str, values: dict[str, Any]) -> None:
-        """Put a table of words in."""
+        """Add metadata: a table of texts."""
         self._writer.add_metadata(name, {key: str(value) for key, value in values.items()})
 
     def flush(self) -> None:
-        """Close the chunk: what was written so far is in the stream, and can be read."""
+        """Close the chunk, so that everything written so far is in the stream and can be read."""
         self._writer.flush()  # type: ignore[no-untyped-call]
 
     def finish(self) -> None:
-        """Write the index; the stream is the caller's to close."""
+        """Write the index; the caller closes the stream."""
         self._writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _storable(wall_ns: int) -> int:
-    """A time of a clock that was never set may lie before 1970, which the format cannot say."""
+    """A time within the range of the format: a clock that was never set may give one before 1970."""
     return min(max(wall_ns, 0), _LATEST_NS)

@@ -1,4 +1,4 @@
-"""What is in an MCAP file that may have been cut off anywhere: its records, as far as they are whole.
+"""The whole records of an MCAP file that may have been cut off anywhere.
 
 The index at its end is not needed. Layout: mcap.dev/spec.
 """
@@ -26,16 +26,16 @@ Buffer = memoryview
 
 
 class ScanError(ValueError):
-    """No MCAP file; ``str()`` says why, without the file's name."""
+    """Not an MCAP file; ``str()`` says why, without the file's name."""
 
 
 class DamageError(ValueError):
-    """A record that is not what it says it is."""
+    """A damaged record: its content does not match its head or checksum."""
 
 
 @dataclass(frozen=True)
 class Piece:
-    """One record of the file: its kind, its content and where it begins."""
+    """One record of the file: its kind, its content and its offset."""
 
     opcode: int
     content: Buffer
@@ -43,13 +43,13 @@ class Piece:
 
 
 class Scan:
-    """Goes through a file's records; afterwards ``note`` says why it is not complete, "" if it is."""
+    """Reads a file's records; afterwards ``note`` says why the file is incomplete, "" if it is complete."""
 
     def __init__(self, data: Buffer) -> None:
         """``data``: the whole file.
 
         Raises:
-            ScanError: it is no MCAP file.
+            ScanError: it is not an MCAP file.
         """
         if bytes(data[: len(MAGIC)]) != MAGIC:
             cut = MAGIC.startswith(bytes(data[: len(MAGIC)]))
@@ -57,10 +57,10 @@ class Scan:
         self._data = data
         self.note = "not read yet"
         self.end = len(MAGIC)
-        """Where the last whole record ends."""
+        """Offset of the end of the last whole record."""
 
     def pieces(self) -> Iterator[Piece]:
-        """Records in the order of the file, up to the end of its data section."""
+        """Records in file order, up to the end of the data section."""
         data, size, at = self._data, len(self._data), len(MAGIC)
         while at + _HEAD.size <= size:
             opcode, length = _HEAD.unpack_from(data, at)
@@ -82,10 +82,10 @@ class Scan:
 
 
 def unpacked(chunk: Buffer) -> bytes:
-    """What a chunk holds: schemas, channels and messages, one after the other.
+    """The decompressed content of a chunk: schemas, channels and messages in sequence.
 
     Raises:
-        DamageError: it is damaged.
+        DamageError: the chunk is damaged.
     """
     try:
         _, _, size, crc = _CHUNK.unpack_from(chunk)
@@ -122,7 +122,7 @@ def records(data: Buffer) -> Iterator[Piece]:
     """Records within a chunk.
 
     Raises:
-        DamageError: one does not end within it.
+        DamageError: a record does not end within the chunk.
     """
     at, size = 0, len(data)
     while at < size:

@@ -1,4 +1,4 @@
-"""One part of a recording being written: what goes into it, encoded, and its bytes handed to the disk."""
+"""One part of a recording being written: encodes its content and passes the bytes to the disk's thread."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LIBRARIES = (
 
 
 def versions() -> dict[str, str]:
-    """Python's and the libraries' versions; those that are not installed are left out."""
+    """Versions of Python and of the installed libraries."""
     found = {"rigctl": __version__, "python": platform.python_version()}
     for name in _LIBRARIES:
         try:
@@ -44,7 +44,7 @@ def versions() -> dict[str, str]:
 
 
 class _Taken:
-    """A stream that keeps what is written until it is taken."""
+    """A stream that buffers what is written until `take`."""
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
@@ -68,10 +68,10 @@ class _Taken:
 
 
 class PartFile:
-    """A part: an MCAP file in the making and the thread that writes it down."""
+    """A part: an MCAP file being written and the thread that writes it to the disk."""
 
     def __init__(self, disk: Appender, wall_offset_ns: int, opened_ns: int, words: dict[str, Any]) -> None:
-        """``words``: what this part is, as metadata."""
+        """``words``: metadata of this part."""
         self.disk, self.opened_ns, self.offset_ns = disk, opened_ns, wall_offset_ns
         self._stream = _Taken()
         self._file = McapFile(cast("IO[bytes]", self._stream), wall_offset_ns, SLOTS)
@@ -86,11 +86,11 @@ class PartFile:
 
     @property
     def size(self) -> int:
-        """Bytes so far, those still on their way to the disk included."""
+        """Bytes so far, including those not yet on the disk."""
         return self._stream.tell()
 
     def attach(self, name: str, data: bytes, now_ns: int, age_ns: int) -> None:
-        """A JSON document, written ``age_ns`` ago."""
+        """Add a JSON document that was written ``age_ns`` ago."""
         wall_ns = now_ns + self.offset_ns
         self._file.attach(name, data, wall_ns, wall_ns - age_ns)
 
@@ -98,7 +98,7 @@ class PartFile:
         self, records: npt.NDArray[np.void], frames: npt.NDArray[np.void], commands: npt.NDArray[np.void],
         holds: npt.NDArray[np.void], said: Iterable[Item], audit: Iterable[tuple[int, int, bytes]],
     ) -> None:  # fmt: skip
-        """What is new, closed as a chunk and given to the disk. ``audit``: number, time and line of its entries."""
+        """Write new content as one chunk and pass it to the disk. ``audit``: number, time and line of each entry."""
         file, offset = self._file, self.offset_ns
         for topic, slots in (("records", records), ("commands", commands), ("holds", holds)):
             if len(slots):
@@ -112,7 +112,7 @@ class PartFile:
         self.disk.append(self._stream.take())
 
     def finish(self) -> None:
-        """Its index; the thread ends when all is written."""
+        """Write the index; the thread ends when all is written."""
         self._file.finish()
         self.disk.append(self._stream.take())
         self.disk.end()

@@ -1,4 +1,4 @@
-"""One file of a recording, or a trip dump, read: whole, or up to where it was cut off or damaged."""
+"""Reads one file of a recording or a trip dump, whole or up to where it was cut off or damaged."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ _NO_FILE = "not a recording of rigctl"
 
 
 class RecordingError(ValueError):
-    """No recording, or parts that do not belong together; ``str()`` is one line."""
+    """Not a recording, or parts that do not belong together; ``str()`` is one line."""
 
 
 @dataclass(frozen=True)
 class File:
-    """A file that was read. ``note``: why it is not ``complete``, in words."""
+    """A file that was read. ``note``: why it is not ``complete``."""
 
     path: pathlib.Path
     size: int
@@ -60,7 +60,7 @@ class Said:
 
 @dataclass(frozen=True)
 class Attachment:
-    """A document and when it came into force: ``t_ns`` on CLOCK_MONOTONIC, ``wall_ns`` on the wall clock."""
+    """A document and the time it came into force: ``t_ns`` on CLOCK_MONOTONIC, ``wall_ns`` on the wall clock."""
 
     name: str
     t_ns: int
@@ -155,7 +155,7 @@ class Part:
         unpack, of_message = struct.Struct("<BQH").unpack_from, mcap_scan.MESSAGE
         channels = self._channels
         flat = np.frombuffer(data, np.uint8)
-        for known in channels.values():  # a chunk that was damaged has left some
+        for known in channels.values():  # messages left over from a damaged chunk
             known.starts, known.widths = [], []
         while at + 9 <= size:
             if data[at] != of_message:
@@ -199,7 +199,7 @@ class Part:
                 own.append(_item(data[start : start + width]))
 
     def _settle(self) -> None:
-        """What the metadata say."""
+        """Take the figures from the metadata."""
         own = self.metadata.get("rigctl")
         if own is None or "rig" not in own:
             raise RecordingError(f"{self.path}: {_NO_FILE}: {self.file.note or 'it does not say of which rig'}")
@@ -216,7 +216,7 @@ class Part:
 
 
 def _alike(flat: npt.NDArray[np.uint8], at: int, step: int) -> int:
-    """How many messages of the same channel and length follow one another, the first at ``at``."""
+    """Number of consecutive messages of the same channel and length, the first at ``at``."""
     count, look = 1, 4
     while True:
         most = min((len(flat) - at) // step, look)
@@ -252,7 +252,7 @@ def _stream(piece: mcap_scan.Piece) -> ReadDataStream:
 
 
 class _mapped:  # noqa: N801
-    """A file's bytes, without reading it whole into memory."""
+    """A file's bytes, mapped into memory instead of read."""
 
     def __init__(self, path: pathlib.Path) -> None:
         self._path = path
@@ -276,10 +276,10 @@ class _mapped:  # noqa: N801
 
 
 def progress_of(path: pathlib.Path) -> dict[str, int]:
-    """How far each ring is in a file, by the last whole chunk that says so; empty if none does.
+    """Position of each ring in a file, from the last whole chunk that has it; empty if none has.
 
     Raises:
-        RecordingError: it cannot be read.
+        RecordingError: the file cannot be read.
     """
     with _mapped(path) as data:
         try:

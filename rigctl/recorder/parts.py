@@ -1,4 +1,4 @@
-"""The parts of recordings in a folder: their names, how many are kept, and how much room is left."""
+"""The parts of recordings in a folder: names, deletion of old ones, free space."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class Part:
 
 
 def path_of(folder: pathlib.Path, rig: str, run_wall_ns: int, number: int) -> pathlib.Path:
-    """A part's file: ``RIG-START-NUMBER.mcap``, START being that of its run, UTC."""
+    """A part's file: ``RIG-START-NUMBER.mcap``; START is the start of its run, UTC."""
     stamp = moment(run_wall_ns).replace("-", "").replace(":", "")
     return folder / f"{rig}-{stamp}-{number:04d}.mcap"
 
 
 def parts(folder: pathlib.Path, rig: str) -> list[Part]:
-    """Parts of one rig in a folder, oldest first; none where there is no folder."""
+    """Parts of one rig in a folder, oldest first; empty without the folder."""
     found = []
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
@@ -48,14 +48,14 @@ def of_same_run(path: pathlib.Path) -> list[pathlib.Path]:
 
 
 def free_bytes(folder: pathlib.Path) -> int:
-    """Room on the disk of a folder, for whoever may use all but what is reserved for root."""
+    """Free space on the disk of a folder, without the blocks reserved for root."""
     return shutil.disk_usage(folder).free
 
 
 def delete_old(folder: pathlib.Path, rig: str, keep: pathlib.Path | None, keep_bytes: int) -> list[str]:
-    """Delete the oldest parts until all of them take ``keep_bytes`` at most; their names.
+    """Delete the oldest parts until all together take at most ``keep_bytes``; returns the deleted names.
 
-    ``keep``: the part that is being written. What cannot be deleted stays.
+    ``keep``: the part being written. A part that cannot be deleted stays.
     """
     found = [part.path for part in parts(folder, rig) if part.path != keep]
     sizes = {path: _size(path) for path in found}

@@ -1,6 +1,6 @@
-"""Slots as protobuf messages, by their tables: fixed-width fields only, so that numpy lays out many at once.
+"""Slots as protobuf messages: fixed-width fields only, so that numpy encodes many at once.
 
-Any protobuf reader decodes them by the descriptor that goes into the file (encoding: protobuf.dev, "Encoding").
+Any protobuf reader decodes them by the descriptor in the file (encoding: protobuf.dev, "Encoding").
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rigctl.recorder.enums import enum_of
 WIRE_VARINT, WIRE_64, WIRE_BYTES, WIRE_32 = 0, 1, 2, 5
 ENUM = "enum"
 ENUM_BYTES = 3
-"""A number of up to 16 bits as a varint of fixed width: bytes that could be left out are not (protobuf allows it)."""
+"""Width of a number of up to 16 bits as a varint, padded to a fixed width, which protobuf allows."""
 _P = FieldDescriptorProto
 _KINDS = {
     "d": (_P.TYPE_DOUBLE, WIRE_64, "<f8"),
@@ -33,10 +33,10 @@ _KINDS = {
 
 
 class Encoding:
-    """How the slots of one table are encoded. Bytes, where a table has them, are its last field."""
+    """Encoding of one kind of slot. A bytes field, if there is one, is the last field."""
 
     def __init__(self, slot: Slot, exact: Container[str] | None = None) -> None:
-        """``exact``: fields that keep their 64 bits where they are doubles, the others get 32; None: all keep them."""
+        """``exact``: double fields that keep 64 bits, the other doubles get 32; None: all keep 64."""
         self.name = f"rigctl.{slot.name.capitalize()}"
         codes = [("seq", "Q"), *((field.name, field.code) for field in slot.fields)]
         self._fields = [
@@ -74,7 +74,7 @@ class Encoding:
         made = np.zeros(len(slots), self._dtype)
         for number, (name, code) in enumerate(self._fields, 1):
             made[f"tag_{name}"] = np.void(tag(number, _KINDS[code][1]))
-            with np.errstate(over="ignore"):  # beyond what 32 bits hold is infinite
+            with np.errstate(over="ignore"):  # a value beyond the range of 32 bits becomes infinite
                 made[name] = _varints(slots[name]) if code == ENUM else slots[name]
         width = self._dtype.itemsize
         ends = np.full(len(slots), width)
@@ -86,7 +86,7 @@ class Encoding:
 
 
 def numbers_of(slot: Slot) -> Slot:
-    """A table without its texts, whose width is not fixed; what they say is recorded in words beside it."""
+    """A slot without its text fields, whose width is not fixed; the texts are recorded in JSON beside it."""
     return Slot(slot.name, tuple(field for field in slot.fields if field.code in _KINDS))
 
 
@@ -99,12 +99,12 @@ def _varints(values: npt.NDArray[np.integer]) -> npt.NDArray[np.uint8]:
 
 
 def of_varints(rows: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint32]:
-    """What `_varints` has made of the numbers."""
+    """The inverse of `_varints`."""
     parts = (rows & 0x7F).astype(np.uint32) << np.arange(0, 7 * ENUM_BYTES, 7, dtype=np.uint32)
     return np.asarray(parts.sum(axis=1, dtype=np.uint32))
 
 
 def tag(number: int, wire: int) -> bytes:
-    """What stands before a field: its number and how it is laid out."""
+    """The tag before a field: its number and its wire type."""
     value = number << 3 | wire
     return bytes([value]) if value < 0x80 else bytes([value & 0x7F | 0x80, value >> 7])

@@ -1,7 +1,7 @@
 """The recorder: ``python -m rigctl.recorder RUNTIME_DIR``. Keeps audit log, trip dumps and recording of a daemon.
 
-It reads the rings and writes files, and nobody waits for it: it may be killed at any time, and the next one goes on
-where the log ends. What cannot be written is told, counted, and tried again while the rings still hold it.
+It reads the rings and writes files, and no process waits for it: it may be killed at any time, and the next one
+continues where the log ends. A failed write is reported, counted, and tried again while the rings hold the data.
 """
 
 from __future__ import annotations
@@ -39,26 +39,26 @@ POLL_S = 0.05
 RETRY_NS = 1_000_000_000
 TELL_NS = 1_000_000_000
 KEEP_STROKE_NS = 1_000_000_000
-WAITING_MAX = 20_000  # entries kept for a disk that takes none; the rings go on holding what comes after
-FAREWELL_S = 6.0  # after SIGTERM, so long for the supervisor to say its last word
+WAITING_MAX = 20_000  # entries kept while the disk fails; beyond it the rings hold the data
+FAREWELL_S = 6.0  # after SIGTERM, limit for the wait for the supervisor's last entry
 _OVER = frozenset(doing.name.lower() for doing in OVER)
 
 
 class Trouble:
-    """What cannot be written at the moment: told when it begins and when it is over, counted always."""
+    """Outputs that cannot be written now: their begin and end are reported, every failure is counted."""
 
     def __init__(self) -> None:
         self.count = 0
-        self.now: dict[str, str] = {}  # by what is written
+        self.now: dict[str, str] = {}  # output: reason
         self._since: dict[str, int] = {}
         self._retry_ns: dict[str, int] = {}
 
     def may_try(self, what: str, now_ns: int) -> bool:
-        """Not every time after a failure."""
+        """Whether a write may be tried: after a failure only at intervals."""
         return now_ns >= self._retry_ns.get(what, 0)
 
     def begins(self, what: str, why: str, now_ns: int) -> None:
-        """Could not be written."""
+        """Note a failed write."""
         self.count += 1
         self._retry_ns[what] = now_ns + RETRY_NS
         self._since.setdefault(what, now_ns)
@@ -67,7 +67,7 @@ class Trouble:
             _say(f"WARNING: {why}; the loop is unaffected")
 
     def ends(self, what: str, now_ns: int) -> dict[str, Any] | None:
-        """Could be written; what it was, if it had not been possible before."""
+        """Note a successful write; returns the details of a failure that this ends."""
         self._retry_ns.pop(what, None)
         why = self.now.pop(what, None)
         if why is None:
@@ -80,10 +80,10 @@ class Recorder:
     """Audit log and trip dumps of one daemon."""
 
     def __init__(self, runtime: Runtime, settings: RigSettings, now_ns: int, wall_ns: int) -> None:
-        """Goes on where the log ends, if its end is of this run of the daemon.
+        """Continues where the log ends, if its end is of this run of the daemon.
 
         Raises:
-            AuditError: the log is another rig's, or none.
+            AuditError: the file is another rig's log or not a log.
         """
         self._runtime, self._settings = runtime, settings
         self._run = int(runtime.known(ACTIVE).get("started_wall_ns", 0))
@@ -99,22 +99,22 @@ class Recorder:
         self._tell_ns = 0
         try:
             self.log.open()
-        except (OSError, AuditError) as error:  # it was good when the daemon started: recording and dumps go on
+        except (OSError, AuditError) as error:  # the log was good at the daemon's start; the rest goes on
             why = f"{self.log.path} cannot be written: {error.strerror}" if isinstance(error, OSError) else str(error)
             self.trouble.begins("audit log", why, now_ns)
         read = self.log.read if self.log.read.get("run") == self._run else {"run": self._run}
-        self._read = read  # once all that waits is written
+        self._read = read  # positions of the rings once all that waits is written
         self._rings = Rings(runtime, read)
         self._trips = Trips(runtime, settings, read.get("dumped", 0))
         self._trips.sweep()
         self._recording = Continuous(runtime, settings, self._run, wall_ns) if settings.recording.enabled else None
         self._records = runtime.record_reader()
         self._kept_mm, self._keep_ns = math.nan, 0  # the stroke last written, and when it may be next
-        self._failures = 0  # of the recording, that have been told
+        self._failures = 0  # of the recording, already reported
         self._add(self._own(now_ns, wall_ns, "recorder_started", f"process {os.getpid()}", {"pid": os.getpid()}))
 
     def poll(self, now_ns: int, wall_ns: int, *, final: bool = False) -> None:
-        """Take what is new, write it, write the dumps that are due. ``final``: there will be no other time."""
+        """Write what is new and the dumps that are due. ``final``: the last call."""
         if len(self._waiting) < WAITING_MAX:
             items = self._rings.take(wall_ns - now_ns)
             thinned = self._thinning.thin(items, now_ns, wall_ns, final=final)
@@ -127,7 +127,7 @@ class Recorder:
         self._tell(now_ns)
 
     def close(self, now_ns: int, wall_ns: int) -> None:
-        """The last of everything."""
+        """Write the rest and close the files."""
         self.poll(now_ns, wall_ns, final=True)
         self._add(self._own(now_ns, wall_ns, "recorder_stopped", f"process {os.getpid()}", {}))
         self._write(now_ns, final=True)
@@ -139,7 +139,7 @@ class Recorder:
         self.log.close()
 
     def _record(self, now_ns: int, wall_ns: int) -> None:
-        """Go on with the recording; its trouble and the parts that were deleted go into the log."""
+        """Continue the recording; its failures and deleted parts go into the log."""
         if (recording := self._recording) is None:
             return
         recording.poll(now_ns, wall_ns)
@@ -158,9 +158,9 @@ class Recorder:
             self._add(*said)
 
     def _keep_stroke(self, now_ns: int, wall_ns: int, *, final: bool) -> None:
-        """The stroke last known, once a second while it changes, and at the end.
+        """Write the last known stroke, once a second while it changes, and at the end.
 
-        Only one at rest is waited for until it is on the disk: a disk that stalls must not hold up what records.
+        Only a stroke at rest is synced to the disk: a stalled disk must not hold up the recording.
         """
         record = self._records.latest()
         stroke_mm = last_stroke.of_record(record)
@@ -184,7 +184,7 @@ class Recorder:
         return Item(now_ns, wall_ns, what, text, details=details)
 
     def _add(self, *items: Item, **read: int) -> None:
-        """Entries for the log; ``read``: what else is done once they are in it."""
+        """Queue entries for the log; ``read``: further positions to store with the last of them."""
         states = sourced(list(items), self._read)
         if states:
             states[-1] = {**states[-1], **read}
@@ -192,7 +192,7 @@ class Recorder:
             self._read = states[-1]
 
     def _enriched(self, item: Item) -> Item:
-        """The daemon's start and design with the figures behind them."""
+        """The item; that of the daemon's start or design with the figures behind it."""
         active = self._runtime.known(ACTIVE)
         if item.what == Doing.DAEMON_STARTED.name.lower():
             more = {"version": active.get("version"), "pid": active.get("pid"), "calibration_waiver": None,
@@ -254,7 +254,7 @@ class Recorder:
         self._write(now_ns, final=final)
 
     def _tell(self, now_ns: int, *, at_once: bool = False) -> None:
-        """What others may know: in the runtime folder, at least once a second."""
+        """Write the recorder's figures to the runtime folder, at least once a second."""
         told = {
             "run": self._run,
             "pid": os.getpid(),
@@ -270,7 +270,7 @@ class Recorder:
         if not at_once and told == self._told and now_ns < self._tell_ns:
             return
         self._told, self._tell_ns = told, now_ns + TELL_NS
-        with contextlib.suppress(OSError):  # the daemon's folder is gone, or its memory is full
+        with contextlib.suppress(OSError):  # the runtime folder may be gone, or its memory full
             self._runtime.write_json(RECORDED, {**told, "t_ns": now_ns})
 
 
@@ -285,7 +285,7 @@ def _settings(runtime: Runtime) -> RigSettings:
 
 
 def _serve(recorder: Recorder, stop: Termination) -> None:
-    """Until told to stop, and then until the supervisor has said its last word, or is gone."""
+    """Poll until ``stop``, and then until the supervisor has written its last entry or is gone."""
     parent, until = os.getppid(), None
     while True:
         recorder.poll(time.monotonic_ns(), time.time_ns())
@@ -297,7 +297,7 @@ def _serve(recorder: Recorder, stop: Termination) -> None:
 
 
 def main(arguments: Sequence[str], stop: Termination) -> int:
-    """Run the recorder of the runtime folder named until ``stop``; exit code."""
+    """Run the recorder of the runtime folder named until ``stop``; returns the exit code."""
     if len(arguments) != 1:
         sys.stderr.write("usage: python -m rigctl.recorder RUNTIME_DIR\n")
         return 2

@@ -1,6 +1,6 @@
-"""Recordings and trip dumps read back: as numpy arrays and lists, whole or cut off anywhere.
+"""Reads recordings and trip dumps as numpy arrays and lists, whole or cut off anywhere.
 
-Everything up to the last whole chunk of a file is read, without its index: a recorder that was killed wrote none.
+A file is read up to its last whole chunk and without its index, since a killed recorder wrote none.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Gap:
-    """Slots ``after`` + 1 to ``upto`` of a ring are missing; ``t_ns``: of the one before, 0 at the beginning."""
+    """Slots ``after`` + 1 to ``upto`` of a ring are missing; ``t_ns``: time of the slot before, 0 at the beginning."""
 
     ring: str
     after: int
@@ -42,18 +42,18 @@ class Gap:
 
     @property
     def count(self) -> int:
-        """How many are missing."""
+        """Number of missing slots."""
         return self.upto - self.after
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What one or several parts of a run hold; arrays in the order of ``seq``, each slot once.
+    """Content of one or several parts of a run; arrays in the order of ``seq``, each slot once.
 
-    ``records``: ``RECORD`` slots; signals have the precision of 32-bit floats where the file has (trip dumps: 64), all
-    else is exact. ``frames``: ``FRAME`` slots, ``commands``: ``COMMAND`` slots, ``holds``: ``HOLD`` slots
-    without the operator (none in a recording from before there were any); all exact. ``said``: by topic.
-    ``sha256``: of the file; of several the hash of their hashes, one a line.
+    ``records``: ``RECORD`` slots; signals have the precision of the file's floats (32 bits; trip dumps: 64), all else
+    is exact. ``frames``: ``FRAME`` slots, ``commands``: ``COMMAND`` slots, ``holds``: ``HOLD`` slots without the
+    operator (empty in recordings older than this ring); all exact. ``said``: by topic. ``sha256``: of the file; of
+    several the hash of their hashes, one a line.
     """
 
     files: tuple[File, ...]
@@ -72,7 +72,7 @@ class Recording:
 
     @property
     def complete(self) -> bool:
-        """Every file has its end, and nothing in it is damaged."""
+        """Whether every file has its end and is undamaged."""
         return all(file.complete for file in self.files)
 
     @property
@@ -87,7 +87,7 @@ class Recording:
 
     @property
     def control_starts(self) -> list[int]:
-        """Time of the first record of each control process, whose ticks begin anew."""
+        """Time of the first record of each control process; each starts its tick count again."""
         if not len(self.records):
             return []
         again = np.flatnonzero(np.diff(self.records["tick"].astype(np.int64)) < 0) + 1
@@ -110,11 +110,11 @@ class Recording:
 
     @property
     def attachments(self) -> dict[str, bytes]:
-        """The newest of each document."""
+        """The newest version of each document."""
         return {attachment.name: attachment.data for attachment in self.generations}
 
     def in_force(self, name: str, t_ns: int) -> bytes | None:
-        """A document as it was at a time; before the first that is known, that one. None: there is none."""
+        """The version of a document in force at a time, for an earlier time the first; None without the document."""
         known = [attachment for attachment in self.generations if attachment.name == name]
         before = [attachment for attachment in known if attachment.t_ns <= t_ns]
         found = before[-1:] or known[:1]
@@ -122,7 +122,7 @@ class Recording:
 
 
 def parts_of(path: str | pathlib.Path) -> tuple[pathlib.Path, ...]:
-    """Every part of the run ``path`` belongs to, in its folder; ``path`` alone if it is no part."""
+    """Every part of the run of ``path``, in its folder; ``path`` alone if it is not a part."""
     return tuple(parts.of_same_run(pathlib.Path(path)))
 
 
@@ -131,10 +131,10 @@ def read(*paths: str | pathlib.Path, frames: bool = True) -> Recording:
 
     Args:
         paths: the files, in any order.
-        frames: whether the frames are wanted; without them it is quicker.
+        frames: whether to read the frames; reading is faster without them.
 
     Raises:
-        RecordingError: one is no recording, or they are not of one run of one rig.
+        RecordingError: a file is not a recording, or the files are not of one run of one rig.
     """
     if not paths:
         raise RecordingError("found no file, expected one or more")
@@ -161,7 +161,7 @@ def read(*paths: str | pathlib.Path, frames: bool = True) -> Recording:
 
 
 def _joined(arrays: list[npt.NDArray[np.void]], slot: Slot, path: pathlib.Path) -> npt.NDArray[np.void]:
-    """All slots once, in the order of their numbers."""
+    """All slots once, in order of their numbers."""
     present = [array for array in arrays if len(array)]
     if not present:
         return np.empty(0, slot.dtype)
@@ -175,7 +175,7 @@ def _joined(arrays: list[npt.NDArray[np.void]], slot: Slot, path: pathlib.Path) 
 
 
 def _gaps(ring: str, numbers: npt.NDArray[Any], times: npt.NDArray[Any]) -> list[Gap]:
-    """Between the slots that are there: what came before the first is not known to belong to the file."""
+    """Gaps between the slots present; slots before the first one need not belong to the file."""
     breaks = np.flatnonzero(np.diff(numbers.astype(np.int64)) > 1)
     return [Gap(ring, int(numbers[at]), int(numbers[at + 1]) - 1, int(times[at])) for at in breaks.tolist()]
 
@@ -197,7 +197,7 @@ def _said(found: list[Part]) -> tuple[dict[str, list[Said]], list[Gap]]:
 
 
 def _generations(found: list[Part]) -> list[Attachment]:
-    """Each content once, when it came into force; that of a part's beginning is that of the part before."""
+    """Each content once, with the time it came into force; a part begins with a copy of the content before it."""
     everything = sorted((item for part in found for item in part.attachments), key=lambda item: item.t_ns)
     last: dict[str, bytes] = {}
     generations = []

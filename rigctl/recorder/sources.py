@@ -1,4 +1,4 @@
-"""The rings an audit log is made of, each with what its slots say."""
+"""The rings that go into the audit log, each with the wording of its slots."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from rigctl.ipc.runtime_folder import Runtime
 from rigctl.recorder.audit_log import Item
 from rigctl.wire.event_message import event_message
 
-BATCH = 1000  # slots of a ring at once
+BATCH = 1000  # slots read from a ring at once
 Words = tuple[str, str, str, dict[str, Any]]  # what, who, text, details
 
 
@@ -51,7 +51,7 @@ def _event(slot: np.void) -> Words:
 
 
 def _names(slot: np.void) -> dict[str, str]:
-    """Names of what ``a`` and ``b`` of an event stand for."""
+    """Names for ``a`` and ``b`` of an event."""
     return {word: _name(kind, int(slot[field])) for field, (word, kind) in _NAMED.get(int(slot["kind"]), {}).items()}
 
 
@@ -111,14 +111,14 @@ def _doing(slot: np.void) -> Words:
 
 @dataclass(frozen=True)
 class Source:
-    """A ring that goes into the log."""
+    """A ring of the audit log."""
 
     name: str
     open: Callable[[Runtime], RingReader]
     words: Callable[[np.void], Words]
 
     def item(self, slot: np.void, wall_offset_ns: int) -> Item:
-        """One slot in words; one that nobody can word goes into the log as it is."""
+        """One slot in words; a slot that cannot be worded goes into the log as hexadecimal bytes."""
         t_ns = int(slot["t_ns"])
         try:
             what, who, text, details = self.words(slot)
@@ -141,31 +141,31 @@ SOURCES = (
 
 
 class Rings:
-    """Every source with how far it has been read. What a ring no longer held when it was read is an item too."""
+    """Every source with its read position. Slots overwritten before they were read become an item too."""
 
     def __init__(self, runtime: Runtime, read: dict[str, int]) -> None:
-        """``read``: number of the last slot of each that is in the log already."""
+        """``read``: number of the last slot of each ring that is already in the log."""
         self._readers = [(source, source.open(runtime)) for source in SOURCES]
         self._lost = dict.fromkeys((source.name for source in SOURCES), 0)
         self.go_back(read)
 
     @property
     def position(self) -> dict[str, int]:
-        """Number of the last slot of each that was taken."""
+        """Number of the last slot taken from each ring."""
         return {source.name: reader.cursor for source, reader in self._readers}
 
     def go_back(self, position: Mapping[str, int]) -> None:
-        """Take again what came after ``position``."""
+        """Set the read positions back to ``position``."""
         for source, reader in self._readers:
             reader.cursor = min(position.get(source.name, 0), reader.head)
 
     def take(self, wall_offset_ns: int) -> list[Item]:
-        """What is new, in the order of time; each ring in its own order."""
+        """New items in order of time; each ring keeps its own order."""
         parts = [self._new(source, reader, wall_offset_ns) for source, reader in self._readers]
         return list(heapq.merge(*parts, key=lambda item: item.t_ns))
 
     def take_all(self, wall_offset_ns: int) -> list[Item]:
-        """Everything that is still held."""
+        """Every item after the read positions."""
         items = self.take(wall_offset_ns)
         while new := self.take(wall_offset_ns):
             items += new
@@ -189,7 +189,7 @@ class Rings:
 
 
 def sourced(items: list[Item], read: dict[str, int]) -> list[dict[str, int]]:
-    """For each item, how far each ring is in the log once it is written."""
+    """For each item, the position of each ring in the log after it."""
     states, state = [], dict(read)
     for item in items:
         if item.seq:

@@ -1,9 +1,9 @@
-"""What keeps the audit log from growing without end: repeats become one entry, and what is too much is counted.
+"""Limits the growth of the audit log: repeats become one entry, entries beyond the rate are counted.
 
-Never left out are accepted commands (HOLD and what is done with the lease become one entry when they repeat), trips,
-changes of mode, what the supervisor did, and whatever is not named here. All else is written at most ``RATE_HZ`` times
-and ``RATE_BYTES`` bytes a second in the long run, after ``BURST`` entries or ``BURST_BYTES`` at once; what is left out
-is counted, and the count is an entry.
+Accepted commands, trips, changes of mode, the supervisor's actions and kinds not named here are always written; only
+repeats of HOLD and of lease commands become one entry. All others are limited to ``RATE_HZ`` entries and ``RATE_BYTES``
+bytes a second in the long run, after ``BURST`` entries or ``BURST_BYTES`` at once; an entry gives the count of those
+left out.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from rigctl.config import quantity
 from rigctl.recorder.audit_log import Item
 
 WINDOW_NS = 10_000_000_000
-WRITTEN_FIRST = 3  # of the same within a window, before the others are only counted
+WRITTEN_FIRST = 3  # equal items written within a window before the others are only counted
 RATE_HZ, BURST = 20, 2_000
 RATE_BYTES, BURST_BYTES = 16_384, 1 << 20
-SAME_MAX = 512  # that are watched for repeats at a time
-ENTRY_BYTES = 420  # of an entry beside its words: hashes, times, how far the rings are in it
+SAME_MAX = 512  # keys watched for repeats at a time
+ENTRY_BYTES = 420  # of an entry without its texts: hashes, times, positions of the rings
 
 _SAME: dict[str, tuple[str, ...]] = {
     "command_refused": ("verb", "reason"),
@@ -41,24 +41,24 @@ _SAME: dict[str, tuple[str, ...]] = {
     "stroke_left": ("a",),
     "drive_creeps": (),
 }
-"""Kinds whose repeats become one entry, by what is the same about them beside kind and operator."""
+"""Kinds whose repeats become one entry, with the details that repeats share beside kind and operator."""
 _REPEATED_VERBS = frozenset({"hold", "lease_take", "lease_return"})
 _COUNTED = frozenset(
     {*_SAME, "setting_lost", "command_given", "order", "reply", "bus_error", "emergency", "node_state", "send_failed"}
 )
-"""Kinds that are counted rather than written when they come too fast."""
+"""Kinds that are counted instead of written beyond the rate."""
 
 
 @dataclass
 class _Same:
     first: Item
     last: Item
-    count: int = 0  # beyond those that were written
+    count: int = 0  # not written
     written: int = 1
 
 
 def _key(item: Item) -> tuple[Any, ...] | None:
-    """What repeats of an item have in common; None if each is written."""
+    """Key that repeats of an item share; None if each is written."""
     if item.what in _SAME:
         about = tuple(item.text if name == "text" else item.details.get(name) for name in _SAME[item.what])
         return (item.source, item.what, item.who, *about)
@@ -68,12 +68,12 @@ def _key(item: Item) -> tuple[Any, ...] | None:
 
 
 def size_of(item: Item) -> int:
-    """About how many bytes its entry has."""
+    """Approximate size of its entry in bytes."""
     return ENTRY_BYTES + len(item.text) + len(item.who) + len(str(item.details))
 
 
 class Thinning:
-    """Items in, those to be written out, with the counts of those that are not."""
+    """Selects the items to write and counts the others."""
 
     def __init__(self) -> None:
         self._same: dict[tuple[Any, ...], _Same] = {}
@@ -82,7 +82,7 @@ class Thinning:
         self._entries, self._bytes, self._seen_ns = float(BURST), float(BURST_BYTES), 0
 
     def thin(self, items: Iterable[Item], now_ns: int, wall_ns: int, *, final: bool = False) -> list[Item]:
-        """What is to be written of ``items``, and what is due of the counts; ``final``: all of them."""
+        """The items to write, and an item for each count that is due; ``final``: for all counts."""
         kept = [item for item in items if not self._repeats(item) and self._affords(item, now_ns)]
         return [*kept, *self._counts(now_ns, wall_ns, final=final)]
 

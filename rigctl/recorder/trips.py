@@ -1,7 +1,7 @@
 """Trip dumps: everything from 10 s before a trip to 2 s after it, in a file of its own.
 
-A dump is made from what the rings hold once its time is over, so a recorder that was killed meanwhile leaves it to the
-next one. Trips that follow one another within 2 s share a file.
+A dump is made from the rings once its time is over, so the next recorder makes it if this one is killed before. Trips
+within 2 s of the first share a file.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from rigctl.recorder.sources import Rings
 from rigctl.wire.schema import schema
 
 BEFORE_NS, AFTER_NS = 10_000_000_000, 2_000_000_000
-_ATTACHED = (ACTIVE, "control.json", "calibration.json")  # of the runtime folder; lease.json holds a secret
+_ATTACHED = (ACTIVE, "control.json", "calibration.json")  # of the runtime folder; not lease.json, which has the id
 
 
 @dataclass(frozen=True)
 class Trigger:
-    """An event that calls for a dump."""
+    """An event that needs a dump."""
 
     seq: int
     t_ns: int
@@ -51,27 +51,27 @@ class Group:
 
     @property
     def start_ns(self) -> int:
-        """From when on."""
+        """Start of the dump."""
         return self.triggers[0].t_ns - BEFORE_NS
 
     @property
     def end_ns(self) -> int:
-        """Until when."""
+        """End of the dump."""
         return self.triggers[-1].t_ns + AFTER_NS
 
     @property
     def last_seq(self) -> int:
-        """Event it goes up to."""
+        """Number of the last trigger's event."""
         return self.triggers[-1].seq
 
     @property
     def fault(self) -> str:
-        """What tripped first."""
+        """The fault that tripped first."""
         return next((trigger.fault for trigger in self.triggers if trigger.fault), Fault.LOOP_EXCEPTION.name)
 
 
 def triggers(events: npt.NDArray[np.void]) -> list[Trigger]:
-    """Trips, and changes to FAULT, which an exception in the loop makes without one."""
+    """Trips, and changes to FAULT, because an exception in the loop leads to FAULT without a trip."""
     found = []
     for slot in events:
         seq, t_ns, kind, a, b = (int(slot[name]) for name in ("seq", "t_ns", "kind", "a", "b"))
@@ -84,14 +84,14 @@ def triggers(events: npt.NDArray[np.void]) -> list[Trigger]:
 
 
 def first_group(pending: Sequence[Trigger]) -> Group:
-    """The oldest trigger and those soon after it."""
+    """The oldest trigger and those within ``AFTER_NS`` of it."""
     until_ns = pending[0].t_ns + AFTER_NS
     return Group(tuple(trigger for trigger in pending if trigger.t_ns <= until_ns))
 
 
 @dataclass(frozen=True)
 class Dump:
-    """A file that was written, and the older ones that went for it."""
+    """A file that was written, and the older files deleted after it."""
 
     path: pathlib.Path
     group: Group
@@ -104,7 +104,7 @@ class Trips:
     """Watches the events for trips and writes their dumps."""
 
     def __init__(self, runtime: Runtime, settings: RigSettings, dumped: int) -> None:
-        """``dumped``: the last event whose trip has its file."""
+        """``dumped``: number of the last event whose trip has a file."""
         self._runtime, self._settings = runtime, settings
         self._events = runtime.event_reader()
         self._events.cursor = min(dumped, self._events.head)
@@ -112,7 +112,7 @@ class Trips:
         self.folder = settings.file(settings.audit.trips)
 
     def due(self, now_ns: int, *, final: bool = False) -> Group | None:
-        """Trips whose time is over; ``final``: there will be no more of it."""
+        """A group whose time is over; ``final``: also one whose time is not, as no more data will come."""
         self._pending += triggers(self._events.read())
         if not self._pending:
             return None
@@ -120,7 +120,7 @@ class Trips:
         return group if final or now_ns >= group.end_ns else None
 
     def missed(self, group: Group, now_ns: int) -> bool:
-        """Whether the rings hold nothing of it any more."""
+        """Whether the rings no longer hold its data."""
         return now_ns - group.triggers[-1].t_ns > self._settings.telemetry.history_s * 1_000_000_000
 
     def done(self, group: Group) -> None:
@@ -128,10 +128,10 @@ class Trips:
         self._pending = [trigger for trigger in self._pending if trigger.seq > group.last_seq]
 
     def write(self, group: Group, wall_offset_ns: int, audit: dict[str, Any]) -> Dump:
-        """Write its file, whole or not at all. ``audit``: where the log is and how far.
+        """Write its file, whole or not at all. ``audit``: the audit log's path and position.
 
         Raises:
-            OSError: it could not be written; nothing is left of it.
+            OSError: it could not be written; no part of it is left.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         stamp = moment(group.triggers[0].t_ns + wall_offset_ns).replace("-", "").replace(":", "")
@@ -155,7 +155,7 @@ class Trips:
         file = McapFile(stream, offset_ns)
         records = _window(runtime.record_reader(from_start=True), group)
         frames = _window(runtime.frame_reader(), group)
-        # As the rings hold them: a replay takes them from here.
+        # Slots rather than texts, because a replay needs them.
         commands = _window(runtime.command_reader(from_start=True), group)
         holds = _window(runtime.hold_reader(from_start=True), group)
         said = [
@@ -192,11 +192,11 @@ class Trips:
         return len(records), len(frames)
 
     def names(self) -> list[str]:
-        """Dumps of this rig that are there, oldest first."""
+        """Dumps of this rig in the folder, oldest first."""
         return sorted(path.name for path in self.folder.glob(f"{self._settings.rig}-[0-9]*.mcap"))
 
     def _delete_old(self) -> tuple[str, ...]:
-        """Keep the newest; what cannot be deleted stays."""
+        """Delete all but the newest ``trips_kept`` dumps; a file that cannot be deleted stays."""
         deleted = []
         for name in self.names()[: -self._settings.audit.trips_kept]:
             with contextlib.suppress(OSError):
@@ -205,7 +205,7 @@ class Trips:
         return tuple(deleted)
 
     def sweep(self) -> None:
-        """Take away what a recorder that was killed had begun."""
+        """Delete unfinished files of a killed recorder."""
         with contextlib.suppress(OSError):
             for part in self.folder.glob(f".{self._settings.rig}-[0-9]*.mcap.part"):
                 part.unlink()

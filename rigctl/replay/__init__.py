@@ -1,1 +1,1 @@
-"""A recording played through the loop again: the same frames, commands and instants."""
+"""Replay of a recording through the loop, with the same frames, commands and times."""

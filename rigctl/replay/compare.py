@@ -1,4 +1,4 @@
-"""Replayed against recorded, tick by tick: the first difference, or none; and what other settings would have done."""
+"""Comparison of a replay with its recording, tick by tick; and with the commands that other settings would give."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from rigctl.replay.feed import Slots
 from rigctl.replay.play import Batch
 
 Advance = Callable[[float, str], None]
-"""Told how much has been compared since the last call, and of what."""
+"""Called with the amount compared since the last call, and its name."""
 NOT_COMPARED = ("seq", "command_seq", "hold_seq")
-"""Numbers of slots: the replay has rings of its own."""
+"""Numbers of slots, which differ because the replay has rings of its own."""
 EXACT = frozenset({"command_mm_s"} | {row.name for row in RECORD.fields if row.code != "d"})
-"""Kept whole in a recording; the others with the precision of a float32."""
+"""Fields with full precision in a recording; the others have that of a float32."""
 FRAMES = "frames sent"
 
 
@@ -34,7 +34,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Divergence:
-    """The first tick that came out differently."""
+    """The first tick that differs."""
 
     t_ns: int
     tick: int
@@ -42,11 +42,11 @@ class Divergence:
 
 
 def first_difference(batches: Iterable[Batch], advance: Advance) -> tuple[int, Divergence | None]:
-    """Ticks that came out the same, and the first that did not.
+    """Number of equal ticks, and the first that differs.
 
     Args:
-        batches: as `rigctl.replay.play.play` gives them.
-        advance: called with the ticks gone through.
+        batches: from `rigctl.replay.play.play`.
+        advance: called with the number of ticks compared.
     """
     same = 0
     for batch in batches:
@@ -103,7 +103,7 @@ def _shown(frames: list[tuple[int, bytes]]) -> str:
 
 @dataclass
 class Against:
-    """What other settings would have commanded, where both were in the same mode and the drive was on."""
+    """Commands of other settings compared with those given, where both have the same mode and the drive is on."""
 
     ticks: dict[Mode, int] = field(default_factory=dict)
     then_mm2: dict[Mode, float] = field(default_factory=dict)  # sums of squares of the command
@@ -112,13 +112,13 @@ class Against:
     apart_max_mm_s: dict[Mode, float] = field(default_factory=dict)
     first_other_mode: tuple[int, Mode, Mode] | None = None  # t_ns, then, now
     other_mode_ticks: int = 0
-    first_fault: tuple[int, int] | None = None  # t_ns and fault of the first that only the other has
+    first_fault: tuple[int, int] | None = None  # t_ns and fault of the first that only the replay has
     t_ns: list[npt.NDArray[np.int64]] = field(default_factory=list)
     then_mm_s: list[npt.NDArray[np.float64]] = field(default_factory=list)
     now_mm_s: list[npt.NDArray[np.float64]] = field(default_factory=list)
 
     def add(self, batch: Batch) -> None:
-        """Take a batch in."""
+        """Add a batch."""
         count = min(len(batch.recorded), len(batch.replayed))
         then, now = batch.recorded[:count], batch.replayed[:count]
         self.t_ns.append(then["t_ns"].copy())
@@ -145,7 +145,7 @@ class Against:
             self.apart_max_mm_s[mode] = max(self.apart_max_mm_s.get(mode, 0.0), largest)
 
     def rows(self) -> list[dict[str, Any]]:
-        """One for each mode: ticks, rms of both commands, rms and largest of their difference; mm/s."""
+        """One row for each mode: ticks, rms of both commands, rms and largest of their difference; mm/s."""
         return [
             {
                 "mode": mode.name,

@@ -1,4 +1,4 @@
-"""A recording as the loop's world: clock, bus, commands and holds, which give it again what it was given then."""
+"""A recording as input of the loop: clock, bus, commands and holds that repeat what was recorded."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ _KIND = FrameFlag.ERROR.value | FrameFlag.REMOTE.value | FrameFlag.EXTENDED.valu
 
 @dataclass
 class Tick:
-    """What one tick was given, and what it sent: frames as (identifier, data)."""
+    """Inputs and outputs of one tick; frames as (identifier, data)."""
 
     t_ns: int
     woke_ns: int
-    sent_ns: int  # when it sent its frames
+    sent_ns: int  # time at which it sent its frames
     ended_ns: int
     skipped: int  # periods missed since the tick before
-    failures: int  # frames of its own that the bus did not take
+    failures: int  # frames of the tick that the bus did not take
     stopping: bool
     received: list[can.Message]
     sent: list[tuple[int, bytes]]
-    commands: list[tuple[Any, ...]]  # given at, id, verb, value
-    holds: list[tuple[Any, ...]]  # given at, id, user, process
+    commands: list[tuple[Any, ...]]  # time, id, verb, value
+    holds: list[tuple[Any, ...]]  # time, id, user, process
 
 
 def ticks(records: Slots, frames: Slots, commands: Slots, holds: Slots, taken: tuple[int, int]) -> Iterator[Tick]:
-    """The ticks of ``records``, which follow one another without a gap.
+    """The ticks of ``records``, which must have no gap.
 
     Args:
         records: of one control process, from its first.
-        frames: of the same time and more.
+        frames: of at least the same time.
         commands: slots of the command ring.
         holds: slots of the ring of holds.
-        taken: number of the last command and of the last hold that were there before the first tick.
+        taken: number of the last command and of the last hold before the first tick.
     """
     woke = records["t_ns"] + records["lateness_ns"]
-    # A frame received carries the wake-up of its tick, one that was sent an instant between that and the next wake-up.
+    # A received frame carries the wake-up time of its tick, a sent frame a time between that and the next wake-up.
     begins = np.searchsorted(frames["t_ns"], woke).tolist()
     begins.append(_end_of_last(frames, begins[-1]) if begins else 0)
     skipped = np.diff(records["skipped"].astype(np.int64), prepend=0).tolist()
@@ -67,13 +67,13 @@ def ticks(records: Slots, frames: Slots, commands: Slots, holds: Slots, taken: t
 
 
 class _Given:
-    """Slots of a ring the loop reads, given out in the ticks in which it took them."""
+    """Slots of a ring that the loop reads, given out in the ticks in which it took them."""
 
     def __init__(self, slots: Slots, taken: int, names: tuple[str, ...]) -> None:
         self._slots, self._names = deque(slots[slots["seq"] > taken]), names
 
     def upto(self, last: int) -> list[tuple[Any, ...]]:
-        """Values of those up to the number ``last`` that have not been given out."""
+        """Values of the slots up to the number ``last`` that have not been given out."""
         given = []
         while self._slots and self._slots[0]["seq"] <= last:
             slot = self._slots.popleft()
@@ -82,7 +82,7 @@ class _Given:
 
 
 def _end_of_last(frames: Slots, begin: int) -> int:
-    """Where the frames of a tick end that begin at ``begin``: a tick sends all of its own at one instant."""
+    """End of the frames of the tick that begin at ``begin``; a tick sends all its frames at one instant."""
     sent = np.flatnonzero(frames["sent"][begin:])
     if not len(sent):
         return len(frames)
@@ -116,7 +116,7 @@ def _message(can_id: int, dlc: int, data: bytes) -> can.Message:
 
 
 class RecordedClock:
-    """`rigctl.control.clock.Clock`: reads what the loop read then."""
+    """`rigctl.control.clock.Clock` that repeats the recorded readings."""
 
     def __init__(self, started_ns: int) -> None:
         self._tick: Tick | None = None
@@ -124,7 +124,7 @@ class RecordedClock:
         self._readings: deque[int] = deque()
 
     def begin(self, tick: Tick) -> None:
-        """The tick that ``next_tick`` returns next."""
+        """Set the tick that ``next_tick`` returns next."""
         self._tick = tick
         self._readings = deque((tick.woke_ns, tick.sent_ns, tick.ended_ns))
 
@@ -141,7 +141,7 @@ class RecordedClock:
 
 
 class RecordedBus(can.BusABC):
-    """Gives the frames of a tick; keeps what is sent, and refuses what the bus did not take then."""
+    """Gives the frames of a tick, keeps the sent frames, and refuses those that the bus did not take when recorded."""
 
     def __init__(self) -> None:
         self.channel_info = "recording"
@@ -152,7 +152,7 @@ class RecordedBus(can.BusABC):
         super().__init__(channel="recording")
 
     def begin(self, tick: Tick) -> None:
-        """The frames of the tick that comes."""
+        """Set the frames of the next tick."""
         self._received = deque(tick.received)
         self._recorded = deque(tick.sent)
         self._failures = tick.failures
@@ -166,7 +166,7 @@ class RecordedBus(can.BusABC):
         """Keep a frame.
 
         Raises:
-            can.CanOperationError: the bus did not take it then.
+            can.CanOperationError: the bus did not take it when recorded.
         """
         expected = self._recorded[0][0] if self._recorded else None
         if self._failures and msg.arbitration_id != expected:

@@ -1,4 +1,4 @@
-"""Two commands on one time axis: the one that was given, and the one other settings would have given."""
+"""Plot of two commands on one time axis: the one given, and the one of other settings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def draw(found: Against, file: pathlib.Path) -> None:
-    """Write the picture, in the format its name says.
+    """Write the picture in the format of its name's suffix.
 
     Raises:
         OutputError: it cannot be written.

@@ -1,4 +1,4 @@
-"""The loop, run again over a recording: one span for every control process that the recording holds from its start."""
+"""Runs the loop over a recording: one span for every control process that the recording holds from its start."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ReplayError(ValueError):
 
 @dataclass(frozen=True)
 class Span:
-    """One control process: its records without a gap, and what it was started with."""
+    """One control process: its records without a gap, and its inputs at the start."""
 
     records: Slots
     started_ns: int
@@ -49,13 +49,13 @@ class Span:
     watched: tuple[Watched, ...]
     last_stroke: LastStroke
     host_checks: int
-    process_data: ProcessData | None  # None: a recording from before it was kept, whose devices had the default one
-    cut_short: str  # why it ends before the process did, "" if it does not
+    process_data: ProcessData | None  # None: an older recording without it, made with the default one
+    cut_short: str  # why it ends before the end of the process, "" if it does not
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Ticks as they were and as they are now; ``sent``: frames then and now, by tick."""
+    """Ticks as recorded and as replayed; ``sent``: frames recorded and replayed, by tick."""
 
     recorded: Slots
     replayed: Slots
@@ -66,7 +66,7 @@ def spans(recording: Recording) -> list[Span]:
     """The control processes that the recording holds from their start.
 
     Raises:
-        ReplayError: there is none, or what one was started with is not in it.
+        ReplayError: there is none, or the inputs at the start of one are missing.
     """
     records = recording.records
     if records.dtype != RECORD.dtype:
@@ -126,7 +126,7 @@ def _document(recording: Recording, name: str, t_ns: int) -> dict[str, Any]:
 
 
 def _without_gap(recording: Recording, records: Slots) -> tuple[Slots, str]:
-    """Records up to the first gap in anything the loop is fed from."""
+    """Records up to the first gap in any input of the loop, and the reason for an early end."""
     holes = np.flatnonzero(np.diff(records["seq"].astype(np.int64)) != 1)
     end, why = (int(holes[0]) + 1, "records are missing") if len(holes) else (len(records), "")
     for gap in recording.gaps:
@@ -143,10 +143,10 @@ def play(
     """Run the loop over a span, ``BATCH_TICKS`` at a time.
 
     Args:
-        recording: where the span is from.
+        recording: source of the span.
         span: the process to replay.
-        settings: instead of those recorded.
-        gains: instead of those recorded.
+        settings: replace those recorded.
+        gains: replace those recorded.
     """
     settings, gains = settings or span.settings, gains or span.gains
     with tempfile.TemporaryDirectory(prefix="rigctl-replay-", dir=_memory()) as folder:
@@ -184,6 +184,6 @@ def play(
 
 
 def _memory() -> str | None:
-    """A memory-backed folder, where there is one."""
+    """A folder in memory, if there is one."""
     folder = pathlib.Path("/dev/shm")
     return str(folder) if folder.is_dir() else None

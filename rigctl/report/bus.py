@@ -1,4 +1,4 @@
-"""What became of the frames on the CAN bus."""
+"""Figures of the CAN bus in a recording."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True)
 class Bus:
-    """Frames over the recording, and the load that the settings come to at worst."""
+    """Frames over the recording, and the worst-case load by the settings."""
 
     sent: int
     received: int
@@ -27,7 +27,7 @@ class Bus:
     unsent: int
     error_frames: int
     load: float | None
-    """Fraction of the bit rate; None where there is none, or the settings cannot be read."""
+    """Fraction of the bit rate; None without a bit rate, or if the settings cannot be read."""
     load_limit: float
 
 
@@ -38,7 +38,7 @@ def bus(records: Array, settings: RigSettings | None) -> Bus:
     try:
         load = busload.bus_load(settings) if settings is not None else None
     except ValueError:
-        load = None  # frames by a DBC file, which is not in the recording
+        load = None  # the frames are in a DBC file, which the recording does not have
     return Bus(
         sent=grown(records, "frames_sent"),
         received=grown(records, "frames_received"),

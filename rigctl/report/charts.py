@@ -34,15 +34,15 @@ from rigctl.report.verdict import REQUIREMENT_PCT
 POINTS = 2400
 Floats = npt.NDArray[np.float64]
 LEADS_IN_NS = 2_000_000_000
-"""Of a phase that is drawn at length, this much is shown before it is judged."""
+"""Time shown before the judged part of a phase drawn in detail."""
 NARROW = 0.045
-"""A mode that takes less of the band has no room for its name."""
+"""Share of the band below which a mode has no room for its name."""
 NAMED = 12
-"""As many trips have their names beside them; more would hide one another."""
+"""Largest number of trips with names; more names would overlap."""
 
 
 def overview(found: Findings) -> Chart:
-    """The whole recording: vertical tension, stroke, and below them modes, events and trips on one time axis."""
+    """The whole recording on one time axis: vertical tension, stroke, and below them modes, events and trips."""
     records, start_ns = found.recording.records, found.recording.start_ns
     length_s = max((found.recording.end_ns - start_ns) * 1e-9, 1e-3)
     unit, per = unit_of_time(length_s)
@@ -171,7 +171,7 @@ def _few() -> Any:
 
 
 def motion(found: Findings, phase: Phase) -> Chart:
-    """Stroke, and the speed beside the command."""
+    """Stroke, and speed with command."""
     t_s, part = _drawn(found, phase)
     drawn = figure(3.2)
     above, below = drawn.subplots(2, 1, sharex=True)
@@ -186,7 +186,7 @@ def motion(found: Findings, phase: Phase) -> Chart:
 
 
 def _drawn(found: Findings, phase: Phase) -> tuple[Floats, npt.NDArray[np.void]]:
-    """Time since the phase was judged, less its lead-in, and its records with that lead-in."""
+    """Records of a phase with its lead-in, and their times since the start of the lead-in."""
     records = found.recording.records
     judged_ns = int(records["t_ns"][phase.first])
     begin_ns = max(phase.entered_ns, judged_ns - LEADS_IN_NS)

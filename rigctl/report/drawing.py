@@ -1,4 +1,4 @@
-"""How every chart of the report looks, and a chart as SVG text that is the same for the same data."""
+"""Style of the report's charts, and their SVG text, which is the same for the same data."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _DIGITS = re.compile(r"(\.\d\d)\d+")
 
 @dataclass(frozen=True)
 class Chart:
-    """A drawn chart: SVG text without a reference to anything outside, and words for who cannot see it."""
+    """A drawn chart: SVG text without external references, and a text for readers who cannot see it."""
 
     svg: str
     caption: str
@@ -47,7 +47,7 @@ class Chart:
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
-    """Draw as this module says, whatever the user's own matplotlib settings are."""
+    """Use this module's style, whatever the user's matplotlib settings are."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_STYLE)  # type: ignore[arg-type]
@@ -60,7 +60,7 @@ def figure(height_in: float) -> Figure:
 
 
 def finished(drawn: Figure, caption: str) -> Chart:
-    """The figure as SVG: no date, no fonts of the reader's, lines to a hundredth of a point."""
+    """The figure as SVG: no date, no external fonts, lines to a hundredth of a point."""
     out = io.StringIO()
     drawn.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = _META.sub("", _HEAD.sub("", out.getvalue(), count=1))
@@ -68,11 +68,11 @@ def finished(drawn: Figure, caption: str) -> Chart:
 
 
 def unit_of_time(seconds: float) -> tuple[str, float]:
-    """Unit of a time axis that long, and by what seconds are divided."""
+    """Unit of a time axis of this length, and the divisor of seconds."""
     return ("s", 1.0) if seconds <= 300.0 else ("min", 60.0) if seconds <= 4 * 3600.0 else ("h", 3600.0)
 
 
 def legend(axes: Axes, **options: Any) -> None:
-    """A legend where there is room for it, above the axes."""
+    """Add a legend above the axes, where there is room."""
     axes.legend(**({"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": 4, "borderaxespad": 0.1,
                     "frameon": False, "handlelength": 1.6, "columnspacing": 1.2} | options))  # fmt: skip

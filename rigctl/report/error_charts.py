@@ -1,4 +1,4 @@
-"""The charts of the error and of the loop's time."""
+"""The charts of the error and of the loop's timing."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def error(found: Findings, phase: Phase) -> Chart:
-    """The error against time, with what the cell may have wrong as a band."""
+    """The error against time, with the cell's sensor budget as a band."""
     eta_pct = error_pct(found.recording.records["vertical_n"][phase.judged], phase.target_n)
     t_ns = found.recording.records["t_ns"][phase.judged]
     t_s = (t_ns - t_ns[0]) * 1e-9
@@ -62,8 +62,8 @@ def error(found: Findings, phase: Phase) -> Chart:
 
 
 def histogram(found: Findings) -> Chart:
-    """How often each error was there, and the normal distribution of the same mean and spread."""
-    assert found.whole is not None  # there are phases
+    """Histogram of the error, with the normal distribution of the same mean and spread."""
+    assert found.whole is not None  # the caller draws it only with phases
     parts = [error_n(found.recording.records, phase) for phase in found.phases]
     errors = np.concatenate(parts)
     errors = errors[np.isfinite(errors)]
@@ -88,7 +88,7 @@ def histogram(found: Findings) -> Chart:
 
 
 def spectrum(found: Findings) -> Chart | None:
-    """Amplitude spectrum, with the frequencies of pendulum, bounce, shake and loop named."""
+    """Amplitude spectrum, with the frequencies of pendulum, bounce, shake and loop marked."""
     shown = found.spectrum
     if shown is None:
         return None
@@ -118,7 +118,7 @@ def spectrum(found: Findings) -> Chart | None:
 
 
 def _thinned(frequency: Floats, amplitude: Floats, per_decade: int = 500) -> tuple[Floats, Floats]:
-    """The largest of what would stand in one place of a logarithmic axis."""
+    """The largest amplitude for each place of a logarithmic axis."""
     place = np.round(np.log10(frequency) * per_decade).astype(np.int64)
     starts = np.flatnonzero(np.diff(place, prepend=place[0] - 1))
     return frequency[starts], np.maximum.reduceat(amplitude, starts)

@@ -1,4 +1,4 @@
-"""Everything a report says, from a recording: worked out once, for the page and for JSON alike."""
+"""The figures of a report from a recording, computed once for both page and JSON."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ADVICE = (
 
 
 class ReportError(ValueError):
-    """A recording no report can be made of; ``str()`` is one line."""
+    """A recording from which no report can be made; ``str()`` is one line."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Findings:
     active: dict[str, Any]
     control: dict[str, Any]
     standings: list[tuple[int, Standing]]
-    """What was in force during the recording, each with since when (CLOCK_MONOTONIC, ns), the oldest first."""
+    """Calibrations in force during the recording, each with its start (CLOCK_MONOTONIC, ns), the oldest first."""
     ledger: list[dict[str, Any]]
     gains: Gains | None
     phases: list[Phase]
@@ -66,11 +66,11 @@ class Findings:
     budget: list[sensor_budget.Error]
     verdict: verdict.Verdict
     remarks: list[str]
-    """What a reader must know before believing the rest."""
+    """Remarks that limit the value of the other figures."""
 
     @property
     def shown(self) -> Phase | None:
-        """The phase that is drawn at length: the longest."""
+        """The longest phase, which is drawn in detail."""
         return max(self.phases, key=lambda phase: (phase.after - phase.first, -phase.number), default=None)
 
     def utc(self, t_ns: int) -> str:
@@ -78,15 +78,15 @@ class Findings:
         wall_ns = t_ns + self.recording.wall_offset_ns
         try:
             return f"{ledger.utc(wall_ns)[:-1]}.{wall_ns // 1_000_000 % 1000:03d}Z"
-        except (ValueError, OverflowError, OSError):  # a clock that was never set, or a file that was damaged
+        except (ValueError, OverflowError, OSError):  # a clock that was never set, or a damaged file
             return f"{wall_ns} ns"
 
 
 def find(recording: Recording) -> Findings:
-    """Work everything out.
+    """Compute all figures.
 
     Raises:
-        ReportError: no records, or none of this kind.
+        ReportError: there are no records, or they are not of this kind.
     """
     records = recording.records
     where = recording.files[0].path
@@ -171,7 +171,7 @@ def _standings(recording: Recording) -> list[tuple[int, Standing]]:
 
 
 def _entries(recording: Recording, t_ns: int) -> list[dict[str, Any]]:
-    """Of the ledger, the oldest first."""
+    """Entries of the ledger in force at ``t_ns``, the oldest first."""
     found = _document(recording, "calibration_ledger.json", t_ns).get("entries")
     return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
 
@@ -211,7 +211,7 @@ def _remarks(recording: Recording, settings: RigSettings | None) -> list[str]:
 
 
 def _overwritten(recording: Recording) -> int:
-    """Frames that no longer were in their ring when the recorder came to read them; each recorder counts for itself."""
+    """Frames overwritten in their ring before the recorder read them; each recorder process counts from 0."""
     total = before = 0
     for item in recording.said.get("recorder", []):
         lost = item.details.get("lost")
@@ -223,7 +223,7 @@ def _overwritten(recording: Recording) -> int:
 
 
 def as_dict(found: Findings) -> dict[str, Any]:
-    """For JSON: what is not finite is null."""
+    """As JSON values; a figure that is not finite becomes null."""
     recording, peak = found.recording, found.spectrum.largest if found.spectrum else None
     document = _finite(
         {

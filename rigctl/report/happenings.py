@@ -1,4 +1,4 @@
-"""What was said and done during a recording: events, commands, leases, trips, and who was there."""
+"""Events, commands, leases, trips and operators of a recording."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class Happening:
 
 @dataclass(frozen=True)
 class Trip:
-    """A limit that tripped, or an exception: why, and the file that has everything about it."""
+    """A limit that tripped, or an exception: the reason, and its trip dump."""
 
     t_ns: int
     name: str
     reason: str
     dump: str
-    """Empty where the recording does not say."""
+    """Name of the trip dump; empty if the recording does not have it."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class ModeSpan:
 
 
 def happenings(recording: Recording) -> list[Happening]:
-    """Everything in the order of time, of each ring in its own; a command given is there by its answer."""
+    """All entries in order of time, each ring in its own order; a command is represented by its answer."""
     found = []
     for topic in TOPICS:
         for item in recording.said.get(topic, []):
@@ -68,7 +68,7 @@ def happenings(recording: Recording) -> list[Happening]:
 
 
 def operators(recording: Recording) -> list[str]:
-    """Who gave commands or held the lease, by name."""
+    """Names of the operators who gave commands or held the lease."""
     names = {item.who for topic in (*TOPICS, "audit") for item in recording.said.get(topic, [])}
     return sorted(name for name in names if name)
 

@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing else: template, tables, charts."""
+"""The report as one self-contained HTML page: template, tables, charts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rigctl.report.verdict import REQUIREMENT_PCT
 
 TEMPLATE = pathlib.Path(__file__).with_name("template")
 EVENTS_OPEN = 60
-"""A longer table of events comes collapsed."""
+"""A longer table of events is collapsed."""
 
 
 def render(found: Findings) -> str:
@@ -47,7 +47,7 @@ def render(found: Findings) -> str:
 
 
 def _charts(found: Findings) -> dict[str, Chart]:
-    """By name; those that need a judged phase only where there is one."""
+    """Charts by name; those of a judged phase only if there is one."""
     with style():
         drawn: dict[str, Chart | None] = {"overview": charts.overview(found)}
         if not found.timing.simulated:

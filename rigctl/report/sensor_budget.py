@@ -1,4 +1,4 @@
-"""The tension cell's systematic errors: what no law can see, and what they come to at the target."""
+"""The tension cell's systematic errors at the target, which no control law can detect."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 from rigctl.config.settings import RigSettings
 
 BIAS_OF_RANGE_PCT = 0.03  # zero error between two tares, of a cell of class C3 in a hall
-GAIN_PCT = 0.02  # OIML R 60 class C3: linearity and hysteresis of a cell that was calibrated
+GAIN_PCT = 0.02  # OIML R 60 class C3: linearity and hysteresis of a calibrated cell
 CREEP_PCT = 0.0245  # OIML R 60 class C3: of the load in 30 min
 WARMING_H = 8.0  # a shift without a new tare
 TEMPERATURE_N_H = 0.01  # as in the rig file: 0.02 % of 500 N per 10 K, 1 K an hour
@@ -19,12 +19,12 @@ class Error(NamedTuple):
 
     name: str
     newtons: float
-    """At the target."""
+    """Error at the target."""
     source: str
 
 
 def budget(rig: RigSettings, target_n: float | None = None) -> list[Error]:
-    """What the cell may be wrong by at the target (None: the rig file's), each on its own."""
+    """The cell's possible errors at the target (None: the rig file's), one by one."""
     range_n = rig.tension_cell.range_n
     target_n = rig.tension.target_n if target_n is None else target_n
     return [

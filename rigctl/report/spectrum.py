@@ -1,4 +1,4 @@
-"""What the error is made of: its amplitude spectrum, and the frequencies a reader looks for in it."""
+"""Amplitude spectrum of the error, and the frequencies marked in it."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from rigctl.design.plant_family import member
 
 Floats = npt.NDArray[np.float64]
 SEGMENT_S, SHORTEST = 16.384, 256
-"""A segment: long enough to part pendulum and bounce; a phase shorter than this has segments of its own length."""
+"""Length of a segment in s, which separates pendulum and bounce, at most that of the longest phase; least samples."""
 WINDOW = "flattop"
-"""Shows a line at its amplitude wherever it falls between two bins."""
+"""Shows the true amplitude of a line anywhere between two bins."""
 LINE_WIDTH_BINS = 5.0
 GRAVITY_MM_S2 = 9806.65
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Amplitude of a sine at each frequency; noise is shown in the bandwidth of a bin of the window, ``noise_hz``."""
+    """Amplitude of a sine at each frequency; noise appears in the bandwidth of the window's bin, ``noise_hz``."""
 
     frequency_hz: Floats
     amplitude_n: Floats
@@ -38,7 +38,7 @@ class Spectrum:
 
     @property
     def largest(self) -> tuple[float, float]:
-        """Frequency and amplitude of the largest line; the drift below the window's width is none."""
+        """Frequency and amplitude of the largest line; drift below the window's width does not count as a line."""
         above = np.flatnonzero(self.frequency_hz >= LINE_WIDTH_BINS * self.resolution_hz)
         at = above[np.argmax(self.amplitude_n[above])] if len(above) else 0
         return float(self.frequency_hz[at]), float(self.amplitude_n[at])
@@ -48,11 +48,11 @@ def spectrum(parts: list[tuple[Floats, Floats]], rate_hz: float) -> Spectrum | N
     """Welch's average over phases.
 
     Args:
-        parts: times in s and error in N of each phase; skipped ticks are filled in, linearly.
+        parts: times in s and error in N of each phase; skipped ticks are interpolated linearly.
         rate_hz: of the loop.
 
     Returns:
-        None where no phase has enough samples.
+        The spectrum, or None if no phase has enough samples.
     """
     even = [_even(t_s[np.isfinite(error)], error[np.isfinite(error)], rate_hz) for t_s, error in parts]
     longest = max((len(error) for error in even), default=0)
@@ -85,7 +85,7 @@ def _even(t_s: Floats, error_n: Floats, rate_hz: float) -> Floats:
 
 
 def named_lines(settings: RigSettings, gains: Gains | None) -> dict[str, float]:
-    """Frequencies worth naming, in Hz: pendulum, free bounce, shake of floor and building, the loop's bandwidth."""
+    """Frequencies marked in the chart, in Hz: pendulum, free bounce, shake of floor and building, loop bandwidth."""
     plant = settings.plant
     found = {
         "pendulum": math.sqrt(GRAVITY_MM_S2 / plant.rope_length_mm) / (2.0 * math.pi),
@@ -97,7 +97,7 @@ def named_lines(settings: RigSettings, gains: Gains | None) -> dict[str, float]:
 
 
 def bandwidth_hz(settings: RigSettings, gains: Gains) -> float | None:
-    """Frequency up to which the loop brings a disturbance of the tension below 1/sqrt(2) of a locked stroke's."""
+    """Frequency up to which the loop keeps a disturbance of the tension below 1/sqrt(2) of that of a locked stroke."""
     model = filter_model(settings)
     plant = member(settings, settings.plant.mechanism_n_mm)
     try:

@@ -1,4 +1,4 @@
-"""The report's tables as rows of text: sensible digits, units, nothing left to the template."""
+"""The report's tables as rows of text, with rounded figures and units."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Row(NamedTuple):
 
 
 def number(value: Any, digits: int = 4) -> str:
-    """A figure to significant digits; what is no number as it is, nothing as a dash."""
+    """A figure to significant digits; another value as it is, None as a dash."""
     if value is None:
         return "–"
     if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -45,22 +45,22 @@ def number(value: Any, digits: int = 4) -> str:
 
 
 def mapping(found: Any) -> dict[str, Any]:
-    """A table of a document in the recording, which another version may have written: empty where it is none."""
+    """A mapping from a document in the recording; empty if it is not one, as another version may have written it."""
     return found if isinstance(found, dict) else {}
 
 
 def listed(found: Any) -> list[dict[str, Any]]:
-    """The tables in a list, likewise."""
+    """The mappings in a list, likewise."""
     return [item for item in found if isinstance(item, dict)] if isinstance(found, list) else []
 
 
 def _peak(value: Any) -> float:
-    """An unstable loop has none in JSON."""
+    """A peak from JSON; an unstable loop has null there, which is infinite here."""
     return float(value) if isinstance(value, (int, float)) else math.inf
 
 
 def duration(seconds: float) -> str:
-    """As people say it."""
+    """A duration in words."""
     if seconds < 120.0:
         return f"{seconds:.1f} s"
     whole = round(seconds)
@@ -110,7 +110,7 @@ def budget_rows(found: Findings) -> list[tuple[str, str, str, str]]:
 
 
 def calibration_rows(found: Findings) -> list[tuple[str, ...]]:
-    """Each calibration in force during the recording: since when, phases judged with it, zero, scale and dates."""
+    """Each calibration in force during the recording: start, phases judged with it, zero, scale and dates."""
     rows: list[tuple[str, ...]] = []
     starts = [since_ns for since_ns, _ in found.standings]
     ends = [*starts[1:], None]
@@ -129,9 +129,9 @@ def calibration_rows(found: Findings) -> list[tuple[str, ...]]:
 
 
 def ledger_rows(found: Findings) -> list[tuple[str, ...]]:
-    """The last entries of the ledger: when, what, who, result, what it changed, figures.
+    """The last entries of the ledger: date, kind, operator, result, changes, figures.
 
-    An identification changes nothing: what it found is a figure beside what the rig file has.
+    An identification changes nothing: its result is shown beside the value of the rig file.
     """
     rows: list[tuple[str, ...]] = []
     for entry in found.ledger[-LEDGER_SHOWN:]:
@@ -156,7 +156,7 @@ def ledger_rows(found: Findings) -> list[tuple[str, ...]]:
 
 
 def settings_rows(found: Findings) -> list[Row]:
-    """The settings a reader asks for first."""
+    """The most important settings."""
     settings = mapping(found.active.get("settings"))
     rows = []
     for path in KEY_SETTINGS:
@@ -168,7 +168,7 @@ def settings_rows(found: Findings) -> list[Row]:
 
 
 def settings_yaml(found: Findings) -> str:
-    """The whole of the settings, as they ran."""
+    """All settings in force."""
     settings = mapping(found.active.get("settings"))
     return yaml.safe_dump(settings, sort_keys=False, allow_unicode=True, width=100)
 
@@ -195,7 +195,7 @@ def margin_rows(found: Findings) -> list[tuple[str, ...]]:
 
 
 def design_words(found: Findings) -> list[str]:
-    """The verdict on the design, and what was said against it."""
+    """The verdict on the design, and its warnings."""
     design = mapping(found.active.get("design"))
     warnings = design.get("warnings")
     said = [design.get("verdict"), *(warnings if isinstance(warnings, list) else [])]
@@ -203,7 +203,7 @@ def design_words(found: Findings) -> list[str]:
 
 
 def realtime_rows(found: Findings) -> list[tuple[str, str, str]]:
-    """What was asked of the system: name, what is in force, what is wrong with it ("" for nothing)."""
+    """Real-time settings: name, value in force, warning ("" for none)."""
     return [
         (str(item.get("name", "")), str(item.get("in_force", "")),
          "" if item.get("ok") is True else str(item.get("warning") or "not granted"))
@@ -212,7 +212,7 @@ def realtime_rows(found: Findings) -> list[tuple[str, str, str]]:
 
 
 def device_rows(found: Findings) -> list[tuple[str, str, str]]:
-    """Devices as they identified themselves: name, node, serial number."""
+    """Devices by their own identity objects: name, node, serial number."""
     return [
         (str(item.get("name", "")), f"node {item.get('node', '?')}", f"serial {item.get('serial', '?')}")
         for item in listed(found.control.get("devices"))
@@ -220,7 +220,7 @@ def device_rows(found: Findings) -> list[tuple[str, str, str]]:
 
 
 def bus_rows(found: Findings) -> list[Row]:
-    """Frames, and the load at worst."""
+    """Frames, and the worst-case load."""
     figures = found.bus
     load = "not known" if figures.load is None else f"{100 * figures.load:.1f}"
     return [

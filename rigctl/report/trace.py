@@ -1,4 +1,4 @@
-"""Long signals as lines that can be drawn: the least and largest of every few samples, so that no spike is lost."""
+"""Long signals as lines for a chart: least and largest of every few samples, so that no spike is lost."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 BREAK_S = 0.05
-"""A line is broken where this long nothing was recorded."""
+"""A line is broken at a gap in the records of this length."""
 
 
 def trace(t_s: npt.ArrayLike, values: npt.NDArray[Any], points: int) -> tuple[Floats, Floats]:
-    """About ``points`` points that look like all samples do; NaN where the line is to be broken.
+    """About ``points`` points that look like all samples; NaN where the line is broken.
 
     Args:
         t_s: times in s, rising, shape (n,).
         values: shape (n,), any number type.
-        points: to be drawn, over all pieces.
+        points: number of points over all pieces.
     """
     times, y = np.asarray(t_s, np.float64), np.asarray(values, np.float64)
     if not len(times):
@@ -36,7 +36,7 @@ def trace(t_s: npt.ArrayLike, values: npt.NDArray[Any], points: int) -> tuple[Fl
 
 
 def _envelope(t_s: Floats, y: Floats, points: int) -> tuple[Floats, Floats]:
-    """Least and largest of each stretch, in the order in which they came; both at its beginning and middle."""
+    """Least and largest of each segment in order of occurrence, drawn at the segment's beginning and middle."""
     step = 2 * len(y) // points
     if step <= 2:
         return t_s, y

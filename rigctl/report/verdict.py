@@ -1,4 +1,4 @@
-"""Whether the rig did what it must: the paper's requirement, the rig's own limits, and whether all is there."""
+"""The verdict of a report: the paper's requirement, the rig's own limits, and completeness of the recording."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True)
 class Criterion:
-    """One thing that was judged. ``met`` None: shown, not judged."""
+    """One criterion. ``met`` None: shown, not judged."""
 
     name: str
     found: str
@@ -38,14 +38,14 @@ class Verdict:
 
     @property
     def passed(self) -> bool:
-        """Everything that was judged is met, and something was."""
+        """Whether every judged criterion is met, and there is one."""
         return self.word == PASSED
 
 
 def judge(
     records: Array, phases: list[Phase], whole: ErrorStatistics | None, settings: RigSettings | None, rate_hz: float
 ) -> Verdict:
-    """Hold every phase against its limits."""
+    """Judge every phase by its limits."""
     if whole is None:
         return Verdict(NOTHING, [])
     rows = [
@@ -93,7 +93,7 @@ def _own(records: Array, phases: list[Phase], limit: LimitSettings, rate_hz: flo
 
 
 def _of_demo(whole: ErrorStatistics, settings: RigSettings | None) -> list[Criterion]:
-    """The demo's limits are for the true force, which no recording has."""
+    """The demo's limits, shown but not judged: they are for the true force, which no recording has."""
     if settings is None or settings.demo is None:
         return []
     limit = settings.demo

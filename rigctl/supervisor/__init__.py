@@ -1,1 +1,1 @@
-"""The supervisor process: starts the others, and starts them anew."""
+"""The supervisor process: starts the others and restarts them."""

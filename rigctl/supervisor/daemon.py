@@ -1,7 +1,7 @@
 """``rigctl run``: validates, designs, spawns recorder, control, hold service and gateway, and watches them.
 
-The control process comes up while the gains are designed; a gateway that dies is replaced, a control process that
-dies is replaced and comes up DISARMED: drive off, brake closed, the load carried.
+The control process starts up while the gains are designed. A process that dies is replaced; a new control process
+comes up DISARMED: drive off, brake closed, the load carried.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ from rigctl.ipc.supervision import Doing, Supervision
 from rigctl.ipc.termination import ENDING, on_signals
 from rigctl.supervisor import memory
 
-POLL_S = 0.02  # told to end, or without its folder, the daemon lets a ramp go on for so long: 0.2 mm at 10 mm/s
+POLL_S = 0.02  # delay until a signal or a lost folder ends the daemon; a ramp goes on meanwhile, 0.2 mm at 10 mm/s
 START_LIMIT_S = 20.0
 STOP_LIMIT_S = 5.0
 BACKOFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
-LOOPING = 3  # ends in a row, from here on the operator is told how many
+LOOPING = 3  # ends in a row above which the message to the operator gives their number
 STABLE_S = 10.0
 WATCHDOG_PERIOD_NS = 500_000_000
 WATCHDOG_STALE_NS = 1_000_000_000
@@ -61,7 +61,7 @@ PROCESSES = {
     "gateway": "rigctl.gateway.gateway_process",
 }
 """Module of each process that is kept alive, in the order in which they are started."""
-PAGE = {"page": "rigctl.page"}  # where the rig file or an option asks for one
+PAGE = {"page": "rigctl.page"}  # if the rig file or an option has it
 _NOT_NEEDED = frozenset({"recorder", "page"})  # the daemon starts without them
 
 
@@ -80,7 +80,7 @@ class Supervisor:
     """One rig's daemon: its runtime folder and its processes."""
 
     def __init__(self, settings: RigSettings, say: Callable[[str], None]) -> None:
-        """``say`` takes the daemon's log, a line at a time."""
+        """``say`` takes the lines of the daemon's log."""
         self.settings = settings
         self._say = say
         self._runtime = Runtime.of(settings.rig)
@@ -96,7 +96,7 @@ class Supervisor:
         """Run until SIGTERM, SIGINT or SIGHUP; returns the exit code.
 
         Raises:
-            CannotRunError: nothing was left running.
+            CannotRunError: the daemon cannot run; no process is left.
         """
         try:
             lock = self._runtime.claim()
@@ -125,7 +125,7 @@ class Supervisor:
 
     # -- start ----------------------------------------------------------------------------------------------
     def _make_rings(self) -> tuple[RingReader, RingReader]:
-        """Readers of records and events."""
+        """Create the rings; returns readers of records and events."""
         try:
             self._runtime.make_rings(self.settings, reserve=True)
             self._supervision = Supervision(self._runtime.supervision_writer())
@@ -187,19 +187,19 @@ class Supervisor:
             self._say(f"real time: {item['name']}: {item['in_force']}{mark}")
 
     def _put_active(self) -> None:
-        self._active = msgspec.json.decode(msgspec.json.encode(self._active))  # as it will be read: lists, no tuples
+        self._active = msgspec.json.decode(msgspec.json.encode(self._active))  # as readers get it: lists, no tuples
         try:
             self._runtime.write_json(ACTIVE, self._active)
         except OSError as error:
             raise CannotRunError(self._no_room(error)) from None
 
     def _design(self) -> None:
-        from rigctl.design.gain_file import design_in_use  # imports python-control: slow, beside the children's start
+        from rigctl.design.gain_file import design_in_use  # slow import (python-control), while the children start
         from rigctl.design.gains import DesignError
 
         try:
             design = design_in_use(self.settings)
-        except (DesignError, ArithmeticError, ValueError) as error:  # ... or numbers no plant has
+        except (DesignError, ArithmeticError, ValueError) as error:  # the others: numbers that no plant has
             raise CannotRunError(f"{self.settings.rig}: no design: {error}") from None
         self._active["design"] = design.as_dict()
         if not design.accepted:
@@ -211,12 +211,12 @@ class Supervisor:
         self._note(Doing.DAEMON_DESIGNED, reason=design.verdict())
 
     def _note(self, kind: Doing, process: str = "", reason: str = "") -> None:
-        """Something for the audit log."""
-        if self._supervision is not None:  # there are rings
+        """Write an entry for the audit log, once there are rings."""
+        if self._supervision is not None:
             self._supervision.note(time.monotonic_ns(), kind, process=process, reason=reason)
 
     def _say_calibration(self) -> None:
-        """What the ledger says of the cell, for the operator; from `_put_calibration`."""
+        """Put the calibration in force and report it to the operator."""
         standing = self._put_calibration()
         if self.settings.calibration is None or standing is None:
             return
@@ -227,9 +227,9 @@ class Supervisor:
         self._say(words)
 
     def _put_calibration(self) -> Standing | None:
-        """Zero, scale and due date as the ledger has them now, for a control process about to start.
+        """Write zero, scale and due date from the ledger, for a control process about to start.
 
-        A ledger that has become unreadable meanwhile leaves in force what was.
+        If the ledger has become unreadable, the values before stay in force.
         """
         try:
             entries = ledger.read(self.settings)
@@ -244,14 +244,14 @@ class Supervisor:
         return standing
 
     def _put_last_stroke(self, newest: np.void | None) -> None:
-        """For a control process about to start: by the newest record of this run, else by the file."""
+        """Write the last known stroke for a control process about to start: from the newest record, else the file."""
         seen_mm = last_stroke.of_record(newest)
         last = LastStroke(seen_mm) if seen_mm is not None else last_stroke.read(self.settings)
         if last.why:
             self._say(f"WARNING: the stroke last known: {last.why}; it has to be confirmed")
         try:
             self._runtime.write_json(last_stroke.IN_FORCE, last)
-        except OSError as error:  # without one, or with an older one, the stroke has to be confirmed
+        except OSError as error:  # without it, or with an older one, the stroke has to be confirmed
             self._say(f"WARNING: {self._no_room(error)}; the stroke last known stays as it was")
 
     def _spawn(self, name: str) -> None:
@@ -266,13 +266,13 @@ class Supervisor:
         self._note(Doing.PROCESS_STARTED, name, str(process.pid))
 
     def _keep_off_the_loops_processor(self, pid: int) -> None:
-        """A kernel that is not preempted in a system call would make the loop wait for theirs; best effort."""
+        """Keep a process off the loop's processor: a non-preemptible kernel would make the loop wait; best effort."""
         with contextlib.suppress(OSError):
             if others := os.sched_getaffinity(pid) - {self.settings.loop.cpu}:
                 os.sched_setaffinity(pid, others)
 
     def _send_gains(self) -> None:
-        """Those in force, which may have been changed since the start."""
+        """Send the control process the gains in force, which may have changed since the start."""
         stdin: IO[bytes] | None = self._children["control"].process.stdin
         gains = self._active["design"]["gains"]
         if stdin is not None:
@@ -282,7 +282,7 @@ class Supervisor:
 
     # -- watch ----------------------------------------------------------------------------------------------
     def _lost(self) -> bool:
-        """Whether the runtime folder is gone: no process could be started any more, so the daemon ends in order."""
+        """Whether the runtime folder is lost: no process can be started without it, so the daemon ends in order."""
         if why := self._runtime.lost():
             self._folder_lost = f"the runtime folder {self._runtime.directory} is lost: {why}"
             self._note(Doing.FOLDER_LOST, reason=f"{why}; the daemon ends with the stroke held")
@@ -290,9 +290,9 @@ class Supervisor:
         return bool(why)
 
     def _look_at_active(self) -> None:
-        """Before a process is started that reads it: what runs, as it was written, with the gains in force since.
+        """Check the active configuration before a process starts that reads it, and write it again if it is damaged.
 
-        The gateway writes other gains that the loop has taken into the same file.
+        The design is taken from the file, because the gateway writes new gains that the loop has taken into it.
         """
         try:
             found = self._runtime.read_json(ACTIVE)
@@ -350,7 +350,7 @@ class Supervisor:
             self._say(prefix + event.text)
 
     def _feed_watchdog(self, records: RingReader) -> None:
-        """Twice a second, and only while the loop's records go on."""
+        """Feed the service watchdog twice a second, only while the loop writes records."""
         now_ns = time.monotonic_ns()
         slot = records.latest()
         alive = slot is not None and now_ns - int(slot["t_ns"]) < WATCHDOG_STALE_NS
@@ -363,7 +363,7 @@ class Supervisor:
         self._stopping = True
 
     def _stop(self, records: RingReader, events: RingReader) -> int:
-        """Control first: it holds the stroke and closes the brake; gateway and recorder tell of it, then end too."""
+        """End control first: it holds the stroke and closes the brake; gateway and recorder end after reporting it."""
         _notify("STOPPING=1")
         clean = self._end("control")
         self._tell(events)
@@ -400,7 +400,7 @@ class Supervisor:
 
 
 def _ending(last: np.void | None, clean: bool) -> tuple[int, str]:
-    """Exit code and one line on how the rig was left; ``last``: its newest record."""
+    """Exit code and one line on the state the rig was left in; ``last``: its newest record."""
     if last is None or not clean:
         return 1, "the loop did not stop by itself; the drive holds by its own supervision"
     mode = Mode(int(last["mode"])).name
@@ -411,9 +411,9 @@ def _ending(last: np.void | None, clean: bool) -> tuple[int, str]:
 
 
 def _notify(state: str) -> None:
-    """Tell the service manager (sd_notify protocol), if there is one."""
+    """Notify the service manager, if there is one (sd_notify protocol)."""
     address = os.environ.get("NOTIFY_SOCKET")
     if address:
         with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
             sock.connect("\0" + address[1:] if address.startswith("@") else address)
-            sock.send(state.encode(), socket.MSG_DONTWAIT)  # a manager that does not listen must not hold us up
+            sock.send(state.encode(), socket.MSG_DONTWAIT)  # never wait for a manager that does not read

@@ -1,1 +1,1 @@
-"""What gateway and clients share on the network: keys, session, blocks, messages, schema."""
+"""Code shared by gateway and clients for the network: keys, session, blocks, messages, schema."""

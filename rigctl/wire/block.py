@@ -1,4 +1,4 @@
-"""Blocks of the fast stream: a header of 48 bytes, then the records as they stand in the ring, all little-endian.
+"""Blocks of the fast stream: a header of 48 bytes, then the records as in the ring, all little-endian.
 
 ======  =====  ===========================================================================================
 offset  type   meaning
@@ -9,12 +9,12 @@ offset  type   meaning
 8       u32    size of one record
 12      u32    number of records
 16      u64    sequence number of the first record; within a block they follow without a gap
-24      u64    records overwritten in the ring before a gateway could publish them, so far
-32      u64    stream: changes when the daemon is started anew and numbers begin at 1 again
-40      u64    sequence number written last when the block was made
+24      u64    records overwritten in the ring so far before a gateway could publish them
+32      u64    stream: changes when the daemon is restarted and numbers begin at 1 again
+40      u64    newest sequence number in the ring when the block was made
 ======  =====  ===========================================================================================
 
-No numpy here: a subscriber that only counts needs the header alone.
+This module does not import numpy: a subscriber that only counts needs the header alone.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Block:
         return self.first_seq + self.count - 1
 
     def part(self, first_seq: int, last_seq: int) -> Block:
-        """The records from ``first_seq`` to ``last_seq`` that the block holds."""
+        """The block's records from ``first_seq`` to ``last_seq``, as a block."""
         first, last = max(first_seq, self.first_seq), min(last_seq, self.last_seq)
         count = max(0, last - first + 1)
         start = (first - self.first_seq) * self.record_size if count else 0
@@ -78,7 +78,7 @@ def decode(payload: bytes) -> Block:
     """Read a block.
 
     Raises:
-        BlockError: saying what does not fit.
+        BlockError: the message says what does not fit.
     """
     if len(payload) < HEADER.size:
         raise BlockError(f"{len(payload)} bytes, a header has {HEADER.size}")

@@ -1,4 +1,4 @@
-"""Commands on the wire: what a query must carry, and what the answer says. Pure functions of bytes and values."""
+"""Commands on the wire: the payload of a query and the text of its answer. Pure functions of bytes and values."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rigctl.wire.state_message import ALIVE_NS
 
 VERBS = {verb.name.lower(): verb for verb in Verb}
 _OPERATOR_LENGTH = 64
-PAYLOAD_BYTES = 16_384  # a gain file and more
+PAYLOAD_BYTES = 16_384  # room for a gain file
 _ALLOWED = '{"operator": "NAME"}'
 _ALLOWED_MORE = {
     Verb.ARM: '{"operator": "NAME"} and "near_end": true',
@@ -45,7 +45,7 @@ _OPTIONS: dict[Verb, frozenset[str]] = {
 
 
 class RequestError(ValueError):
-    """A command that is not one; ``str()`` says what was found and what is expected."""
+    """A query that is not a valid command; ``str()`` says what was found and what is expected."""
 
 
 class _Payload(msgspec.Struct, forbid_unknown_fields=True):
@@ -65,12 +65,12 @@ class _Payload(msgspec.Struct, forbid_unknown_fields=True):
 class Request:
     """A command as an operator gives it.
 
-    ``value``: newtons, the target of TARGET or the known weight of CALIBRATE, else NaN. ``shunt``: CALIBRATE compares
-    with the shunt. ``adopt``: it sets a new scale. ``tight``: IDENTIFY wants a tight rope.
-    ``near_end``: ARM at an end of the stroke, to drive away from it.
+    ``value``: target of TARGET or known weight of CALIBRATE in N, stroke of CONFIRM_STROKE in mm, else NaN.
+    ``shunt``: CALIBRATE compares with the shunt. ``adopt``: it sets a new scale. ``tight``: IDENTIFY needs a tight
+    rope. ``near_end``: ARM at an end of the stroke, to drive away from it.
     ``gain_file``, ``name``: text and name of a gain file, for GAINS.
-    ``lease``: id of the lease it is given under, None where none is shown.
-    ``run_id``: run of the daemon it is meant for, empty for whichever answers.
+    ``lease``: id of the lease it is given under, None without one.
+    ``run_id``: run of the daemon it is meant for, empty for any.
     """
 
     verb: Verb
@@ -87,7 +87,7 @@ class Request:
 
     @property
     def number(self) -> float:
-        """What the loop is told."""
+        """The number in the command's slot of the ring."""
         said = {Verb.IDENTIFY: float(self.tight), Verb.ARM: float(self.near_end)}
         return said.get(self.verb, self.value)
 
@@ -96,7 +96,7 @@ def verb_of(name: str) -> Verb:
     """The verb a key ends in.
 
     Raises:
-        RequestError: naming the verbs there are.
+        RequestError: there is no such verb; the message names the verbs.
     """
     verb = VERBS.get(name)
     if verb is None:
@@ -108,10 +108,10 @@ _Some = TypeVar("_Some")
 
 
 def decoded(payload: bytes | None, kind: type[_Some], allowed: str) -> _Some:
-    """A payload as what it must be.
+    """A payload decoded as ``kind``; ``allowed``: the expected form, for the message.
 
     Raises:
-        RequestError: none, too long, bad JSON, an unknown key, a wrong type.
+        RequestError: no payload, too long, bad JSON, an unknown key, a wrong type.
     """
     if not payload:
         raise RequestError(f"found no payload, expected {allowed}")
@@ -136,10 +136,10 @@ def operator_of(text: str) -> str:
 
 
 def lease_of(found: Any) -> str | None:
-    """A lease's id; None where none is shown.
+    """A lease's id; None without one.
 
     Raises:
-        RequestError: it has not the form of one.
+        RequestError: it does not have the form of an id.
     """
     if found is None or (isinstance(found, str) and is_id(found)):
         return found
@@ -170,7 +170,7 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
     try:
         lease = lease_of(found.lease)
     except RequestError:
-        if verb is not Verb.HOLD:  # which needs none: no flaw of a lease keeps anyone from it
+        if verb is not Verb.HOLD:  # HOLD needs no lease, so a malformed one must not refuse it
             raise
         lease = None
     return Request(
@@ -190,7 +190,7 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
 
 @dataclass(frozen=True)
 class NewestRecord:
-    """What an answer may mention: from the newest record."""
+    """Values of the newest record that an answer may mention."""
 
     fault: Fault = Fault.NONE
     stroke_mm: float = math.nan
@@ -201,7 +201,7 @@ class NewestRecord:
 
 
 def newest_record(records: RingReader, standing: Mapping[Fault, str] = MappingProxyType({})) -> NewestRecord:
-    """What the newest record says about the rig; ``standing``: causes in words, the strongest first."""
+    """`NewestRecord` of the ring; ``standing``: causes in words, the strongest first."""
     record = records.latest()
     if record is None:
         return NewestRecord()
@@ -252,7 +252,7 @@ def refused(name: str, operator: str, reason: str, text: str, **more: Any) -> di
 
 
 def silent(name: str, operator: str) -> dict[str, Any]:
-    """The answer when the loop gives none: the command may have been carried out, or not."""
+    """The answer when the loop gives none: whether the command was carried out is unknown."""
     text = "the control loop does not answer"
     return {**refused(name, operator, "no_answer", text), "text": f"{name.upper()}: {text}"}
 
@@ -279,7 +279,7 @@ def answer(
 ) -> dict[str, Any]:
     """A ``REPLY`` slot as the answer to ``request``.
 
-    ``limits_n``: lowest and highest target. ``failing``: what is known of checks that fail. ``waived``: why others may.
+    ``limits_n``: lowest and highest target. ``failing``: details of failing checks. ``waived``: words of the waivers.
     """
     verb, mode, value = request.verb, Mode(int(reply["mode"])), float(reply["value"])
     name = verb.name.lower()

@@ -11,7 +11,7 @@ from rigctl.control.events import Kind, Worded, worded
 
 
 def event_message(event: np.void, wall_offset_ns: int) -> tuple[str, dict[str, Any]]:
-    """Severity, and an event as the JSON object subscribers get; a slot nobody can word is still passed on."""
+    """Severity and JSON object of an event; an event of unknown kind is passed on as its numbers."""
     kind, a, b = int(event["kind"]), int(event["a"]), int(event["b"])
     value, limit = float(event["value"]), float(event["limit"])
     text = bytes(event["text"]).decode(errors="replace")

@@ -1,4 +1,4 @@
-"""Zenoh keys of a rig: ``rigctl/<rig>/...``. One place, so that gateway, client and access control agree."""
+"""Zenoh keys of a rig: ``rigctl/<rig>/...``, defined once so that gateway, client and access control agree."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Keys:
 
     @property
     def state(self) -> str:
-        """Newest record and what is derived from it, JSON; published, and answered when asked."""
+        """Newest record and the values derived from it, JSON; published, and answered to a query."""
         return self._key("tele/state")
 
     @property
     def fast(self) -> str:
-        """Every record in packed blocks; asked with ``after=SEQ`` it gives the records after that one again."""
+        """Every record in packed blocks; a query with ``after=SEQ`` gets the records after that one again."""
         return self._key("tele/fast")
 
     def event(self, severity: str) -> str:
@@ -40,12 +40,12 @@ class Keys:
 
     @property
     def schema(self) -> str:
-        """What the fast stream and the enumerations mean, JSON."""
+        """Meaning of the fast stream and of the enumerations, JSON."""
         return self._key("meta/schema")
 
     @property
     def active(self) -> str:
-        """What runs: settings, design, versions, devices, real-time report, JSON."""
+        """The active configuration: settings, design, versions, devices, real-time report, JSON."""
         return self._key("cfg/active")
 
     @property
@@ -54,7 +54,7 @@ class Keys:
         return self._key("live/daemon")
 
     def command(self, verb: str) -> str:
-        """Command of one verb, or act on the lease; ``*`` is what the gateway declares."""
+        """Command of one verb, or act on the lease; the gateway declares the key with ``*``."""
         return self._key(f"cmd/{verb}")
 
 

@@ -1,8 +1,8 @@
 """Who may command the rig: one lease, held by one operator at a time. Pure: time and ids are passed in.
 
-A name says who it is, an id proves it: two terminals that give the same name are two operators until one shows the id
-the other was given. A lease ends by lapse, by being given back, or by an explicit takeover with a reason; none of
-these ever gives the rig a command. HOLD needs no lease and takes none.
+The id proves the operator's name: two terminals of one name are two operators until one shows the id that the other
+got. A lease ends when it lapses, when it is returned, or by an explicit takeover with a reason; none of these gives the
+rig a command. HOLD needs no lease and takes none.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def is_id(text: str) -> bool:
 
 @dataclass(frozen=True)
 class Lease:
-    """What the holder has; times are CLOCK_MONOTONIC of the daemon's host."""
+    """A lease; times are CLOCK_MONOTONIC of the daemon's host."""
 
     id: str
     holder: str
@@ -33,7 +33,7 @@ class Lease:
 
 
 class Act(Enum):
-    """What may be asked of the lease itself; the value is the key's ending."""
+    """Requests about the lease itself; the value is the key's ending."""
 
     TAKE = "lease_take"
     RETURN = "lease_return"
@@ -43,10 +43,10 @@ ACTS = {act.value: act for act in Act}
 
 
 class Denial(Enum):
-    """Why somebody may not; the value is the answer's ``reason``."""
+    """Why a command or a request about the lease is refused; the value is the answer's ``reason``."""
 
     HELD = "lease_held"  # by another operator, terminal or program
-    LAPSED = "lease_lapsed"  # the id shown is not in force (any more), and nobody holds a lease
+    LAPSED = "lease_lapsed"  # the id shown is not in force, and nobody holds a lease
     NOT_HELD = "lease_not_held"  # nothing to give back
 
 
@@ -61,7 +61,7 @@ class Turn(Enum):
 
 @dataclass(frozen=True)
 class Change:
-    """Something that happened to the lease at ``t_ns``: by ``operator``, who took it over from ``other``."""
+    """A change of the lease at ``t_ns`` by ``operator``; ``other``: who held it before a takeover."""
 
     t_ns: int
     turn: Turn
@@ -71,7 +71,7 @@ class Change:
 
 
 class LeaseRegister:
-    """The lease in force. Every change is told, in order; a renewal is none."""
+    """The lease in force. Every change is passed to ``tell`` in order; a renewal is no change."""
 
     def __init__(
         self,
@@ -80,17 +80,17 @@ class LeaseRegister:
         lease: Lease | None = None,
         make_id: Callable[[], str] = lambda: secrets.token_hex(ID_BYTES),
     ) -> None:
-        """``lease``: what was in force before."""
+        """``lease``: the one in force at the start."""
         self._duration_ns, self._tell, self._make_id = duration_ns, tell, make_id
         self._lease = lease
 
     def lease(self, now_ns: int) -> Lease | None:
-        """The lease in force; may be asked from any thread."""
+        """The lease in force; may be called from any thread."""
         lease = self._lease
         return lease if lease is not None and now_ns < lease.until_ns else None
 
     def has_lapsed(self, now_ns: int) -> bool:
-        """Whether `expire` has something to do; may be asked from any thread."""
+        """Whether `expire` has something to do; may be called from any thread."""
         return self._lease is not None and self.lease(now_ns) is None
 
     def is_holder(self, operator: str, id_: str | None, now_ns: int) -> bool:
@@ -101,13 +101,13 @@ class LeaseRegister:
         return secrets.compare_digest(lease.id, id_)
 
     def expire(self, now_ns: int) -> None:
-        """Strike out a lease that has lapsed."""
+        """End a lease that has lapsed."""
         if self._lease is not None and self.lease(now_ns) is None:
             lapsed, self._lease = self._lease, None
             self._tell(Change(now_ns, Turn.LAPSED, lapsed.holder))
 
     def admit(self, operator: str, id_: str | None, now_ns: int) -> Lease | Denial:
-        """A command of ``operator``, who shows ``id_``: renews the lease, or takes the one nobody holds."""
+        """Renew the lease for a command of ``operator``, who shows ``id_``, or take the lease if nobody holds it."""
         if (renewed := self.renew(operator, id_, now_ns)) is not None:
             return renewed
         self.expire(now_ns)
@@ -118,7 +118,7 @@ class LeaseRegister:
         return self._grant(Turn.TAKEN, operator, now_ns)
 
     def renew(self, operator: str, id_: str | None, now_ns: int) -> Lease | None:
-        """Begin the holder's time anew; None if it is not the holder who asks."""
+        """Extend the holder's lease by its full duration; None for anyone but the holder."""
         lease = self._lease
         if lease is None or not self.is_holder(operator, id_, now_ns):
             return None
@@ -126,7 +126,7 @@ class LeaseRegister:
         return self._lease
 
     def take(self, operator: str, id_: str | None, reason: str, now_ns: int) -> Lease | Denial:
-        """Take the lease whoever holds it; from another only with a reason."""
+        """Take the lease; from another holder only with a reason."""
         if (renewed := self.renew(operator, id_, now_ns)) is not None:
             return renewed
         self.expire(now_ns)
@@ -137,7 +137,7 @@ class LeaseRegister:
         return self._grant(Turn.TAKEN_OVER, operator, now_ns, self._lease.holder, reason)
 
     def give_back(self, operator: str, id_: str | None, now_ns: int) -> Denial | None:
-        """End the lease before its time; None if that was done."""
+        """End the holder's lease before its time; returns None, or why not."""
         self.expire(now_ns)
         if self._lease is None:
             return Denial.NOT_HELD

@@ -1,4 +1,4 @@
-"""Asking for the lease itself, on the wire. Pure functions of bytes and values."""
+"""Requests about the lease itself, on the wire. Pure functions of bytes and values."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class _Payload(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class LeaseRequest:
-    """What an operator wants of the lease; ``reason`` is empty without one. ``run_id``: see `Request`."""
+    """An operator's request to take or return the lease; ``reason`` may be empty. ``run_id``: see `Request`."""
 
     act: Act
     operator: str
@@ -39,7 +39,7 @@ def parse_lease(act: Act, payload: bytes | None) -> LeaseRequest:
     """Read the payload.
 
     Raises:
-        RequestError: bad JSON, an unknown key, a wrong type, no name, no id of a lease, a reason that is none.
+        RequestError: bad JSON, an unknown key, a wrong type, no operator, an invalid id or an invalid reason.
     """
     found = decoded(payload, _Payload, _ALLOWED[act])
     reason = found.reason.strip()

@@ -1,4 +1,4 @@
-"""What the fields of the JSON messages mean, the kinds of events and the commands: tables for ``meta/schema``.
+"""Tables for ``meta/schema``: fields of the JSON messages, kinds of events, commands.
 
 A row of fields is name, type in JSON, unit ("" for none), meaning. ``number?`` may be null.
 """

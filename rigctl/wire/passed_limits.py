@@ -1,29 +1,29 @@
-"""Limits of the rig file that are passed now, worked out of the events: the state does not say."""
+"""Limits of the rig file that are exceeded now, derived from the events because the state does not carry them."""
 
 from __future__ import annotations
 
 from typing import Any
 
-_HEADING = "limit: "  # of an event's text; what shows the limits has a heading of its own
+_HEADING = "limit: "  # of an event's text; removed, since a display of the limits has its own heading
 
 
 class PassedLimits:
-    """A limit is passed from its event on, until the one that says it is kept again or a new loop starts."""
+    """A limit is exceeded from its LIMIT event on, until its LIMIT_OVER event or the start of a new loop."""
 
     def __init__(self) -> None:
         self._passed: dict[tuple[Any, ...], str] = {}  # fault, row and limit -> in words, with the value
 
     @property
     def now(self) -> list[str]:
-        """Those passed, in words with the value that passed them, oldest first."""
+        """The exceeded limits in words, each with the value that exceeded it, oldest first."""
         return list(self._passed.values())
 
     def clear(self) -> None:
-        """Forget them; the events come again."""
+        """Forget all of them, before the events are replayed."""
         self._passed.clear()
 
     def note(self, event: dict[str, Any]) -> None:
-        """One event, in order."""
+        """Take one event; events come in order."""
         kind, row = event.get("kind"), (event.get("a"), event.get("about"), event.get("limit"))
         if kind == "LIMIT":
             self._passed[row] = str(event.get("text", "")).removeprefix(_HEADING)

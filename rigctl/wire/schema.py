@@ -1,4 +1,4 @@
-"""What ``meta/schema`` answers: enough to decode the fast stream and read the state without this package."""
+"""The answer of ``meta/schema``: enough to decode the fast stream and read the state without this package."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from rigctl.wire.meanings import (
 )
 from rigctl.wire.state_message import DERIVED
 
-VERSION = 1  # another one is for what a subscriber that goes by this one would read wrongly; more fields are no reason
+VERSION = 1  # changes only when a subscriber of this version would misread the data; added fields do not change it
 
 _ENUMS: dict[str, type[IntEnum | IntFlag]] = {
     "modes": Mode, "faults": Fault, "flags": Flag, "quality": Quality, "verdicts": Verdict,
@@ -70,7 +70,7 @@ def _rows(rows: Rows) -> list[dict[str, Any]]:
 
 
 def _state_fields() -> list[dict[str, Any]]:
-    """Those of the record that nothing derived replaces, and the derived ones."""
+    """The record's fields without those that a derived field of the same name replaces, then the derived fields."""
     derived = {row[0] for row in DERIVED}
     taken: Rows = tuple(
         (row["name"], _json_type(row), row["unit"], row["description"])

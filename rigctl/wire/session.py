@@ -1,4 +1,4 @@
-"""Zenoh sessions as this project opens them, and their errors in one line."""
+"""Zenoh sessions with this project's configuration, and their errors in one line."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any
 import zenoh
 
 MESSAGE_BYTES = 1 << 16
-"""The longest message the daemon takes: a command has 16 KiB at most, and what comes in fragments is held in memory."""
-_RELAYED_BYTES = 1 << 22  # a router that joins others relays their answers: the events still held are up to 3 MB
+"""The longest message the daemon accepts: a command has at most 16 KiB, and fragments are collected in memory."""
+_RELAYED_BYTES = 1 << 22  # a router that joins others relays their answers: the events held are up to 3 MB
 _SESSIONS_MAX = 128  # a control room has ten; each costs the gateway 50 states and blocks a second
-# Connections that are half open: each is closed after accept_timeout and costs a few KiB until then, and among a flood
-# of them one that opens as it should must still find a place.
+# Half-open connections: each costs a few KiB until accept_timeout closes it. The limit is high so that a proper client
+# still gets a place among a flood of them.
 _ACCEPTING_MAX = 512
-_BATCHES = 16  # of 64 KB per client and priority before DROP drops: rides out 1 s of a busy client at 4 kHz
+_BATCHES = 16  # of 64 KB per client and priority before DROP drops: bridges 1 s of a busy client at 4 kHz
 
 
 class SessionError(RuntimeError):
@@ -24,21 +24,21 @@ class SessionError(RuntimeError):
 
 
 def _config(mode: str, listen: list[str], connect: list[str], rx_bytes: int = 0) -> zenoh.Config:
-    """``rx_bytes``: the longest message that is taken in, 0 for Zenoh's own limit."""
+    """``rx_bytes``: the longest message accepted, 0 for Zenoh's own limit."""
     tree: dict[str, Any] = {
         "mode": mode,
         "listen": {"endpoints": listen, "timeout_ms": 0, "exit_on_failure": True},
         "connect": {
             "endpoints": connect,
-            # A router joins others when they are there; a client without its router is no client.
+            # A router joins others whenever they appear; a client without its router is of no use and fails at once.
             "timeout_ms": 0 if mode == "client" else -1,
             "exit_on_failure": mode == "client",
-            # A killed gateway is back within a second: look for it often.
+            # A killed gateway is back within a second, so clients retry often.
             "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
         },
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "transport": {
-            "shared_memory": {"enabled": False},  # loses messages over 3 KB without a word
+            "shared_memory": {"enabled": False},  # loses messages over 3 KB without an error
             "unicast": {
                 "open_timeout": 1500,
                 "accept_timeout": 1500,
@@ -52,7 +52,7 @@ def _config(mode: str, listen: list[str], connect: list[str], rx_bytes: int = 0)
                         "size": {"data_high": _BATCHES, "data": _BATCHES, "data_low": _BATCHES},
                         "congestion_control": {
                             "drop": {"wait_before_drop": 0},
-                            # An answer blocks if the asker chose so: one who does not read is cut off (microseconds).
+                            # An answer blocks if the querier chose so; one that does not read is cut off (time in us).
                             "block": {"wait_before_close": 200_000},
                         },
                     },
@@ -76,17 +76,17 @@ def close(session: zenoh.Session) -> None:
 
 
 def finish(query: zenoh.Query) -> None:
-    """Tell the asker that no more answers come. (zenoh's stub leaves this untyped.)"""
+    """Finish a query: the querier learns that no more answers come. (zenoh's stub leaves this untyped.)"""
     query.drop()  # type: ignore[no-untyped-call]
 
 
 def open_router(listen: list[str], join: Sequence[str] = ()) -> zenoh.Session:
-    """The gateway's session: clients connect here and are relayed.
+    """The gateway's session: clients connect to it, and it relays between them.
 
-    ``join``: other routers to be one network with, tried again for ever while they are not there.
+    ``join``: other routers to form one network with; the connection is retried for ever.
 
     Raises:
-        SessionError: naming the endpoint and why.
+        SessionError: the endpoint cannot be opened; the message names it and the reason.
     """
     try:
         return zenoh.open(_config("router", listen, list(join), _RELAYED_BYTES if join else MESSAGE_BYTES))
@@ -95,10 +95,10 @@ def open_router(listen: list[str], join: Sequence[str] = ()) -> zenoh.Session:
 
 
 def open_client(endpoint: str) -> zenoh.Session:
-    """A client of the router at ``endpoint``; once open it reconnects by itself.
+    """A client session of the router at ``endpoint``; once open it reconnects by itself.
 
     Raises:
-        SessionError: nobody there, or not an endpoint.
+        SessionError: no router answers, or ``endpoint`` is not valid.
     """
     try:
         return zenoh.open(_config("client", [], [endpoint]))

@@ -1,4 +1,4 @@
-"""The state message: the newest record, and what a person or a program would work out from it first."""
+"""The state message: the newest record and values derived from it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ RECORDER_SILENT_NS = 5_000_000_000
 
 
 def quality_words(bits: int) -> str:
-    """``good``, or what is wrong with a signal."""
+    """``good``, or the names of the quality bits that are set."""
     return "+".join(q.name.lower() for q in Quality if bits & q and q.name) or "good"
 
 
@@ -63,16 +63,16 @@ class Recent:
 
 
 class Trip:
-    """Value and limit of the trip that is latched, remembered from the events.
+    """Value and limit of the latched trip, from the events.
 
-    Of each fault the newest is kept: a stronger one that trips while another is latched does not take its place.
+    The newest trip of each fault is kept, so that a stronger fault does not replace the one that is latched.
     """
 
     def __init__(self) -> None:
         self._trips: dict[int, tuple[float, float, str]] = {}
 
     def note(self, events: npt.NDArray[Any]) -> None:
-        """Look for newer trips."""
+        """Take the trips among new events."""
         for event in events[events["kind"] == Kind.TRIP]:
             text = bytes(event["text"]).decode(errors="replace")
             self._trips[int(event["a"])] = float(event["value"]), float(event["limit"]), text
@@ -85,14 +85,14 @@ class Trip:
             return f"unknown fault {fault}"
         if known is Fault.NONE:
             return ""
-        if fault not in self._trips:  # its event is not in the ring any more
+        if fault not in self._trips:  # the ring no longer holds its event
             return known.name.lower().replace("_", " ")
         return fault_text(known, *self._trips[fault])
 
 
 @dataclass(frozen=True)
 class Cause:
-    """A row of the safety table that stands, as its event told it."""
+    """A standing cause with time, value and text of its event."""
 
     t_ns: int
     value: float
@@ -100,12 +100,12 @@ class Cause:
 
 
 class Causes:
-    """Causes of a fault that stand: which, the newest record says; since when and with which value, the events."""
+    """Causes of a fault that stand: the newest record says which, the events since when and with which value."""
 
     def __init__(self, rows: Sequence[Row]) -> None:
         """``rows``: of the safety table, built-in ones first."""
         self._rows = [row for row in rows if row.action is not Action.LOG]
-        self._worded = {row.fault for row in rows if row.words is not None}  # their text is another each time
+        self._worded = {row.fault for row in rows if row.words is not None}  # their text differs from event to event
         self._since: dict[tuple[int, float, str], Cause] = {}
 
     def note(self, events: npt.NDArray[Any]) -> None:
@@ -121,9 +121,9 @@ class Causes:
                 self._since.setdefault(key, Cause(int(event["t_ns"]), float(event["value"]), text))
 
     def of(self, record: np.void, wall_ns: int) -> list[dict[str, Any]]:
-        """Those that stand at a record, the strongest first, then in the table's order.
+        """Causes that stand at a record, the strongest first, then in the table's order.
 
-        ``wall_ns``: wall clock less CLOCK_MONOTONIC. A fault whose event has been missed is there without figures.
+        ``wall_ns``: wall clock less CLOCK_MONOTONIC. A cause whose event was missed appears without figures.
         """
         bits, mode, t_ns = int(record["cause_bits"]), int(record["mode"]), int(record["t_ns"])
         known = {key: cause for key, cause in self._since.items() if bits >> key[0] & 1 or cause.t_ns > t_ns}
@@ -160,7 +160,7 @@ def _cause(row: Row, cause: Cause | None, wall_ns: int) -> dict[str, Any]:
 
 
 class Doubts:
-    """What the loop's events say of the devices' settings and of the stroke: words that no record has."""
+    """Details of failing checks, from the loop's events on device settings and stroke; records have no texts."""
 
     def __init__(self, events: RingReader) -> None:
         self._events, self._lock = events, threading.Lock()
@@ -168,7 +168,7 @@ class Doubts:
         self._read_back: dict[str, Any] | None = None
 
     def look(self) -> Mapping[Check, str]:
-        """By check, what is known of it beside that it fails; of use only while it does."""
+        """The details by check; they apply only while the check fails."""
         with self._lock:
             for event in self._events.read():
                 self._note(event)
@@ -176,12 +176,12 @@ class Doubts:
 
     @property
     def read_back(self) -> dict[str, Any] | None:
-        """When all settings were last read back as they should be, and how many; None before the first time."""
+        """Time, count and duration of the last complete read-back without a difference; None before the first."""
         return self._read_back
 
     def _note(self, event: np.void) -> None:
         kind, text = int(event["kind"]), bytes(event["text"]).decode(errors="replace")
-        if kind == Kind.STARTED:  # of the loop before
+        if kind == Kind.STARTED:  # what is known belongs to the loop before
             self._words, self._read_back = {}, None
         elif kind == Kind.SETTING_LOST:
             self._words[Check.DRIVE_SUPERVISION] = setting_words(text)
@@ -192,7 +192,7 @@ class Doubts:
 
 
 def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wall_ns: int) -> dict[str, Any]:
-    """State from the newest record; ``now_ns`` and ``wall_ns`` are the same instant on the two clocks."""
+    """The state from the newest record; ``now_ns`` and ``wall_ns`` are the same instant on the two clocks."""
     if record is None:
         return {"loop_alive": False, "age_ms": None, "wall_ns": wall_ns, "mode": None}
     values: dict[str, Any] = {name: record[name].item() for name in record.dtype.names or ()}
@@ -222,13 +222,13 @@ def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wa
 
 
 def warnings_of(said: dict[str, Any]) -> list[str]:
-    """Warnings another process wrote down, whatever it wrote."""
+    """Warnings in another process's file, whose content may be anything."""
     found = said.get("warnings")
     return [str(item) for item in found] if isinstance(found, Sequence) and not isinstance(found, str) else []
 
 
 def design_of(active: dict[str, Any]) -> tuple[str | None, list[str]]:
-    """Verdict on the design that runs, None before there is one, and its warnings: words of a waiver among them."""
+    """Verdict on the design in use, None without one, and its warnings, which include the words of a waiver."""
     design = active.get("design")
     if not isinstance(design, dict):
         return None, []
@@ -237,8 +237,8 @@ def design_of(active: dict[str, Any]) -> tuple[str | None, list[str]]:
 
 
 def kept_of(told: dict[str, Any], now_ns: int) -> tuple[dict[str, Any], list[str]]:
-    """What the recorder says it has kept, and its warnings: one more where it has said nothing for a while."""
-    if not told:  # it has not said anything yet
+    """The recorder's figures and its warnings, with one more if its file is older than ``RECORDER_SILENT_NS``."""
+    if not told:  # the recorder has not written its file yet
         return {"audit": None, "trip_dump": None, "recording": None}, []
     audit = {name: told.get(name) for name in ("entries", "head", "failures")}
     t_ns, warnings = told.get("t_ns"), warnings_of(told)
@@ -250,9 +250,9 @@ def kept_of(told: dict[str, Any], now_ns: int) -> tuple[dict[str, Any], list[str
 def preflight_of(
     record: np.void | None, failing: Mapping[Check, str], waived: Mapping[Check, str]
 ) -> dict[str, dict[str, str]] | None:
-    """What stood against arming when it was last looked at, and what would but for a waiver; None without a record.
+    """Checks that fail in the newest record, and those that a waiver lets pass, in words; None without a record.
 
-    ``failing``: what more is known of some checks.
+    ``failing``: details of failing checks.
     """
     if record is None:
         return None

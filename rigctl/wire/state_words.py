@@ -15,18 +15,18 @@ MODE_STYLE = {
     "FAULT": "bold white on red",
 }
 NOTHING = "-"
-BAND_PCT = 5.0  # the requirement: vertical tension within so much of its target
+BAND_PCT = 5.0  # the requirement: largest error of the vertical tension, of its target
 
 
 def number(value: Any, digits: int, unit: str = "", *, sign: bool = False) -> str:
-    """A number with its unit; a dash where there is none."""
+    """A number with its unit; a dash for no value."""
     if not isinstance(value, int | float):
         return NOTHING
     return quantity.number(value, digits, unit, sign=sign)
 
 
 def mode(state: dict[str, Any]) -> str:
-    """The mode; without a running loop, that."""
+    """The mode, or that the loop does not run."""
     if state.get("mode") is None:
         return "NO LOOP"
     return str(state["mode"]) if state["loop_alive"] else "LOOP STOPPED"
@@ -52,7 +52,7 @@ def why(state: dict[str, Any]) -> str:
 
 
 def causes(state: dict[str, Any]) -> list[str]:
-    """Every cause that stands, the strongest first, and what blocks a reset; or that nothing does."""
+    """Every standing cause, the strongest first, marked where it blocks a reset, or that none stands any more."""
     if not state.get("fault") or not state.get("loop_alive"):
         return []
     lines = []
@@ -86,7 +86,7 @@ def inclination(state: dict[str, Any]) -> str:
 
 
 def calibration(state: dict[str, Any]) -> tuple[str, str]:
-    """Zero and scale of the tension cell and until when they hold, with a style."""
+    """Zero and scale of the tension cell and when they are due, with a style."""
     found = state.get("calibration") or {}
     text = f"zero {number(found.get('zero_n'), 3, 'N', sign=True)}, scale {number(found.get('scale'), 5)}"
     if found.get("overdue"):
@@ -96,7 +96,7 @@ def calibration(state: dict[str, Any]) -> tuple[str, str]:
 
 
 def lease(state: dict[str, Any]) -> str:
-    """Who commands, since when and for how long."""
+    """The holder of the lease, since when and for how much longer."""
     found = state.get("lease")
     if not found:
         return "nobody holds it"
@@ -115,18 +115,18 @@ _PERCENTILES = (("p50", "p50"), ("p99", "p99"), ("p99.9", "p999"), ("max", "max"
 
 
 def flaws(state: dict[str, Any]) -> str:
-    """Signals that are not good beside the inclination, which says so itself; empty when all are."""
+    """Signals that are not good, without the inclination, whose line shows it; empty when all are good."""
     quality = {name: words for name, words in state["quality"].items() if name != "inclination"}
     return ", ".join(f"{name} {words}" for name, words in quality.items() if words != "good")
 
 
 def flags(state: dict[str, Any]) -> str:
-    """Flags of the newest tick that an operator should know; empty where there is none."""
+    """Flags of the newest tick that matter to an operator; may be empty."""
     return ", ".join(name.replace("_", " ") for name in state.get("flag_names", []) if name != "drive_enabled")
 
 
 def checks(state: dict[str, Any]) -> list[tuple[str, str]]:
-    """What stands against arming, and what would but for a waiver, each in words with a style; while DISARMED."""
+    """Checks that refuse arming and those that are waived, each in words with a style; only while DISARMED."""
     found = state.get("preflight") or {}
     if state.get("mode") != "DISARMED":
         return []
@@ -135,14 +135,14 @@ def checks(state: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def e_stop(state: dict[str, Any]) -> list[str]:
-    """Inputs of the emergency stop that are pressed or not seen, in words; looked at while not armed."""
+    """Emergency stop inputs that are pressed or not seen, in words; the loop checks them while not armed."""
     failing = (state.get("preflight") or {}).get("failing", {})
     looked_at = state.get("mode") in ("DISARMED", "FAULT")
     return [words for name, words in failing.items() if looked_at and name.startswith("E_STOP")]
 
 
 def recorder(state: dict[str, Any]) -> tuple[str, str]:
-    """What is kept, and where, with a style."""
+    """What the recorder keeps, and where, with a style."""
     audit = state.get("audit")
     if not audit:
         return "nothing is recorded", "yellow"
@@ -161,7 +161,7 @@ def recorder(state: dict[str, Any]) -> tuple[str, str]:
 
 
 def counters(state: dict[str, Any]) -> str:
-    """What has gone wrong on the bus so far."""
+    """Counters of errors on the bus."""
     frames = f"frames lost {state['frames_lost']}, refused {state['frames_refused']}, unsent {state['send_failures']}"
     return f"{frames}, error frames {state['error_frames']}"
 
