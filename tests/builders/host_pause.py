@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import pathlib
 import re
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Generator
 
 import pytest
 from _pytest.runner import runtestprotocol
@@ -27,7 +26,7 @@ def longest_pause_ms(folder: pathlib.Path) -> int:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Iterator[Any]:
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Note the pause while the test's folder is there."""
     report = yield
     folder = getattr(item, "funcargs", {}).get("tmp_path")
