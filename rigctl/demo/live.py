@@ -176,10 +176,10 @@ def _by_pause(stage: LiveStage, settings: RigSettings) -> PausedError | None:
     tripped = np.flatnonzero(records["mode"] == Mode.FAULT)
     if not len(tripped):
         return None
-    end_ns = int(records["t_ns"][tripped[0]])
-    window = records[records["t_ns"] <= end_ns]
-    window = window[window["t_ns"] >= end_ns - settings.safety.overrun_window_ms * 1_000_000]
-    missed = int(window["skipped"][-1]) - int(window["skipped"][0])
+    end = int(tripped[0])
+    end_ns = int(records["t_ns"][end])
+    begin = int(np.searchsorted(records["t_ns"], end_ns - settings.safety.overrun_window_ms * 1_000_000))
+    missed = int(records["skipped"][end]) - int(records["skipped"][max(0, begin - 1)])  # since the tick before it
     if missed < PAUSE_TICKS:
         return None
     stopped_ms = missed * settings.loop.period_ns / 1e6
