@@ -14,6 +14,10 @@ from collections.abc import Callable
 import pytest
 from hypothesis import settings
 
+from tests.host_pause import pytest_runtest_makereport, pytest_runtest_protocol
+
+__all__ = ["pytest_runtest_makereport", "pytest_runtest_protocol"]
+
 HERE = pathlib.Path(__file__).parent
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 REAL_TIME = frozenset({"guest", "system", "telemetry"})

@@ -23,7 +23,7 @@ from rigctl.telemetry.runtime import Runtime
 from tests import daemons
 from tests.system.test_daemon import PATIENT, Running
 
-IDENTIFICATIONS = 5
+IDENTIFICATIONS = 10  # a busy host pauses the loop in half of them
 DAY_NS = 86_400 * 10**9
 
 

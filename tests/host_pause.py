@@ -1,0 +1,54 @@
+"""A real-time test that fails while the host paused the loop is repeated once; one that fails without a pause fails.
+
+The loop measures the pause itself: the periods of its grid that it had to skip are events, and so lines of the daemon's
+log, which the tests keep beside their files.
+"""
+
+from __future__ import annotations
+
+import pathlib
+import re
+from collections.abc import Generator
+
+import pytest
+from _pytest.runner import runtestprotocol
+
+PAUSE_MS = 20
+"""Fewer skipped periods of 1 ms are within what a loaded machine does, and no test depends on them."""
+_SKIPPED = re.compile(r"(\d+) ticks skipped")
+_PAUSED = pytest.StashKey[int]()
+
+
+def longest_pause_ms(folder: pathlib.Path) -> int:
+    """The most periods of 1 ms that a loop skipped at once or tripped over, by the logs in a folder."""
+    texts = (file.read_text(errors="replace") for file in folder.rglob("*.log"))
+    return max((int(ticks) for text in texts for ticks in _SKIPPED.findall(text)), default=0)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Note the pause while the test's folder is there."""
+    report = yield
+    folder = getattr(item, "funcargs", {}).get("tmp_path")
+    if report.failed and folder is not None:
+        item.stash[_PAUSED] = max(item.stash.get(_PAUSED, 0), longest_pause_ms(folder))
+    return report
+
+
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
+    """Run a real-time test, and once more where it failed while the host paused the loop."""
+    if item.get_closest_marker("real_time") is None:
+        return None
+    where = {"nodeid": item.nodeid, "location": item.location}
+    item.ihook.pytest_runtest_logstart(**where)
+    reports = runtestprotocol(item, log=False, nextitem=nextitem)
+    paused_ms = item.stash.get(_PAUSED, 0)
+    if any(report.failed for report in reports) and paused_ms >= PAUSE_MS:
+        terminal = item.config.pluginmanager.get_plugin("terminalreporter")
+        if terminal is not None:
+            terminal.write_line(f"\n{item.nodeid}: failed while the host paused the loop for {paused_ms} ms; once more")
+        reports = runtestprotocol(item, log=False, nextitem=nextitem)
+    for report in reports:
+        item.ihook.pytest_runtest_logreport(report=report)
+    item.ihook.pytest_runtest_logfinish(**where)
+    return True

@@ -1,0 +1,43 @@
+"""A real-time test is repeated for a pause that the loop has measured, once, and for nothing else."""
+
+from __future__ import annotations
+
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+from tests import daemons
+
+CONFTEST = "from tests.host_pause import pytest_runtest_makereport, pytest_runtest_protocol\n"
+TEST = """
+import pathlib
+import pytest
+
+@pytest.mark.real_time
+def test_live(tmp_path):
+    runs = pathlib.Path({runs!r})
+    runs.write_text(runs.read_text() + "x" if runs.exists() else "x")
+    (tmp_path / "daemon.log").write_text("08:00:00 WARNING: {ticks} ticks skipped at once")
+    assert len(runs.read_text()) > {fails}
+"""
+
+
+@pytest.mark.parametrize(
+    ("ticks", "fails", "runs", "code"),
+    [(48, 1, 2, 0), (48, 2, 2, 1), (5, 1, 1, 1), (48, 0, 1, 0)],
+    ids=["repeated for a pause", "once", "no pause, no repeat", "passed at once"],
+)
+def test_only_a_measured_pause_repeats(tmp_path: pathlib.Path, ticks: int, fails: int, runs: int, code: int) -> None:
+    (tmp_path / "conftest.py").write_text(CONFTEST)
+    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = real_time: live\n")
+    counted = tmp_path / "runs"
+    (tmp_path / "test_live.py").write_text(TEST.format(runs=str(counted), ticks=ticks, fails=fails))
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_live.py"]
+    done = subprocess.run(
+        command, cwd=tmp_path, env={"PYTHONPATH": str(daemons.ROOT)}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    assert len(counted.read_text()) == runs
+    assert ("failed while the host paused the loop for 48 ms; once more" in done.stdout) is (runs == 2)
