@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from enum import IntEnum, IntFlag
+from enum import Enum, IntEnum, IntFlag, auto
 
 from rigctl.config import RigSettings
 from rigctl.control.correction import tare_limit_n
@@ -198,6 +198,14 @@ class Sight:
     tension_rate_n_s: float = 0.0
 
 
+class Bars(Enum):
+    """When a row whose fault is in `BLOCK_RESET` keeps that fault from being reset."""
+
+    AT_ONCE = auto()
+    LASTING = auto()  # once it has been bad for its persistence: a drive takes a moment to go off
+    NEVER = auto()  # it may stand until its fault is reset, and bars arming
+
+
 @dataclass(frozen=True)
 class Row:
     """One line of the table: tripped when ``value(sight) > limit`` for ``persistence_ns``, in ``modes``.
@@ -216,6 +224,7 @@ class Row:
     text: str = ""
     sign: float = 1.0
     words: Callable[[Sight], str] | None = None  # what the trip says beside value and limit
+    bars: Bars = Bars.AT_ONCE
 
     def trip(self, value: float, sight: Sight | None = None) -> Trip:
         """What it trips with; without a ``sight`` that is looked at, in its own text only."""
@@ -312,11 +321,14 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.DRIVE_FAULT, lambda x: x.drive_faulted, 0, 0, _ARMED, ""),
         Row(Fault.DRIVE_NOT_FOLLOWING, _dropped_out, 0, DRIVE_GRACE_NS, _ON, ""),
         Row(Fault.DRIVE_REFUSES, lambda x: x.drive_local, 0, DRIVE_GRACE_NS, _ARMED, "", text=_LOCAL),
-        Row(Fault.DRIVE_REFUSES, lambda x: x.drive_limited, 0, INTERNAL_LIMIT_NS, _ARMED, "", text=_LIMITS),
+        Row(Fault.DRIVE_REFUSES, lambda x: x.drive_limited, 0, INTERNAL_LIMIT_NS, _ARMED, "", text=_LIMITS,
+            bars=Bars.NEVER),
         Row(Fault.DRIVE_REFUSES, lambda x: x.drive_ignores, 0, DRIVE_GRACE_NS, _ARMED, "", lost, _IGNORES),
         Row(Fault.DRIVE_UNASKED, lambda x: x.drive_unasked, 0, DRIVE_GRACE_NS, _UNASKED, "", lost, _ELSEWHERE),
-        Row(Fault.DRIVE_UNASKED, lambda x: x.drive_lingers, 0, LINGER_NS, _UNASKED, "", lost, _LINGERS),
-        Row(Fault.DRIVE_UNASKED, _powered_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _OFF, "mm/s", lost, _POWERED),
+        Row(Fault.DRIVE_UNASKED, lambda x: x.drive_lingers, 0, LINGER_NS, _UNASKED, "", lost, _LINGERS,
+            bars=Bars.LASTING),
+        Row(Fault.DRIVE_UNASKED, _powered_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _OFF, "mm/s", lost, _POWERED,
+            bars=Bars.LASTING),
         Row(Fault.SIGN_DRIVE, lambda x: x.drive_reversed, 0, 0, _TENSIONING, ""),
         Row(Fault.SIGN_CELL, lambda x: x.cell_reversed, 0, 0, _TENSIONING, ""),
         Row(Fault.CELL_INVALID, lambda x: x.cell_quality, 0, 0, _ARMED, ""),
@@ -504,10 +516,8 @@ class Watch:
 
     def _blocking(self, sight: Sight) -> Iterator[Fault]:
         for row, stands in zip(self._rows, self._stands, strict=True):
-            if row.fault not in BLOCK_RESET or row.text is _LIMITS:
-                continue  # a limit of the drive's own may stand until its fault is reset; arming is barred by it
-            ours = row.text in (_LINGERS, _POWERED) and not stands  # for the moment a drive takes to go off
-            if row.value(sight) > row.limit and not ours:
+            barred = row.bars is Bars.AT_ONCE or (row.bars is Bars.LASTING and stands)
+            if barred and row.fault in BLOCK_RESET and row.value(sight) > row.limit:
                 yield row.fault
 
     def _ends(self, i: int, *, watched: bool = True) -> None:
