@@ -226,6 +226,11 @@ class Row:
     words: Callable[[Sight], str] | None = None  # what the trip says beside value and limit
     bars: Bars = Bars.AT_ONCE
 
+    @property
+    def blocks_reset(self) -> bool:
+        """While it stands, its fault cannot be reset."""
+        return self.fault in BLOCK_RESET and self.bars is not Bars.NEVER
+
     def trip(self, value: float, sight: Sight | None = None) -> Trip:
         """What it trips with; without a ``sight`` that is looked at, in its own text only."""
         text = self.words(sight) if self.words is not None and sight is not None else self.text
@@ -516,8 +521,7 @@ class Watch:
 
     def _blocking(self, sight: Sight) -> Iterator[Fault]:
         for row, stands in zip(self._rows, self._stands, strict=True):
-            barred = row.bars is Bars.AT_ONCE or (row.bars is Bars.LASTING and stands)
-            if barred and row.fault in BLOCK_RESET and row.value(sight) > row.limit:
+            if row.blocks_reset and (stands or row.bars is Bars.AT_ONCE) and row.value(sight) > row.limit:
                 yield row.fault
 
     def _ends(self, i: int, *, watched: bool = True) -> None:
