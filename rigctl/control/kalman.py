@@ -23,7 +23,7 @@ class KalmanFilter:
     """State and covariance, with the gain and the innovation's covariance of the last update.
 
     Attributes:
-        x: state, (n, 1); ``p`` its covariance, (n, n); ``p_prior`` the same before the last update.
+        x: state, (n, 1); ``p`` its covariance, (n, n); ``p_prior`` the same as of the last predict.
         f, b, q: transition (n, n), input (n, u) and process noise (n, n) of one step.
         h, r: measurement (m, n) and its noise (m, m).
         k, s: gain (n, m) and covariance of the innovation (m, m) of the last update.

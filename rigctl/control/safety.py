@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from enum import IntEnum, IntFlag
+from enum import Enum, IntEnum, IntFlag, auto
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
@@ -116,6 +116,14 @@ class Snapshot:
     tension_rate_n_s: float = 0.0
 
 
+class Bars(Enum):
+    """When a row whose fault blocks a reset (`Fault.blocks_reset`) does so."""
+
+    AT_ONCE = auto()
+    LASTING = auto()  # once it has been bad for its persistence: a drive takes a moment to go off
+    NEVER = auto()  # it may stand until its fault is reset; it still bars arming
+
+
 @dataclass(frozen=True)
 class Row:
     """One line of the table: tripped when ``value(snapshot) > limit`` for ``persistence_ns``, in ``modes``.
@@ -134,6 +142,12 @@ class Row:
     text: str = ""
     sign: float = 1.0
     words: Callable[[Snapshot], str] | None = None  # text of the trip beside value and limit
+    bars: Bars = Bars.AT_ONCE
+
+    @property
+    def blocks_reset(self) -> bool:
+        """While it stands, its fault cannot be reset."""
+        return self.fault.blocks_reset and self.bars is not Bars.NEVER
 
     def trip(self, value: float, snapshot: Snapshot | None = None) -> Trip:
         """The trip of this row at ``value``; its words are evaluated only where a ``snapshot`` is given."""
@@ -230,11 +244,14 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.DRIVE_FAULT, lambda x: x.drive_faulted, 0, 0, _ARMED, ""),
         Row(Fault.DRIVE_NOT_FOLLOWING, _dropped_out, 0, DRIVE_GRACE_NS, _ON, ""),
         Row(Fault.DRIVE_REFUSES, lambda x: x.drive_local, 0, DRIVE_GRACE_NS, _ARMED, "", text=_LOCAL),
-        Row(Fault.DRIVE_REFUSES, lambda x: x.drive_limited, 0, INTERNAL_LIMIT_NS, _ARMED, "", text=_LIMITS),
+        Row(Fault.DRIVE_REFUSES, lambda x: x.drive_limited, 0, INTERNAL_LIMIT_NS, _ARMED, "", text=_LIMITS,
+            bars=Bars.NEVER),
         Row(Fault.DRIVE_REFUSES, lambda x: x.drive_ignores, 0, DRIVE_GRACE_NS, _ARMED, "", lost, _IGNORES),
         Row(Fault.DRIVE_UNASKED, lambda x: x.drive_unasked, 0, DRIVE_GRACE_NS, _UNASKED, "", lost, _ELSEWHERE),
-        Row(Fault.DRIVE_UNASKED, lambda x: x.drive_lingers, 0, LINGER_NS, _UNASKED, "", lost, _LINGERS),
-        Row(Fault.DRIVE_UNASKED, _powered_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _OFF, "mm/s", lost, _POWERED),
+        Row(Fault.DRIVE_UNASKED, lambda x: x.drive_lingers, 0, LINGER_NS, _UNASKED, "", lost, _LINGERS,
+            bars=Bars.LASTING),
+        Row(Fault.DRIVE_UNASKED, _powered_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _OFF, "mm/s", lost, _POWERED,
+            bars=Bars.LASTING),
         Row(Fault.SIGN_DRIVE, lambda x: x.drive_reversed, 0, 0, _TENSIONING, ""),
         Row(Fault.SIGN_CELL, lambda x: x.cell_reversed, 0, 0, _TENSIONING, ""),
         Row(Fault.CELL_INVALID, lambda x: x.cell_quality, 0, 0, _ARMED, ""),
@@ -420,10 +437,7 @@ class Watch:
 
     def _blocking(self, snapshot: Snapshot) -> Iterator[Fault]:
         for row, stands in zip(self._rows, self._stands, strict=True):
-            if not row.fault.blocks_reset or row.text is _LIMITS:
-                continue  # a limit inside the drive may last until its fault is reset; it still bars arming
-            ours = row.text in (_LINGERS, _POWERED) and not stands  # a drive takes a moment to go off
-            if row.value(snapshot) > row.limit and not ours:
+            if row.blocks_reset and (stands or row.bars is Bars.AT_ONCE) and row.value(snapshot) > row.limit:
                 yield row.fault
 
     def _ends(self, i: int, *, watched: bool = True) -> None:

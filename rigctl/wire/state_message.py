@@ -106,13 +106,14 @@ class Causes:
         """``rows``: of the safety table, built-in ones first."""
         self._rows = [row for row in rows if row.action is not Action.LOG]
         self._worded = {row.fault for row in rows if row.words is not None}  # their text differs from event to event
-        self._since: dict[tuple[int, float, str], Cause] = {}
+        self._since: dict[tuple[int, int, float, str], Cause] = {}
 
     def note(self, events: npt.NDArray[Any]) -> None:
         """Take new events."""
         for event in events[np.isin(events["kind"], _OF_CAUSES)]:
             kind, text = int(event["kind"]), bytes(event["text"]).decode(errors="replace")
-            key = int(event["a"]), float(event["limit"]), "" if int(event["a"]) in self._worded else text
+            fault, action = int(event["a"]), int(event["b"])
+            key = fault, action, float(event["limit"]), "" if fault in self._worded else text
             if kind == Kind.STARTED:
                 self._since.clear()
             elif kind == Kind.CAUSE_OVER:
@@ -140,8 +141,9 @@ class Causes:
 _OF_CAUSES = (Kind.STARTED, Kind.TRIP, Kind.CAUSE, Kind.CAUSE_OVER)
 
 
-def _key(row: Row) -> tuple[int, float, str]:
-    return int(row.fault), row.sign * float(row.limit), row.text.encode()[:TEXT_BYTES].decode(errors="replace")
+def _key(row: Row) -> tuple[int, int, float, str]:
+    text = row.text.encode()[:TEXT_BYTES].decode(errors="replace")
+    return int(row.fault), int(row.action), row.sign * float(row.limit), text
 
 
 def _cause(row: Row, cause: Cause | None, wall_ns: int) -> dict[str, Any]:
@@ -155,7 +157,7 @@ def _cause(row: Row, cause: Cause | None, wall_ns: int) -> dict[str, Any]:
         "limit": limit,
         "since_ns": None if cause is None else cause.t_ns,
         "since_wall_ns": None if cause is None else cause.t_ns + wall_ns,
-        "blocks_reset": row.fault.blocks_reset,
+        "blocks_reset": row.blocks_reset,
     }
 
 

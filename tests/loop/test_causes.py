@@ -172,3 +172,21 @@ def test_causes_of_another_version_are_shown_not_raised(causes: object) -> None:
     state = {"mode": "FAULT", "loop_alive": True, "fault": "E_STOP", "fault_text": "pressed", "causes": causes}
     assert "E_STOP: pressed" in figures.why(state)
     assert figures.causes(state)
+
+
+def test_rows_of_one_fault_with_other_reactions_are_told_apart(rig: Lockstep, shown: Shown) -> None:
+    """A lost setting holds; only one the drive needs to obey takes its power: the state shows the row that stands."""
+    answers = objects.SDO_TX_BASE + rig.rig.drive.id
+    silent(rig, answers)
+    rig.run(2.0)
+    (lost,) = [cause for cause in shown.state()["causes"] if cause["fault"] == "SUPERVISION_LOST"]
+    assert (lost["action"], lost["blocks_reset"]) == ("HOLD", True)
+
+
+def test_what_the_state_says_blocks_a_reset_is_what_does(rig: Lockstep, shown: Shown) -> None:
+    """A limit of the drive's own may stand until its fault is reset."""
+    rig.rig.drive._speed_max_mm_s = -1.0
+    rig.run(0.5)
+    (limited,) = [cause for cause in shown.state()["causes"] if cause["fault"] == "DRIVE_REFUSES"]
+    assert not limited["blocks_reset"]
+    assert rig.command(Verb.RESET) is Refusal.NONE
