@@ -169,7 +169,8 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
 def _by_pause(stage: LiveStage, settings: RigSettings) -> PausedError | None:
     """The error for a trip caused by a pause of this computer; None for any other trip.
 
-    The loop's own records show the pause: missed periods of the grid within the window of the overrun's limit.
+    The loop's own records show the pause: missed periods of the grid within the window of the overrun's limit. A tick
+    that wakes late skips periods only after its own decision, so the trip may stand in the record before them.
     """
     stage.pass_time(0.0)
     records = np.concatenate(stage.records)
@@ -179,7 +180,8 @@ def _by_pause(stage: LiveStage, settings: RigSettings) -> PausedError | None:
     end = int(tripped[0])
     end_ns = int(records["t_ns"][end])
     begin = int(np.searchsorted(records["t_ns"], end_ns - settings.safety.overrun_window_ms * 1_000_000))
-    missed = int(records["skipped"][end]) - int(records["skipped"][max(0, begin - 1)])  # since the tick before it
+    after = min(end + 1, len(records) - 1)
+    missed = int(records["skipped"][after]) - int(records["skipped"][max(0, begin - 1)])  # since the tick before it
     if missed < PAUSE_TICKS:
         return None
     stopped_ms = missed * settings.loop.period_ns / 1e6

@@ -146,7 +146,7 @@ def test_a_computer_that_stops_the_loop_is_named_and_the_demo_plays_once_more(tm
                 os.kill(loop, signal.SIGCONT)
                 stops += 1
         complaint = demo.stderr.read() if demo.stderr is not None else ""
-    assert demo.returncode == 1, said
+    assert demo.returncode == 1, said + complaint
     assert re.search(r"this computer stopped the loop for \d+ ms at \d+\.\d s, and the rig tripped", said), said
-    assert complaint.startswith("rigctl: demo: this computer stopped the loop for "), complaint
+    assert "rigctl: demo: this computer stopped the loop for " in complaint, complaint
     assert "again: it is too busy for real time; rigctl demo --lockstep needs none" in complaint
