@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
-from rigctl.control.safety import Snapshot
+from rigctl.control.snapshot import Snapshot
 
 STILL_NS = 200_000_000
 STILL_MM = 0.02

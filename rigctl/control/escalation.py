@@ -8,7 +8,8 @@ from enum import IntEnum
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
-from rigctl.control.safety import BRAKE_SLIP_MM_S, Action, Snapshot, Trip
+from rigctl.control.safety import BRAKE_SLIP_MM_S, Action, Trip
+from rigctl.control.snapshot import Snapshot
 from rigctl.control.stroke_hold import AUTHORITY_MM_S
 
 _MS = 1_000_000

@@ -15,7 +15,8 @@ from rigctl.control.escalation import Symptom
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
-from rigctl.control.safety import Action, EStop
+from rigctl.control.safety import Action
+from rigctl.control.snapshot import EStop
 from rigctl.devices import can_errors, emergency
 from rigctl.ipc.record import NEVER_AGE_NS
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import can
 
@@ -29,6 +30,20 @@ _EMCY_SIZE = 8
 
 
 Handler = Callable[[bytes | bytearray, int], None]
+
+
+@dataclass
+class Notices:
+    """What a drain of the bus found to report, beside the samples.
+
+    ``emergencies``: node, code | register << 16, the manufacturer's bytes in hexadecimal. ``node_states``: node and its
+    new NMT state. ``bus_errors``: error class and its details. ``foreign_sdo``: node, index << 8 | sub, in words.
+    """
+
+    emergencies: list[tuple[int, int, bytes]] = field(default_factory=list)
+    node_states: list[tuple[int, int]] = field(default_factory=list)
+    bus_errors: list[tuple[int, int]] = field(default_factory=list)
+    foreign_sdo: list[tuple[int, int, str]] = field(default_factory=list)
 
 
 def _flagged(message: can.Message) -> int:
@@ -100,11 +115,7 @@ class Inbox:
         self.failure_text = self.rival_words = ""  # of the last failed receive; what a rival did last
         self._in_error: dict[int, int] = {}  # emergencies of cell, inclinometer and I/O node, the newest last
         self.sensor_emergency = self.drive_emergency = 0  # node << 16 | code of an active emergency, 0 for none
-        # Since the last read: node, code | register << 16, the manufacturer's bytes in hexadecimal.
-        self.emergencies: list[tuple[int, int, bytes]] = []
-        self.node_states: list[tuple[int, int]] = []  # changes (node, NMT state) since the last read
-        self.bus_errors: list[tuple[int, int]] = []  # (error class, its details) since the last read
-        self.foreign_sdo: list[tuple[int, int, str]] = []  # (node, index << 8 | sub, in words) since the last read
+        self._notices = Notices()
         self.restarted = False  # a device booted since start-up, so its verified settings are lost
         self._tension_max_n = settings.tension_cell.range_n * OVERRANGE
         self._slope_max_rad = math.radians(settings.inclinometer.range_deg)
@@ -146,12 +157,20 @@ class Inbox:
             handlers[can_id] = self._on_rival
         return handlers
 
-    def drain(self, now_ns: int, syncs_sent: int) -> None:
-        """Read until the bus is empty; samples are stamped ``now_ns``."""
+    def drain(self, now_ns: int, syncs_sent: int) -> Notices | None:
+        """Read until the bus is empty; samples are stamped ``now_ns``. Returns what is to be reported, if anything."""
         self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
         self._syncs = syncs_sent
         if not self.heartbeats_t_ns:
             self.heartbeats_t_ns.update(dict.fromkeys(self._nodes, now_ns))
+        self._read(now_ns)
+        found = self._notices
+        if not (found.emergencies or found.node_states or found.bus_errors or found.foreign_sdo):
+            return None
+        self._notices = Notices()
+        return found
+
+    def _read(self, now_ns: int) -> None:
         receive, handlers, frames = self._bus.recv, self._handlers, self._frames
         for _ in range(MAX_FRAMES_PER_TICK):
             try:
@@ -376,9 +395,9 @@ class Inbox:
 
     def _on_foreign_sdo(self, node: int, where: tuple[int, int] | None, words: str, now_ns: int) -> None:
         self.rival_t_ns, self.rival_words = now_ns, words
-        if len(self.foreign_sdo) < MAX_NOTICES:
+        if len(self._notices.foreign_sdo) < MAX_NOTICES:
             index, sub = where or (0, 0)
-            self.foreign_sdo.append((node, index << 8 | sub, words))
+            self._notices.foreign_sdo.append((node, index << 8 | sub, words))
 
     def _emergency_handler(self, node: int) -> Handler:
         def on_emergency(data: bytes | bytearray, _now_ns: int) -> None:
@@ -397,8 +416,8 @@ class Inbox:
                 if error:
                     self._in_error[node] = node << 16 | code
                 self.sensor_emergency = next(reversed(self._in_error.values()), 0)
-            if len(self.emergencies) < MAX_NOTICES:
-                self.emergencies.append((node, code | register << 16, data[3:].hex().encode()))
+            if len(self._notices.emergencies) < MAX_NOTICES:
+                self._notices.emergencies.append((node, code | register << 16, data[3:].hex().encode()))
 
         return on_emergency
 
@@ -412,8 +431,8 @@ class Inbox:
                     self._rail_restarted = True
                 else:
                     self.restarted = True
-            if self.states.get(node) != state and len(self.node_states) < MAX_NOTICES:
-                self.node_states.append((node, state))
+            if self.states.get(node) != state and len(self._notices.node_states) < MAX_NOTICES:
+                self._notices.node_states.append((node, state))
             self.states[node] = state
             self.heartbeats_t_ns[node] = now_ns
 
@@ -421,5 +440,5 @@ class Inbox:
 
     def _on_error_frame(self, message: can.Message) -> None:
         self.error_frames += 1
-        if len(self.bus_errors) < MAX_NOTICES:
-            self.bus_errors.append((message.arbitration_id & 0x1FFFFFFF, can_errors.details(message.data)))
+        if len(self._notices.bus_errors) < MAX_NOTICES:
+            self._notices.bus_errors.append((message.arbitration_id & 0x1FFFFFFF, can_errors.details(message.data)))

@@ -10,7 +10,8 @@ from rigctl.config.limits_section import SIGNALS, LimitSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.control.safety import ARMED, Action, Row, Snapshot, status_stale_ns
+from rigctl.control.safety import ARMED, Action, Row, status_stale_ns
+from rigctl.control.snapshot import Snapshot
 
 RATE_S = 0.02  # low-pass of a signal before its rate is taken
 _GAP_NS = 100_000_000

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.homed import Finding
-from rigctl.control.inbox import Inbox
-from rigctl.control.machine import Machine
+from rigctl.control.inbox import Inbox, Notices
+from rigctl.control.machine import Change, Machine
 from rigctl.control.modes import Refusal
 from rigctl.control.observer import Observer
 from rigctl.control.outbox import Outbox
-from rigctl.control.readback import Readback
+from rigctl.control.readback import Lost
 from rigctl.control.safety import Trip
 from rigctl.control.tension import TensionLaw
-from rigctl.ipc.record import Flag, Quality
+from rigctl.ipc.record import RECORD, Flag, Quality
 from rigctl.ipc.ring import RingReader, RingWriter
 from rigctl.ipc.runtime_folder import Runtime
 
@@ -52,91 +53,96 @@ class Logbook:
 
     def __init__(self, settings: RigSettings, rings: Rings) -> None:
         self._rings = rings
+        self._values, self._in_order = RECORD.by_name()
         self._noticed: dict[tuple[Kind, int, int], int] = {}  # earliest time of the next one
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._slope_stale_ns = settings.safety.inclination_stale_ms * 1_000_000
         self._failures = self._receive_failures = 0
         self.tick = 0
 
-    def record(
+    def record(  # noqa: PLR0915 - one line for each field of the record
         self, t_ns: int, lateness_ns: int, work_ns: int, machine: Machine, observer: Observer, law: TensionLaw,
-        outbox: Outbox, command_seq: int, hold_seq: int, causes: int, *, arming: bool, stroke_known: bool,
+        outbox: Outbox, command_seq: int, hold_seq: int, causes: int, checks: int, *, arming: bool, stroke_known: bool,
     ) -> None:  # fmt: skip
         """The record of this tick.
 
         ``work_ns`` is of the tick before, ``command_seq`` and ``hold_seq`` are the last command and hold taken.
-        ``causes``: see `rigctl.control.safety.Watch.standing`.
+        ``causes``: see `rigctl.control.safety.Watch.standing`. ``checks``: bits of the checks that bar arming.
         """
         inbox, snapshot, kalman, slope = observer.inbox, observer.snapshot, observer.filter, observer.inclination
-        x = kalman.state
         flags = law.limits | (_ENABLED if snapshot.drive_enabled else 0) | (_ARMING if arming else 0)
         flags |= 0 if stroke_known else _UNCONFIRMED
         flags |= _STOPPING if machine.stopping else 0
-        self._rings.records.write(
-            t_ns,
-            self.tick,
-            observer.skipped,
-            lateness_ns,
-            work_ns,
-            machine.mode,
-            machine.fault,
-            flags,
-            inbox.tension_n,
-            inbox.reading_n,
-            snapshot.cell_age_ns,
-            inbox.cell_quality | (_STALE if snapshot.cell_age_ns > self._stale_ns else 0),
-            inbox.tangential_rad,
-            inbox.normal_rad,
-            snapshot.inclination_age_ns,
-            inbox.slope_quality | (_STALE if snapshot.inclination_age_ns > self._slope_stale_ns else 0),
-            inbox.stroke_mm,
-            inbox.speed_mm_s,
-            snapshot.drive_age_ns,
-            _STALE if snapshot.drive_age_ns > self._stale_ns else 0,
-            inbox.statusword,
-            outbox.controlword,
-            law.command_mm_s,
-            law.target_n,
-            law.rope_setpoint_n,
-            inbox.tension_n * observer.cosine,
-            x[0],
-            x[1],
-            x[2],
-            law.integral_mm_s,
-            kalman.cell.innovation,
-            kalman.cell.variance,
-            kalman.cell.verdict,
-            kalman.cell.nis,
-            kalman.drive.innovation,
-            kalman.drive.variance,
-            kalman.drive.verdict,
-            kalman.drive.nis,
-            *slope.state,
-            slope.tangential.innovation,
-            slope.tangential.variance,
-            slope.tangential.verdict,
-            slope.tangential.nis,
-            slope.normal.innovation,
-            slope.normal.variance,
-            slope.normal.verdict,
-            slope.normal.nis,
-            kalman.known_mm_s - observer.run_out_mm_s,
-            outbox.sent,
-            inbox.received,
-            inbox.frames_missing(),
-            inbox.refused,
-            outbox.failures,
-            inbox.error_frames,
-            inbox.rail_rad,
-            inbox.rail_quality | (_STALE if observer.rail_age_ns > observer.rail_stale_ns else 0),
-            observer.run_out_mm_s,
-            snapshot.drive_current_a,
-            snapshot.drive_temperature_c,
-            snapshot.failed_checks,
-            command_seq,
-            hold_seq,
-            causes,
+        values = self._values
+        values.t_ns = t_ns
+        values.tick = self.tick
+        values.skipped = observer.skipped
+        values.lateness_ns = lateness_ns
+        values.work_ns = work_ns
+        values.mode = machine.mode
+        values.fault = machine.fault
+        values.flags = flags
+        values.tension_n = inbox.tension_n
+        values.reading_n = inbox.reading_n
+        values.tension_age_ns = snapshot.cell_age_ns
+        values.tension_quality = inbox.cell_quality | (_STALE if snapshot.cell_age_ns > self._stale_ns else 0)
+        values.tangential_rad = inbox.tangential_rad
+        values.normal_rad = inbox.normal_rad
+        values.inclination_age_ns = snapshot.inclination_age_ns
+        values.inclination_quality = inbox.slope_quality | (
+            _STALE if snapshot.inclination_age_ns > self._slope_stale_ns else 0
         )
+        values.stroke_mm = inbox.stroke_mm
+        values.speed_mm_s = inbox.speed_mm_s
+        values.drive_age_ns = snapshot.drive_age_ns
+        values.drive_quality = _STALE if snapshot.drive_age_ns > self._stale_ns else 0
+        values.statusword = inbox.statusword
+        values.controlword = outbox.controlword
+        values.command_mm_s = law.command_mm_s
+        values.target_n = law.target_n
+        values.setpoint_n = law.rope_setpoint_n
+        values.vertical_n = inbox.tension_n * observer.cosine
+        values.estimate_n, values.estimate_mm_s, values.disturbance_mm_s = kalman.state
+        values.integral_mm_s = law.integral_mm_s
+        values.innovation_n = kalman.cell.innovation
+        values.innovation_n2 = kalman.cell.variance
+        values.tension_verdict = kalman.cell.verdict
+        values.tension_nis = kalman.cell.nis
+        values.speed_innovation_mm_s = kalman.drive.innovation
+        values.speed_innovation_mm2_s2 = kalman.drive.variance
+        values.speed_verdict = kalman.drive.verdict
+        values.speed_nis = kalman.drive.nis
+        (
+            values.tangential_estimate_rad,
+            values.tangential_rate_rad_s,
+            values.normal_estimate_rad,
+            values.normal_rate_rad_s,
+        ) = slope.state
+        values.tangential_innovation_rad = slope.tangential.innovation
+        values.tangential_innovation_rad2 = slope.tangential.variance
+        values.tangential_verdict = slope.tangential.verdict
+        values.tangential_nis = slope.tangential.nis
+        values.normal_innovation_rad = slope.normal.innovation
+        values.normal_innovation_rad2 = slope.normal.variance
+        values.normal_verdict = slope.normal.verdict
+        values.normal_nis = slope.normal.nis
+        values.stretch_mm_s = kalman.known_mm_s - observer.run_out_mm_s
+        values.frames_sent = outbox.sent
+        values.frames_received = inbox.received
+        values.frames_lost = inbox.frames_missing()
+        values.frames_refused = inbox.refused
+        values.send_failures = outbox.failures
+        values.error_frames = inbox.error_frames
+        values.rail_rad = inbox.rail_rad
+        values.rail_quality = inbox.rail_quality | (_STALE if observer.rail_age_ns > observer.rail_stale_ns else 0)
+        values.run_out_mm_s = observer.run_out_mm_s
+        values.drive_current_a = snapshot.drive_current_a
+        values.drive_temperature_c = snapshot.drive_temperature_c
+        values.checks = checks
+        values.command_seq = command_seq
+        values.hold_seq = hold_seq
+        values.cause_bits = causes
+        self._rings.records.write(*self._in_order(values))
 
     def event(
         self, t_ns: int, kind: Kind, a: int = 0, b: int = 0, value: float = 0.0, limit: float = 0.0, text: bytes = b""
@@ -167,36 +173,27 @@ class Logbook:
         """A trip of a row of the safety table, with value, limit and action."""
         self.event(t_ns, kind, trip.fault, trip.action, trip.value, trip.limit, trip.text.encode()[:80])
 
-    def mode_changes(self, t_ns: int, machine: Machine, safe_frames: int) -> None:
+    def mode_changes(self, t_ns: int, changes: Sequence[Change], safe_frames: int) -> None:
         """Every change of mode, with the event behind it and the commands of no speed sent in a row before it."""
-        if machine.changes:
-            for change in machine.changes:
-                self.event(t_ns, Kind.MODE, change.before, change.after, float(change.event), float(safe_frames))
-            machine.changes.clear()
+        for change in changes:
+            self.event(t_ns, Kind.MODE, change.before, change.after, float(change.event), float(safe_frames))
 
-    def bus_notices(self, t_ns: int, inbox: Inbox, outbox: Outbox, readback: Readback) -> None:
-        """Events from the devices, the bus and the read-back since the last tick."""
-        if inbox.emergencies:
-            for node, code, manufacturer in inbox.emergencies:
+    def bus_notices(self, t_ns: int, notices: Notices | None, lost: Lost | None, inbox: Inbox, outbox: Outbox) -> None:
+        """Events from the devices, the bus and the read-back of this tick."""
+        if notices is not None:
+            for node, code, manufacturer in notices.emergencies:
                 self.notice(t_ns, Kind.EMERGENCY, node, code, manufacturer)
-            inbox.emergencies.clear()
-        if inbox.foreign_sdo:
-            for node, where, words in inbox.foreign_sdo:
+            for node, where, words in notices.foreign_sdo:
                 self.notice(t_ns, Kind.FOREIGN_SDO, node, where, words.encode()[:80])
-            inbox.foreign_sdo.clear()
-        if (lost := readback.newest) is not None:
-            readback.newest = None
+        if lost is not None:
             item, found = lost.item, math.nan if lost.found is None else float(lost.found)
             where = item.index << 8 | item.sub
             self.event(t_ns, Kind.SETTING_LOST, item.node, where, found, float(item.wanted), lost.words.encode()[:80])
-        for kind, notices in (
-            (Kind.NODE_STATE, inbox.node_states),
-            (Kind.BUS_ERROR, inbox.bus_errors),
-        ):
-            if notices:
-                for a, b in notices:
-                    self.notice(t_ns, kind, a, b)
-                notices.clear()
+        if notices is not None:
+            for node, state in notices.node_states:
+                self.notice(t_ns, Kind.NODE_STATE, node, state)
+            for class_, details in notices.bus_errors:
+                self.notice(t_ns, Kind.BUS_ERROR, class_, details)
         if outbox.failures != self._failures:
             self._failures = outbox.failures
             self.notice(t_ns, Kind.SEND_FAILED, 0, 0, outbox.failure_text.encode()[:80])

@@ -14,25 +14,23 @@ from rigctl.control.escalation import Escalator
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.homed import Homed, LastStroke
-from rigctl.control.inbox import Inbox
+from rigctl.control.inbox import Inbox, Notices
 from rigctl.control.logbook import Logbook, Rings, number
-from rigctl.control.machine import Machine
+from rigctl.control.machine import NOTHING, Change, Machine
 from rigctl.control.modes import Event, Mode
 from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
 from rigctl.control.outbox import Outbox
-from rigctl.control.plausibility import Plausibility
 from rigctl.control.readback import Readback
-from rigctl.control.safety import Action, Trip, Watch
+from rigctl.control.safety import Action, Findings, Trip, Watch
 from rigctl.control.signs import SignCheck
 from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.devices.drive import Power, next_controlword
-from rigctl.devices.objects import OFF_STATES, Controlword, drive_state
+from rigctl.devices.objects import OFF_STATES, drive_state
 from rigctl.devices.process_data import ProcessData
 from rigctl.devices.sdo import Watched
 from rigctl.ipc.correction import Correction
-from rigctl.ipc.record import Flag
 
 STOPPED_MM_S = 0.05
 STOP_LIMIT_NS = 2_000_000_000
@@ -42,6 +40,7 @@ FAILING_TICKS = 100  # consecutive ticks that end in an exception, after which t
 SKIP_NOTICE = 5  # ticks skipped at once from which an event is written
 _KEEPS = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
 """Modes that keep the stroke."""
+_NO_FINDINGS = Findings(None)
 LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]
 
 
@@ -78,31 +77,33 @@ class Loop:
         self.homed = Homed(settings.cylinder, last_stroke)
         self.inbox = Inbox(bus, settings, rings.frames, process_data, self.readback)
         self.outbox = Outbox(bus, settings, rings.frames, process_data)
-        self.observer = Observer(settings, self.inbox)
         self.law = TensionLaw(settings, gains) if law is None else law(settings, gains, self.inbox)
+        self._signs, self._stroke_hold = SignCheck(settings), StrokeHold(settings)
+        self.observer = Observer(
+            settings, self.inbox, self.outbox, self.machine, self.law, self.homed, self.readback, self._stroke_hold,
+            self._signs,
+        )  # fmt: skip
         self.exceptions_untold = 0
         self.finished = False
         self.stop_requested = False
         self._clock, self._commands, self._holds = clock, rings.commands, rings.holds
-        self._watch, self._signs = Watch(settings, limits.rows(settings)), SignCheck(settings)
-        self._plausibility = Plausibility(settings)
-        self._stroke_hold = StrokeHold(settings)
+        self._watch = Watch(settings, limits.rows(settings))
         self._escalator = Escalator(settings, _stopping_ns(settings))
         self._travel_from_mm = 0.0
-        self._tripped: Trip | None = None  # of this tick
-        self._went_off = True  # the drive has been off since we last commanded it to be enabled
+        self._tripped: Trip | None = None  # of this tick, as are the next three
+        self._findings, self._done = _NO_FINDINGS, NOTHING
+        self._notices: Notices | None = None
         self._logbook = logbook = Logbook(settings, rings)
         self._orders = Orders(
             settings, self.machine, self.observer, self.law, self._watch, logbook, self.readback, self.homed,
             supervised=supervised,
         )  # fmt: skip
         self._work_ns = self._stop_until = self._off_until = 0
-        self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._failing = 0  # ticks in a row that ended in an exception
         logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.cursor)
-        self.observer.snapshot.host_checks = host_checks
+        self._orders.host_checks = host_checks
         if correction is not None:
-            self.observer.snapshot.calibration_overdue = correction.overdue
+            self._orders.overdue = correction.overdue
             self._orders.correct(correction, started_ns)
 
     @property
@@ -115,6 +116,7 @@ class Loop:
         """One period. If anything in it fails, the drive still gets a command: stop."""
         t_ns, skipped = self._clock.next_tick()
         woke_ns = self._clock.now()
+        self._tripped, self._notices, self._findings = None, None, _NO_FINDINGS
         try:
             self._receive(t_ns, woke_ns, skipped)
             estimate = self.observer.estimate(skipped, regulated=self.machine.mode is Mode.COMPENSATING)
@@ -136,44 +138,23 @@ class Loop:
             self.tick()
 
     def _receive(self, t_ns: int, now_ns: int, skipped: int) -> None:
-        law, snapshot, machine = self.law, self.observer.snapshot, self.machine
-        self.inbox.drain(now_ns, self.outbox.syncs)
+        inbox, observer, machine = self.inbox, self.observer, self.machine
+        self._notices = inbox.drain(now_ns, self.outbox.syncs)
         self._logbook.tick += 1 + skipped
-        self.observer.look(now_ns, skipped)
-        sent_mm_s = law.command_mm_s if snapshot.drive_enabled else 0.0
-        self._plausibility.look(
-            self.inbox, snapshot, sent_mm_s, ticks=1 + skipped, slack=self.observer.slack, mode=machine.mode
-        )
-        snapshot.lateness_ns, snapshot.command_age_ns = now_ns - t_ns, t_ns - self._commanded_ns
-        regulated = machine.mode is Mode.TENSIONING or machine.mode is Mode.COMPENSATING
-        compensating = machine.mode is Mode.COMPENSATING
-        snapshot.travel_mm = self.inbox.stroke_mm - self._travel_from_mm if compensating else 0.0
-        tight = regulated and not self.observer.slack
-        snapshot.vertical_error_n = self.inbox.tension_n * self.observer.cosine - law.setpoint_n if tight else 0.0
-        snapshot.stroke_limited = law.limits & Flag.LIMITED_STROKE.value != 0
-        snapshot.rope_lost = law.rope_lost
-        snapshot.drive_wanted = machine.drive_wanted and not machine.stopping
-        asked = self.outbox.controlword == Controlword.ENABLE_OPERATION
-        snapshot.drive_powered = snapshot.drive_powered and not asked  # the latch watches motion under our own command
-        self._went_off = not asked and (self._went_off or snapshot.drive_off)
-        heard = snapshot.drive_age_ns <= self._stale_ns  # a silent drive may have obeyed long ago
-        snapshot.drive_unasked = heard and snapshot.drive_enabled and self._went_off
-        snapshot.drive_lingers = heard and snapshot.drive_enabled and not asked
-        homed, readback, inbox = self.homed, self.readback, self.inbox
+        observer.look(now_ns, skipped)
         if inbox.drive_fresh:
-            found = homed.look(inbox.stroke_mm, inbox.speed_mm_s, now_ns)
+            found = self.homed.look(inbox.stroke_mm, inbox.speed_mm_s, now_ns)
             if found is not None:
                 self._logbook.stroke(now_ns, found)
-        snapshot.stroke_unconfirmed, snapshot.stroke_jump_mm = homed.doubted, homed.jump_mm
         self._watch_stroke(now_ns)
-        snapshot.settings_lost, snapshot.disobeys = len(readback.lost), readback.disobeys
-        snapshot.settings_words = readback.worst
         if not self._signs.passed and machine.mode is Mode.TENSIONING:
             self._check_signs(now_ns)
+        observer.look_at_control(t_ns, self._commanded_ns, self._travel_from_mm)
 
     def _decide(self, t_ns: int, estimate: Estimate) -> None:
         machine, snapshot, law, orders = self.machine, self.observer.snapshot, self.law, self._orders
-        trip = self._watch.trips(snapshot, machine.mode, t_ns)
+        self._findings = self._watch.look(snapshot, machine.mode, t_ns)
+        trip = self._findings.trip
         if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
             self._tripped = trip
             self._logbook.trip(t_ns, Kind.TRIP, trip)
@@ -192,12 +173,14 @@ class Loop:
                 self._signs.feel(estimate.stroke_mm, self.observer.tension_n)
         elif machine.mode is Mode.RELEASING and law.slack(estimate):
             machine.on(Event.SLACK)
-        self._begin_modes(estimate)
+        done = machine.outcome()
+        self._done = self._done.then(done)
+        self._begin_modes(done.changes, estimate)
 
-    def _begin_modes(self, estimate: Estimate) -> None:
+    def _begin_modes(self, changes: Sequence[Change], estimate: Estimate) -> None:
         """Start what a change of mode needs: ramp, sign check, travel, a new latch of the stroke."""
-        machine, law = self.machine, self.law
-        for change in machine.changes:
+        law = self.law
+        for change in changes:
             if change.before is Mode.FAULT or change.event is Event.ENABLED:
                 self._stroke_hold.follow()  # motion acknowledged, or the motor took the load from the brake
             if change.after is Mode.COMPENSATING:
@@ -258,20 +241,18 @@ class Loop:
         arming = machine.arming or self.readback.reading_all
         logbook.record(
             t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox,
-            self._commands.cursor, self._holds.cursor, self._watch.standing,
+            self._commands.cursor, self._holds.cursor, self._watch.standing, self._orders.shown_checks,
             arming=arming, stroke_known=self.homed.known,
         )  # fmt: skip
-        logbook.mode_changes(t_ns, machine, self.outbox.safe_frames)
-        for limit, begins in self._watch.crossed:
+        done, self._done = self._done.then(machine.outcome()), NOTHING
+        logbook.mode_changes(t_ns, done.changes, self.outbox.safe_frames)
+        for limit, begins in self._findings.limits:
             logbook.trip(t_ns, Kind.LIMIT if begins else Kind.LIMIT_OVER, limit)
-        self._watch.crossed.clear()
-        for cause, begins in self._watch.causes:
+        for cause, begins in self._findings.causes:
             if not begins or cause != self._tripped:  # the trip's own event has reported this cause
                 logbook.trip(t_ns, Kind.CAUSE if begins else Kind.CAUSE_OVER, cause)
-        self._watch.causes.clear()
-        self._tripped = None
-        self._orders.answer(t_ns)
-        logbook.bus_notices(t_ns, self.inbox, self.outbox, self.readback)
+        self._orders.reply(t_ns, done.answers)
+        logbook.bus_notices(t_ns, self._notices, self.readback.report(), self.inbox, self.outbox)
         if observer.just_skipped >= SKIP_NOTICE:
             logbook.notice(t_ns, Kind.CLOCK, observer.just_skipped, 0)
 
@@ -285,13 +266,12 @@ class Loop:
         hold, machine, snapshot, trial = self._stroke_hold, self.machine, self.observer.snapshot, self._orders.trial
         slips = snapshot.drive_off and snapshot.brake_slip_known
         moves = machine.mode not in _KEEPS or (trial is not None and trial.moves)
-        if moves or slips or snapshot.stroke_unconfirmed:  # an unconfirmed position cannot be held
+        if moves or slips or self.homed.doubted:  # an unconfirmed position cannot be held
             hold.follow()
         else:
             hold.watch(now_ns, snapshot, self.law.command_mm_s)
             if hold.left:
                 self._logbook.event(now_ns, Kind.STROKE_LEFT, machine.mode, value=hold.error_mm, limit=SAID_MM)
-        snapshot.excursion_mm, snapshot.doubt_mm = hold.error_mm, hold.doubt_mm
 
     def _correction(self, *, powered: bool) -> float:
         """Speed in mm/s that brings a held stroke back to its latch."""
@@ -313,9 +293,8 @@ class Loop:
                 machine.trip(found.trip, t_ns, slack=slack)
 
     def _check_signs(self, now_ns: int) -> None:
-        signs, inbox, snapshot = self._signs, self.inbox, self.observer.snapshot
-        fault = signs.see(self.law.command_mm_s, inbox.stroke_mm, inbox.tension_n)
-        snapshot.drive_reversed, snapshot.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
+        signs, inbox = self._signs, self.inbox
+        signs.see(self.law.command_mm_s, inbox.stroke_mm, inbox.tension_n)
         if signs.passed:
             self._stroke_hold.found_stiffness(signs.slope_n_mm)
             stiffness = self.settings.plant.stiffness_n_mm

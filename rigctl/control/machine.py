@@ -6,6 +6,7 @@ The machine takes events and commands and returns results as values; it sends an
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from rigctl.control import modes
 from rigctl.control.faults import Fault
@@ -37,8 +38,22 @@ class Answer:
     refusal: Refusal
 
 
+class Outcome(NamedTuple):
+    """What the machine has done: changes of mode and answers, in order."""
+
+    changes: tuple[Change, ...] = ()
+    answers: tuple[Answer, ...] = ()
+
+    def then(self, later: Outcome) -> Outcome:
+        """This and what was done later."""
+        return Outcome(self.changes + later.changes, self.answers + later.answers) if any(later) else self
+
+
+NOTHING = Outcome()
+
+
 class Machine:
-    """Starts in DISARMED. ``changes`` and ``answers`` wait for the loop to publish them.
+    """Starts in DISARMED. What it has done since it was last asked is `outcome`.
 
     ``action``: reaction to the latched fault; it may grow stronger while the fault is latched, never weaker.
     """
@@ -52,13 +67,22 @@ class Machine:
         self.stopping = False
         self.awaiting = False
         """An accepted ARM waits for the sequence of `rigctl.control.arming`, before the drive's power."""
-        self.changes: list[Change] = []
-        self.answers: list[Answer] = []
+        self._changes: list[Change] = []
+        self._answers: list[Answer] = []
         self._arm_id: int | None = None
         self._arm_until = 0
         self._reset_until = 0
         self._powered = False
         self._trial: tuple[int, Verb] | None = None
+
+    def outcome(self) -> Outcome:
+        """Changes of mode and answers since the last call."""
+        if not (self._changes or self._answers):
+            return NOTHING
+        done = Outcome(tuple(self._changes), tuple(self._answers))
+        self._changes.clear()
+        self._answers.clear()
+        return done
 
     @property
     def trial(self) -> Verb | None:
@@ -134,7 +158,7 @@ class Machine:
         return self._answer(id_, verb, decision.refusal)
 
     def _answer(self, id_: int, verb: Verb, refusal: Refusal) -> Refusal:
-        self.answers.append(Answer(id_, verb, refusal))
+        self._answers.append(Answer(id_, verb, refusal))
         return refusal
 
     def follow_drive(self, drive_enabled: bool, t_ns: int) -> None:
@@ -158,7 +182,7 @@ class Machine:
     def end_trial(self, refusal: Refusal) -> None:
         """Answer the trial under way, if there is one."""
         if self._trial is not None:
-            self.answers.append(Answer(*self._trial, refusal))
+            self._answers.append(Answer(*self._trial, refusal))
             self._trial = None
 
     def stop(self) -> None:
@@ -193,9 +217,9 @@ class Machine:
             self._powered = False
         elif after is not Mode.FAULT:
             self._powered = True
-        self.changes.append(Change(before, after, event))
+        self._changes.append(Change(before, after, event))
 
     def _finish_arming(self, refusal: Refusal) -> None:
         if self._arm_id is not None:
-            self.answers.append(Answer(self._arm_id, Verb.ARM, refusal))
+            self._answers.append(Answer(self._arm_id, Verb.ARM, refusal))
             self._arm_id, self.awaiting = None, False

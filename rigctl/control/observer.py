@@ -8,33 +8,58 @@ from collections import deque
 from rigctl.config.settings import RigSettings
 from rigctl.control.arming import Standstill
 from rigctl.control.estimator import TensionFilter, filter_model
+from rigctl.control.faults import Fault
+from rigctl.control.homed import Homed
 from rigctl.control.inbox import Inbox
 from rigctl.control.inclination import InclinationFilter, Stretch
+from rigctl.control.machine import Machine
+from rigctl.control.modes import Mode
+from rigctl.control.outbox import Outbox
+from rigctl.control.plausibility import Plausibility
+from rigctl.control.readback import Readback
 from rigctl.control.run_out import RunOutTable, stale_ns
-from rigctl.control.safety import EStop, Snapshot, status_stale_ns
-from rigctl.control.tension import Estimate
+from rigctl.control.safety import status_stale_ns
+from rigctl.control.signs import SignCheck
+from rigctl.control.snapshot import EStop, Snapshot
+from rigctl.control.stroke_hold import StrokeHold
+from rigctl.control.tension import Estimate, TensionLaw
 from rigctl.devices.objects import (
     OFF_STATES,
     STATUS_FOLLOWS,
     STATUS_INTERNAL_LIMIT,
     STATUS_REMOTE,
     STATUS_WARNING,
+    Controlword,
     DriveState,
     drive_state,
 )
 from rigctl.ipc.correction import Correction
+from rigctl.ipc.record import Flag
 
 _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value
+_LIMITED_STROKE, _ENABLE = Flag.LIMITED_STROKE.value, Controlword.ENABLE_OPERATION.value
 UNLOADED_REJECTS = 3  # rejects after which, with the drive off, a rope loaded or let go by hand is believed
 LEAST_COSINE = 0.5  # a rope at 60 deg; larger angles are not believed
 
 
 class Observer:
-    """Reads the inbox and runs the filters. ``snapshot`` is for safety, ``estimate`` for the law."""
+    """Reads the inbox and runs the filters. ``snapshot`` is for safety, ``estimate`` for the law.
 
-    def __init__(self, settings: RigSettings, inbox: Inbox) -> None:
+    Every field of the snapshot is assigned here, in one place: by `look` from the devices' samples, by
+    `look_at_control` from the loop's other parts, which are only read here, and by `estimate` from the filters.
+    """
+
+    def __init__(
+        self, settings: RigSettings, inbox: Inbox, outbox: Outbox, machine: Machine, law: TensionLaw, homed: Homed,
+        readback: Readback, stroke_hold: StrokeHold, signs: SignCheck,
+    ) -> None:  # fmt: skip
         self.inbox = inbox
+        self._outbox, self._machine, self._law, self._homed = outbox, machine, law, homed
+        self._readback, self._stroke_hold, self._signs = readback, stroke_hold, signs
+        self._plausibility = Plausibility(settings)
+        self._went_off = True  # the drive has been off since it was last commanded to be enabled
+        self._stale_ns = settings.safety.stale_ms * 1_000_000
         self.snapshot = Snapshot(heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states)
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
@@ -84,7 +109,7 @@ class Observer:
         snapshot.tangential_rad, snapshot.normal_rad = inbox.tangential_rad, inbox.normal_rad
         snapshot.drive_age_ns = now_ns - inbox.drive_t_ns
         snapshot.drive_enabled = state is DriveState.OPERATION_ENABLED
-        snapshot.brake_slip_known &= not snapshot.drive_enabled
+        self._know_slip(known=snapshot.brake_slip_known and not snapshot.drive_enabled)
         snapshot.drive_off = state in OFF_STATES
         snapshot.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
         if not (snapshot.drive_off or state is DriveState.FAULT):
@@ -96,8 +121,7 @@ class Observer:
         self._look_at_drive_status(now_ns)
         if self._io_fitted:
             snapshot.io_age_ns = now_ns - inbox.io_t_ns
-            snapshot.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
-        snapshot.drive_powered = not snapshot.drive_off and not snapshot.drive_faulted
+        snapshot.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
         snapshot.drive_warning = bool(inbox.statusword & STATUS_WARNING)
         snapshot.drive_local = not inbox.statusword & STATUS_REMOTE
         snapshot.drive_limited = bool(inbox.statusword & STATUS_INTERNAL_LIMIT)
@@ -108,9 +132,59 @@ class Observer:
         snapshot.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
         snapshot.device_restarted = inbox.restarted
         snapshot.sensor_emergency, snapshot.drive_emergency = inbox.sensor_emergency, inbox.drive_emergency
+        figures, enabled = self._plausibility, snapshot.drive_enabled
+        figures.look(
+            inbox, self._law.command_mm_s if enabled else 0.0, ticks=1 + skipped, drive_enabled=enabled,
+            slack=self.slack, mode=self._machine.mode,
+        )  # fmt: skip
+        snapshot.speed_error_mm_s, snapshot.stroke_error_mm = figures.speed_error_mm_s, figures.stroke_error_mm
+        snapshot.contradiction_mm, snapshot.unexplained_mm = figures.contradiction_mm, figures.unexplained_mm
+        snapshot.cell_repeats, snapshot.cell_unrest_n = figures.cell_repeats, figures.cell_unrest_n
+        snapshot.tension_rate_n_s = figures.tension_rate_n_s
+
+    def look_at_control(self, t_ns: int, commanded_ns: int, travel_from_mm: float) -> None:
+        """Add to the snapshot what the loop itself wants and has found; after `look`.
+
+        ``commanded_ns``: when an operator gave the last command. ``travel_from_mm``: stroke where the target was
+        reached.
+        """
+        snapshot, law, machine, now_ns = self.snapshot, self._law, self._machine, self.snapshot.t_ns
+        snapshot.lateness_ns, snapshot.command_age_ns = now_ns - t_ns, t_ns - commanded_ns
+        compensating = machine.mode is Mode.COMPENSATING
+        tight = (compensating or machine.mode is Mode.TENSIONING) and not self.slack
+        snapshot.travel_mm = self.inbox.stroke_mm - travel_from_mm if compensating else 0.0
+        snapshot.vertical_error_n = self.inbox.tension_n * self.cosine - law.setpoint_n if tight else 0.0
+        snapshot.stroke_limited = law.limits & _LIMITED_STROKE != 0
+        snapshot.rope_lost = law.rope_lost
+        snapshot.drive_wanted = machine.drive_wanted and not machine.stopping
+        enabled, commanded = snapshot.drive_enabled, self._outbox.controlword == _ENABLE
+        # The stroke's latch watches motion under our own command.
+        snapshot.drive_powered = not (snapshot.drive_off or snapshot.drive_faulted or commanded)
+        self._went_off = not commanded and (self._went_off or snapshot.drive_off)
+        known = snapshot.drive_age_ns <= self._stale_ns  # a silent drive may have obeyed long ago
+        snapshot.drive_unasked = known and enabled and self._went_off
+        snapshot.drive_lingers = known and enabled and not commanded
+        snapshot.stroke_unconfirmed, snapshot.stroke_jump_mm = self._homed.doubted, self._homed.jump_mm
+        snapshot.excursion_mm, snapshot.doubt_mm = self._stroke_hold.error_mm, self._stroke_hold.doubt_mm
+        fault = self._signs.fault
+        snapshot.drive_reversed, snapshot.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
+        self.look_at_settings()
+
+    def look_at_settings(self) -> None:
+        """Take from the read-back which settings of the devices are lost."""
+        snapshot, readback = self.snapshot, self._readback
+        snapshot.settings_lost, snapshot.disobeys = len(readback.lost), readback.disobeys
+        snapshot.settings_words = readback.worst
+
+    def acknowledge_slip(self) -> None:
+        """A reset has acknowledged that the brake slips: arming may put the load on the motor."""
+        self._know_slip(known=True)
+
+    def _know_slip(self, *, known: bool) -> None:
+        self.snapshot.brake_slip_known = known
 
     def _look_at_drive_status(self, now_ns: int) -> None:
-        """Current, temperature and E-stop, where the drive's status is configured; a stale status counts as unknown."""
+        """Current and temperature, where the drive's status is configured; a stale status counts as unknown."""
         if not self._status_stale_ns:
             return
         inbox, snapshot = self.inbox, self.snapshot
@@ -118,7 +192,7 @@ class Observer:
         stale = snapshot.status_age_ns > self._status_stale_ns
         snapshot.drive_temperature_c = math.nan if stale else inbox.drive_temperature_c
         snapshot.drive_current_a = math.nan if stale else inbox.drive_current_a
-        snapshot.e_stop, snapshot.e_stop_unseen = inbox.e_stop, stale and self._e_stop_fitted
+        snapshot.e_stop_unseen = stale and self._e_stop_fitted
 
     def estimate(self, skipped: int, *, regulated: bool) -> Estimate:
         """The filters' estimate, predicted to when a command acts; ``regulated``: the run-out table may learn.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 from rigctl.config.settings import RigSettings
@@ -12,7 +13,7 @@ from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.homed import Homed
 from rigctl.control.logbook import Logbook, number
-from rigctl.control.machine import Machine
+from rigctl.control.machine import Answer, Machine
 from rigctl.control.modes import Mode, Refusal, Setting, Situation, Verb
 from rigctl.control.observer import Observer
 from rigctl.control.readback import Readback
@@ -27,7 +28,11 @@ _GAINS = (Setting.K_TENSION, Setting.K_SPEED, Setting.K_INTEGRAL)
 
 
 class Orders:
-    """Carries out commands and answers them. ``trial`` is the trial under way."""
+    """Carries out commands and answers them.
+
+    ``trial``: the one under way. ``host_checks``: bits of HOST_CHECKS that fail. ``overdue``: the calibration is.
+    ``shown_checks``: bits of the checks that failed when they were last looked at, for the record.
+    """
 
     def __init__(
         self,
@@ -47,6 +52,8 @@ class Orders:
         ``readback``: reads this, and all else that start-up has verified, again before the rig arms.
         """
         self.trial: trials.Trial | None = None
+        self.host_checks = self.shown_checks = 0
+        self.overdue = False
         self._settings, self._machine, self._observer = settings, machine, observer
         self._law, self._watch, self._logbook, self._supervised = law, watch, logbook, supervised
         self._readback, self._homed = readback, homed
@@ -94,7 +101,7 @@ class Orders:
         if t_ns >= self._look_ns and machine.mode in (Mode.DISARMED, Mode.FAULT) and not machine.arming:
             self._look_ns = t_ns + LOOK_NS
             failing = self.failed_checks()
-            self._observer.snapshot.failed_checks = int(failing & ~arming.AWAITED_CHECKS or failing)
+            self.shown_checks = int(failing & ~arming.AWAITED_CHECKS or failing)
         trial = self.trial
         if trial is None:
             return
@@ -125,12 +132,9 @@ class Orders:
                 held = int(sequence.tested)
                 self._logbook.event(t_ns, Kind.BRAKE_TEST, held, 0, sequence.moved_mm, number(sequence.tension_n))
 
-    def answer(self, t_ns: int) -> None:
+    def reply(self, t_ns: int, answers: Sequence[Answer]) -> None:
         """Reply to the commands that the machine has answered."""
-        machine = self._machine
-        if not machine.answers:
-            return
-        for given in machine.answers:
+        for given in answers:
             checks, value, spread = 0, number(self._observer.tension_n), 0.0
             if given.refusal is Refusal.PREFLIGHT:
                 failing = self.failed_checks(near_end=self._near_end)
@@ -151,7 +155,6 @@ class Orders:
             elif given.verb in modes.TRIED_IN and given.refusal is Refusal.NONE:
                 value, spread = self._found
             self._reply(t_ns, given.id, given.refusal, checks, value, spread)
-        machine.answers.clear()
 
     def correct(self, correction: Correction, t_ns: int) -> None:
         """Put zero and scale of the cell in force."""
@@ -160,10 +163,12 @@ class Orders:
 
     def failed_checks(self, *, near_end: bool = False) -> Check:
         """Checks that bar arming now; ``near_end``: see `rigctl.control.safety.preflight`."""
-        verified = self._verified_at_start and not self._readback.lost
+        known = Check(self.host_checks) | (Check.CALIBRATION if self.overdue else Check(0))
+        if not self._verified_at_start or self._readback.lost:
+            known |= Check.DRIVE_SUPERVISION
         snapshot = self._observer.snapshot
         beyond = self._watch.beyond(snapshot, Mode.HOLD)
-        failing = safety.preflight(snapshot, self._settings, beyond, supervision_verified=verified, near_end=near_end)
+        failing = safety.preflight(snapshot, self._settings, beyond, known, near_end=near_end)
         return failing | arming.awaited(snapshot, self._settings)
 
     @property
@@ -174,7 +179,7 @@ class Orders:
         machine = self._machine
         if verb is Verb.RESET and machine.mode is Mode.DISARMED and self._arm is None:
             self._readback.forget()  # ARM reads all of it again
-            self._observer.snapshot.settings_lost, self._observer.snapshot.disobeys = 0, False
+            self._observer.look_at_settings()
         if verb is Verb.ARM and self._arm is None and machine.mode is Mode.DISARMED and not machine.arming:
             judged_later = Check.DRIVE_SUPERVISION | arming.AWAITED_CHECKS
             others = self.failed_checks(near_end=value == 1.0) & ~judged_later
@@ -234,14 +239,15 @@ class Orders:
         fault, was_arming = machine.fault, machine.arming
         done = machine.command(id_, verb, situation, t_ns) is Refusal.NONE
         if machine.arming and not was_arming:  # while armed, the checks shown are those of the moment of arming
-            observer.snapshot.failed_checks = situation.failed_checks
+            self.shown_checks = situation.failed_checks
             machine.awaiting = True
             self._sequence.begin(t_ns)
         self.trial = trials.begin(machine.trial, settings, observer.inbox) if machine.trial is not None else None
         if fault is not machine.fault:
             snapshot = observer.snapshot
             slides = snapshot.off_ns >= arming.REACTION_NS and snapshot.still_ns < arming.STILL_NS  # on a closed brake
-            snapshot.brake_slip_known |= slides or fault in (Fault.STROKE_MOVES, Fault.BRAKE_SLIPS)
+            if slides or fault in (Fault.STROKE_MOVES, Fault.BRAKE_SLIPS):
+                observer.acknowledge_slip()
             self._logbook.event(t_ns, Kind.RESET, fault)
         if verb is Verb.TARGET and done:
             self._law.target_n = value
@@ -251,7 +257,7 @@ class Orders:
     def _set(self, setting: Setting, value: float, t_ns: int) -> Refusal:
         """Put a setting in force, within its bounds; one that changes the cell's reading only in DISARMED or HOLD."""
         if setting is Setting.OVERDUE:
-            self._observer.snapshot.calibration_overdue = value != 0.0
+            self.overdue = value != 0.0
             return Refusal.NONE
         if setting is Setting.HOST_CHECKS:
             return self._take_host_checks(value)
@@ -272,9 +278,8 @@ class Orders:
     def _take_host_checks(self, value: float) -> Refusal:
         """Take the failing bits of the checks that the loop cannot make itself."""
         known = value >= 0.0 and value.is_integer() and not int(value) & ~int(HOST_CHECKS)
-        snapshot = self._observer.snapshot
-        snapshot.host_checks = int(value) if known else int(Check.HOST)
-        snapshot.failed_checks = snapshot.failed_checks & ~int(HOST_CHECKS) | snapshot.host_checks
+        self.host_checks = int(value) if known else int(Check.HOST)
+        self.shown_checks = self.shown_checks & ~int(HOST_CHECKS) | self.host_checks
         return Refusal.NONE if known else Refusal.OUT_OF_RANGE
 
     def _set_gain(self, setting: Setting, value: float, t_ns: int) -> Refusal:

@@ -10,7 +10,6 @@ import math
 from rigctl.config.settings import RigSettings
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Snapshot
 
 STROKE_MEMORY_S = 1.0
 CONTRADICTION_MEMORY_S = 0.2
@@ -23,7 +22,7 @@ LATCH_TICKS = 1  # a value latched by the drive in one tick is read in the next
 
 
 class Plausibility:
-    """Writes seven figures into the snapshot.
+    """Seven figures, for the self.
 
     ``speed_error_mm_s``: drive's speed against the model of the drive (lag and delay of the plant) under the commands
     sent. ``stroke_error_mm``: the same, of the position. ``contradiction_mm``: position against the speed reported
@@ -48,9 +47,11 @@ class Plausibility:
         self._unrest_share = dt / UNREST_S
         self._mode = Mode.DISARMED
         self._unheard, self._modelled_mm = 0, 0.0  # ticks since the drive's newest sample; modelled distance in them
+        self.speed_error_mm_s = self.stroke_error_mm = self.contradiction_mm = self.unexplained_mm = 0.0
+        self.cell_repeats, self.cell_unrest_n, self.tension_rate_n_s = 0, 0.0, 0.0
 
     def look(
-        self, inbox: Inbox, snapshot: Snapshot, command_mm_s: float, *, ticks: int, slack: bool, mode: Mode
+        self, inbox: Inbox, command_mm_s: float, *, ticks: int, drive_enabled: bool, slack: bool, mode: Mode
     ) -> None:
         """One tick, ``ticks`` after the last; ``command_mm_s`` was sent in the last one, ``mode`` is the mode after it.
 
@@ -59,10 +60,10 @@ class Plausibility:
         """
         if mode is not self._mode:
             if mode in _AT_REST or self._mode is Mode.FAULT:
-                snapshot.unexplained_mm = 0.0
+                self.unexplained_mm = 0.0
             self._mode = mode
         if inbox.cell_fresh:
-            self._look_at_cell(inbox, snapshot)
+            self._look_at_cell(inbox)
         self._modelled_mm += self._model(command_mm_s, ticks)
         self._unheard += ticks
         moved_mm = said_mm = modelled_mm = 0.0
@@ -72,14 +73,14 @@ class Plausibility:
                 said_mm = inbox.speed_mm_s * self._unheard * self._dt
                 modelled_mm = self._modelled_mm
             self._stroke_mm, self._unheard, self._modelled_mm = inbox.stroke_mm, 0, 0.0
-        if snapshot.drive_enabled:
-            snapshot.speed_error_mm_s = abs(inbox.speed_mm_s - self._model_mm_s)
-            snapshot.stroke_error_mm = self._stroke_keep * snapshot.stroke_error_mm + moved_mm - modelled_mm
+        if drive_enabled:
+            self.speed_error_mm_s = abs(inbox.speed_mm_s - self._model_mm_s)
+            self.stroke_error_mm = self._stroke_keep * self.stroke_error_mm + moved_mm - modelled_mm
         else:
             self._model_mm_s = inbox.speed_mm_s
-            snapshot.speed_error_mm_s = snapshot.stroke_error_mm = 0.0
-        snapshot.contradiction_mm = self._contradiction_keep * snapshot.contradiction_mm + moved_mm - said_mm
-        self._look_at_stretch(inbox, snapshot, moved_mm, slack)
+            self.speed_error_mm_s = self.stroke_error_mm = 0.0
+        self.contradiction_mm = self._contradiction_keep * self.contradiction_mm + moved_mm - said_mm
+        self._look_at_stretch(inbox, drive_enabled, moved_mm, slack)
 
     def _model(self, command_mm_s: float, ticks: int) -> float:
         """Advance the modelled drive; returns its distance in mm."""
@@ -96,23 +97,23 @@ class Plausibility:
             travel_mm += (rest * command_mm_s + left_mm_s * (1.0 - keep) * (1.0 - self._share) / self._share) * self._dt
         return travel_mm
 
-    def _look_at_cell(self, inbox: Inbox, snapshot: Snapshot) -> None:
+    def _look_at_cell(self, inbox: Inbox) -> None:
         step_n = abs(inbox.reading_n - self._repeated_n)
-        snapshot.cell_repeats = snapshot.cell_repeats + 1 if step_n == 0.0 else 0
+        self.cell_repeats = self.cell_repeats + 1 if step_n == 0.0 else 0
         self._repeated_n = inbox.reading_n
         if math.isfinite(step_n):
-            snapshot.cell_unrest_n += (min(step_n, self._largest_n) - snapshot.cell_unrest_n) * self._unrest_share
+            self.cell_unrest_n += (min(step_n, self._largest_n) - self.cell_unrest_n) * self._unrest_share
         if not math.isfinite(self._smooth_n):
             self._smooth_n = inbox.tension_n
-        snapshot.tension_rate_n_s = (inbox.tension_n - self._smooth_n) / RATE_S
+        self.tension_rate_n_s = (inbox.tension_n - self._smooth_n) / RATE_S
         self._smooth_n += (inbox.tension_n - self._smooth_n) * min(1.0, self._dt / RATE_S)
 
-    def _look_at_stretch(self, inbox: Inbox, snapshot: Snapshot, moved_mm: float, slack: bool) -> None:
-        if not snapshot.drive_enabled or not math.isfinite(self._tension_n):
-            snapshot.unexplained_mm = 0.0
+    def _look_at_stretch(self, inbox: Inbox, drive_enabled: bool, moved_mm: float, slack: bool) -> None:
+        if not drive_enabled or not math.isfinite(self._tension_n):
+            self.unexplained_mm = 0.0
         else:  # a slack rope takes up stroke without a change of tension, but does not lose tension either
             gained_mm = (inbox.tension_n - self._tension_n) / self._stiffness if inbox.cell_fresh else 0.0
             explained_mm = 0.0 if slack else moved_mm
-            snapshot.unexplained_mm = self._stretch_keep * snapshot.unexplained_mm + gained_mm - explained_mm
+            self.unexplained_mm = self._stretch_keep * self.unexplained_mm + gained_mm - explained_mm
         if inbox.cell_fresh:
             self._tension_n = inbox.tension_n

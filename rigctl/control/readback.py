@@ -53,7 +53,7 @@ class Readback:
         self._all_since_ns = 0  # 0: no ARM waits
         self._unread = 0
         self.lost: dict[Watched, Lost] = {}
-        self.newest: Lost | None = None  # since the last read
+        self._newest: Lost | None = None  # until it is reported
         self.read = 0  # objects read so far
 
     @property
@@ -75,6 +75,11 @@ class Readback:
     def worst(self) -> str:
         """The first object that is lost, in words."""
         return next((lost.words for lost in self.lost.values()), "")
+
+    def report(self) -> Lost | None:
+        """The newest lost object that has not been reported."""
+        newest, self._newest = self._newest, None
+        return newest
 
     def begin_all(self, t_ns: int) -> None:
         """Read every object, from now on."""
@@ -169,4 +174,4 @@ class Readback:
         told = any(other.found is None and other.item.node == item.node for other in self.lost.values())
         self.lost[item] = lost
         if lost != known and not (found is None and told):  # a silent device is reported once
-            self.newest = lost
+            self._newest = lost

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from enum import Enum, IntEnum, IntFlag, auto
+from dataclasses import dataclass
+from enum import Enum, IntEnum, auto
+from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
@@ -17,6 +18,7 @@ from rigctl.control.faults import Fault
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.modes import Mode
 from rigctl.control.run_out import stale_ns
+from rigctl.control.snapshot import EStop, Snapshot
 from rigctl.devices.objects import DEVICE_HEARTBEAT_MS, NmtState
 from rigctl.ipc.correction import tare_limit_n
 
@@ -29,91 +31,6 @@ class Action(IntEnum):
     HOLD = 2  # hold the stroke under power
     QUICK_STOP = 3  # the drive stops on its own ramp, then power off with the brake closed
     POWER_OFF = 4  # the same, but power is cut and the brake closes even if the drive has not stopped in its time
-
-
-class EStop(IntFlag):
-    """Inputs on which the emergency stop reads as pressed; the value of its trip."""
-
-    DRIVE = 1
-    IO_NODE = 2
-
-
-@dataclass(slots=True)
-class Snapshot:
-    """What one tick sees: values, ages in ns, quality bits (0 good), counters."""
-
-    t_ns: int = 0
-    tension_n: float = math.nan
-    reading_n: float = math.nan  # tension before zero and scale are applied
-    cell_age_ns: int = 1 << 62
-    cell_quality: int = 0
-    inclination_age_ns: int = 1 << 62
-    inclination_quality: int = 0
-    tangential_rad: float = 0.0
-    normal_rad: float = 0.0
-    stroke_mm: float = math.nan
-    travel_mm: float = 0.0  # since the target was reached
-    speed_mm_s: float = 0.0
-    drive_age_ns: int = 1 << 62
-    drive_enabled: bool = False
-    drive_off: bool = False  # no power, brake closed or closing
-    off_ns: int = 0  # time since the drive began to report a state without power
-    still_ns: int = 0  # time the stroke has stood still, see rigctl.control.arming
-    brake_slip_known: bool = False  # the slip is acknowledged: arming may put the load on the motor
-    drive_faulted: bool = False
-    drive_warning: bool = False
-    drive_local: bool = False  # statusword bit 9 is off: the drive takes no commands from the bus
-    drive_limited: bool = False  # statusword bit 11: a limit inside the drive is active
-    drive_ignores: bool = False  # enabled, but bit 12 is off: the drive does not follow the target velocity
-    drive_powered: bool = False  # neither off nor in its fault state
-    drive_unasked: bool = False  # enabled again after it was off, without our command
-    drive_lingers: bool = False  # still enabled although it is commanded to go off
-    heartbeats_t_ns: dict[int, int] = field(default_factory=dict)  # time of each node's newest heartbeat
-    node_states: dict[int, int] = field(default_factory=dict)  # NMT state each node reported last
-    drive_temperature_c: float = math.nan
-    drive_current_a: float = math.nan
-    e_stop: int = 0  # inputs that read as pressed, bits of EStop
-    e_stop_unseen: bool = False  # the drive has the input, but its state is stale
-    io_age_ns: int = 1 << 62  # of the I/O node's inputs, where one is fitted
-    status_age_ns: int = 1 << 62  # of the drive's current, temperature and inputs, where configured
-    rail_age_ns: int = 1 << 62  # of the rail encoder's angle, where one is fitted
-    bus_age_ns: int = 1 << 62
-    error_frames: int = 0  # in the last second
-    skipped_in_window: int = 0
-    lateness_ns: int = 0
-    command_age_ns: int = 0  # since an operator gave the last one
-    stroke_limited: bool = False
-    drive_wanted: bool = False
-    rope_lost: bool = False
-    device_restarted: bool = False
-    rival_age_ns: int = 1 << 62  # since another controller was heard
-    rival_words: str = ""  # what that controller did
-    stroke_unconfirmed: bool = False  # see rigctl.control.homed
-    stroke_jump_mm: float = 0.0  # kept until the stroke is confirmed
-    settings_lost: int = 0  # objects that changed or gave no answer, see rigctl.control.readback
-    disobeys: bool = False  # the drive cannot follow commands without one of them
-    settings_words: str = ""  # the first of them, in words
-    sensor_emergency: int = 0  # node << 16 | code of an emergency that is still active
-    drive_emergency: int = 0
-    drive_reversed: bool = False  # see rigctl.control.signs
-    cell_reversed: bool = False
-    rejects: int = 0
-    slope_rejects: int = 0
-    cell_nis: float = 0.0
-    calibration_overdue: bool = False
-    host_checks: int = 0  # bits of HOST_CHECKS that fail
-    failed_checks: int = 0  # bits of Check that failed at the last evaluation
-    vertical_error_n: float = 0.0  # from the set-point on its ramp, 0 without a set-point
-    disturbance_mm_s: float = 0.0
-    speed_error_mm_s: float = 0.0  # these four and the last three: see rigctl.control.plausibility
-    stroke_error_mm: float = 0.0
-    contradiction_mm: float = 0.0
-    unexplained_mm: float = 0.0
-    excursion_mm: float = 0.0  # with doubt_mm: see rigctl.control.stroke_hold
-    doubt_mm: float = 0.0
-    cell_repeats: int = 0
-    cell_unrest_n: float = 0.0
-    tension_rate_n_s: float = 0.0
 
 
 class Bars(Enum):
@@ -363,6 +280,18 @@ class Trip:
     text: str = ""
 
 
+class Findings(NamedTuple):
+    """What the table found in one tick.
+
+    ``trip``: of the strongest row that has been bad for its persistence, the first among equals; None if none has.
+    ``limits``: LOG rows that begin (True) or end; ``causes``: the other rows that do.
+    """
+
+    trip: Trip | None
+    limits: tuple[tuple[Trip, bool], ...] = ()
+    causes: tuple[tuple[Trip, bool], ...] = ()
+
+
 class Watch:
     """The table with the time since which each row has been bad."""
 
@@ -378,13 +307,12 @@ class Watch:
         self._since: list[int | None] = [None] * len(self._rows)
         self._logged = [False] * len(self._rows)
         self._quiet_until = [-LOG_AGAIN_NS] * len(self._rows)
-        self.crossed: list[tuple[Trip, bool]] = []  # LOG rows since the last read: True begins, False ends
+        self._reports: list[tuple[bool, Trip, bool]] = []  # of this tick: whether a LOG row's, its trip, begin or end
         self._stands = [False] * len(self._rows)
         self.standing = 0  # bits 1 << fault of the rows that have been bad for their persistence, LOG rows excepted
-        self.causes: list[tuple[Trip, bool]] = []  # begin and end of these, as in ``crossed``
 
-    def trips(self, snapshot: Snapshot, mode: Mode, t_ns: int) -> Trip | None:
-        """Trip of the strongest row that has been bad for its persistence, the first among equals; None if none has."""
+    def look(self, snapshot: Snapshot, mode: Mode, t_ns: int) -> Findings:
+        """One tick of the table."""
         strongest: Trip | None = None
         since = self._since
         if mode is not self._mode:
@@ -411,7 +339,11 @@ class Watch:
                 self.standing |= 1 << row.fault
             if strongest is None or row.action > strongest.action:
                 strongest = row.trip(value, snapshot)
-        return strongest
+        if not self._reports:
+            return _NOTHING if strongest is None else Findings(strongest)
+        reports, self._reports = self._reports, []
+        limits = tuple((trip, begins) for logged, trip, begins in reports if logged)
+        return Findings(strongest, limits, tuple((trip, begins) for logged, trip, begins in reports if not logged))
 
     def beyond(self, snapshot: Snapshot, mode: Mode) -> set[Fault]:
         """Faults whose rows are bad now and would trip in ``mode`` after their persistence."""
@@ -455,20 +387,21 @@ class Watch:
 
     def _log(self, i: int, trip: Trip, *, begins: bool) -> None:
         self._logged[i] = begins
-        row = self._rows[i]
-        (self.crossed if row.action is Action.LOG else self.causes).append((trip, begins))
+        self._reports.append((self._rows[i].action is Action.LOG, trip, begins))
 
 
+_NOTHING = Findings(None)
 _IMPLAUSIBLE = frozenset({Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE})
 _EMERGENCY = frozenset({Fault.SENSOR_EMERGENCY, Fault.DRIVE_EMERGENCY})
 _LIMITED = frozenset({Fault.LIMIT, Fault.LIMIT_UNSEEN})
 
 
 def preflight(
-    snapshot: Snapshot, settings: RigSettings, beyond: set[Fault], *, supervision_verified: bool, near_end: bool = False
+    snapshot: Snapshot, settings: RigSettings, beyond: set[Fault], known: Check, *, near_end: bool = False
 ) -> Check:
     """Checks that fail now and so bar arming. ``beyond``: `Watch.beyond` of HOLD, the mode that arming leads to.
 
+    ``known``: checks that no snapshot shows and that fail: of the host, the calibration, the drive's supervision.
     ``near_end``: the operator wants to drive away from an end of the stroke; the law lets it go no further outward.
     """
     s = settings.safety
@@ -486,8 +419,6 @@ def preflight(
         Check.TENSION_HIGH: not _highest_n(snapshot) <= s.tension_high_n,
         Check.STROKE_RANGE: not in_range,
         Check.STROKE_NEAR_END: in_range and not inside and not near_end,
-        Check.DRIVE_SUPERVISION: not supervision_verified,
-        Check.CALIBRATION: snapshot.calibration_overdue,
         Check.E_STOP: snapshot.e_stop & EStop.DRIVE,
         Check.E_STOP_IO: snapshot.e_stop & EStop.IO_NODE,
         Check.CELL_IMPLAUSIBLE: not beyond.isdisjoint(_IMPLAUSIBLE),
@@ -501,7 +432,7 @@ def preflight(
         Check.DRIVE_REFUSES: Fault.DRIVE_REFUSES in beyond or snapshot.drive_unasked,
         Check.NODE_NOT_OPERATIONAL: Fault.NODE_NOT_OPERATIONAL in beyond,
     }
-    result = Check(snapshot.host_checks)
+    result = known
     for check, fails in failing.items():
         if fails:
             result |= check

@@ -40,6 +40,7 @@ class SignCheck:
         self._tight_n = 2.0 * tension.slack_n
         self._fall_n = max(tension.slack_n, FALL_NOISES * settings.tension_cell.noise_n)
         self.passed = False
+        self.fault = Fault.NONE  # of the newest tick of the check
         self.slope_n_mm = math.nan
         self.begin(0.0, 0.0)
 
@@ -63,6 +64,10 @@ class SignCheck:
 
     def see(self, command_mm_s: float, stroke_mm: float, tension_n: float) -> Fault:
         """One tick, with the command that acts in it, stroke and tension; returns the fault, or NONE."""
+        self.fault = self._judge(command_mm_s, stroke_mm, tension_n)
+        return self.fault
+
+    def _judge(self, command_mm_s: float, stroke_mm: float, tension_n: float) -> Fault:
         self._speed_mm_s += (command_mm_s - self._speed_mm_s) * self._share
         self._expected_mm += self._speed_mm_s * self._dt
         if not self._drive_follows and self._drive_opposes(stroke_mm):

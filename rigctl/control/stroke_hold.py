@@ -13,7 +13,8 @@ import math
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.plausibility import STROKE_MEMORY_S
-from rigctl.control.safety import CONTRADICTION_MM, STROKE_ERROR_MM, Snapshot
+from rigctl.control.safety import CONTRADICTION_MM, STROKE_ERROR_MM
+from rigctl.control.snapshot import Snapshot
 
 SAID_MM, OVER_MM = 0.2, 0.1  # an excursion is reported beyond the first and ends within the second
 DEAD_ZONE_MM = 0.02  # no correction within it, so that encoder noise and the drive's dead band cause no motion

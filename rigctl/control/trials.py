@@ -12,7 +12,7 @@ from typing import Protocol
 from rigctl.config.settings import RigSettings
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Refusal, Verb
-from rigctl.control.safety import Snapshot
+from rigctl.control.snapshot import Snapshot
 from rigctl.ipc.correction import tare_limit_n
 
 AVERAGED_S = 1.0

@@ -7,8 +7,10 @@ All slots are little-endian and packed, and begin with the ring's sequence numbe
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntFlag
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -35,6 +37,11 @@ class Slot:
     def layout(self) -> struct.Struct:
         """Struct of the fields without ``seq``, for a ``RingWriter``."""
         return struct.Struct("<" + "".join(field.code for field in self.fields))
+
+    def by_name(self) -> tuple[Any, Callable[[Any], tuple[Any, ...]]]:
+        """An object with an attribute per field, and the function that gives their values in order, for `layout`."""
+        names = tuple(field.name for field in self.fields)
+        return type(self.name, (), {"__slots__": names})(), attrgetter(*names)
 
     @property
     def dtype(self) -> np.dtype[Any]:

@@ -18,7 +18,8 @@ from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Action, EStop
+from rigctl.control.safety import Action
+from rigctl.control.snapshot import EStop
 from rigctl.control.tension import Gains
 from rigctl.devices import objects, startup
 

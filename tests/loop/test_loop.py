@@ -371,7 +371,9 @@ def test_stretch_tolerated_in_motion_costs_no_power_once_an_exception_holds_the_
     rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     enter(Mode.COMPENSATING)
-    rig.loop.observer.snapshot.unexplained_mm = 8.0  # below the limit of a mode that moves, above the limit at rest
+    rig.loop.observer._plausibility.unexplained_mm = (
+        8.0  # below the limit of a mode that moves, above the limit at rest
+    )
 
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("made up")

@@ -37,7 +37,7 @@ def recorded(
     audit = settings.audit.model_copy(update={"file": str(folder / "audit.jsonl")})
     settings = settings.model_copy(update={"recording": recording, "audit": audit})
     with lockstep(settings, gains, correction=Correction(0.25, 1.001)) as rig:
-        rig.loop.observer.snapshot.host_checks = int(Check.HOST)
+        rig.loop._orders.host_checks = int(Check.HOST)
         design = {"gains": msgspec.to_builtins(gains)}
         rig.runtime.write_json(ACTIVE, {"settings": settings.model_dump(mode="json"), "design": design})
         rig.runtime.write_json("control.json", rig.report.as_json())

@@ -181,7 +181,7 @@ def test_a_dump_of_a_young_loop_comes_out_bit_identical(
     settings: RigSettings, gains: Gains, tmp_path: pathlib.Path
 ) -> None:
     with lockstep(settings, gains) as rig:
-        rig.loop.observer.snapshot.host_checks = int(Check.HOST)  # as the control process begins
+        rig.loop._orders.host_checks = int(Check.HOST)  # as the control process begins
         kept = Kept(rig, tmp_path)
         active = rig.runtime.read_json(ACTIVE)
         rig.runtime.write_json(ACTIVE, {**active, "design": {"gains": msgspec.to_builtins(gains)}})

@@ -10,7 +10,8 @@ from rigctl.config import rig_file as config
 from rigctl.control.escalation import STEPS, Bounds, Escalation, Escalator, Step, Symptom
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
-from rigctl.control.safety import Action, Snapshot
+from rigctl.control.safety import Action
+from rigctl.control.snapshot import Snapshot
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")

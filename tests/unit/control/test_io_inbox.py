@@ -12,7 +12,7 @@ from rigctl.config.io_section import IoSettings
 from rigctl.control.control_process import receive_filters
 from rigctl.control.events import fault_text
 from rigctl.control.faults import Fault
-from rigctl.control.safety import EStop
+from rigctl.control.snapshot import EStop
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import wanted
 from tests.unit.control.test_plain_inbox import CONFIG, Bench

@@ -15,7 +15,9 @@ from rigctl.control import limits
 from rigctl.control.events import fault_text
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Action, Row, Snapshot, Watch
+from rigctl.control.safety import Action, Row
+from rigctl.control.snapshot import Snapshot
+from tests.builders.outcomes import WatchLog
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
@@ -128,7 +130,7 @@ def test_a_rate_starts_anew_after_a_pause_and_knows_nothing_of_what_is_not_a_num
 
 
 def test_a_limit_trips_with_its_own_action_and_words() -> None:
-    watch = Watch(SETTINGS, rows(signal="drive_temperature_c", high=85.0, action="ramp_down"))
+    watch = WatchLog(SETTINGS, rows(signal="drive_temperature_c", high=85.0, action="ramp_down"))
     good = Snapshot(tension_n=300.0, stroke_mm=50.0, cell_age_ns=0, inclination_age_ns=0, drive_age_ns=0, bus_age_ns=0,
         status_age_ns=0)  # fmt: skip
     assert watch.trips(replace(good, drive_temperature_c=85.0), Mode.HOLD, 0) is None

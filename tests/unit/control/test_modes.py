@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.control.faults import Fault
-from rigctl.control.machine import ARM_LIMIT_NS, CUT_AFTER_NS, Answer, Machine
+from rigctl.control.machine import ARM_LIMIT_NS, CUT_AFTER_NS, Answer
 from rigctl.control.modes import TRANSITIONS, TRIED_IN, Event, Mode, Refusal, Situation, Verb, decide, next_mode
 from rigctl.control.safety import Action, Trip
 from rigctl.devices.drive import Power
+from tests.builders.outcomes import MachineLog
 
 READY = Situation(unloaded=True, value=300.0, stroke_mm=300.0, target_min_n=50.0, target_max_n=350.0)
 
@@ -72,8 +73,8 @@ def test_guards() -> None:
     assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(slack=True, value=1.0)).refusal is Refusal.SLACK
 
 
-def armed() -> Machine:
-    machine = Machine()
+def armed() -> MachineLog:
+    machine = MachineLog()
     machine.command(1, Verb.ARM, READY, 0)
     machine.follow_drive(True, 1)
     machine.changes.clear()
@@ -82,7 +83,7 @@ def armed() -> Machine:
 
 
 def test_arming_ends_when_the_drive_is_enabled_or_gives_up() -> None:
-    machine = Machine()
+    machine = MachineLog()
     machine.command(7, Verb.ARM, READY, 0)
     assert machine.arming
     assert machine.mode == Mode.DISARMED
@@ -130,7 +131,7 @@ def test_the_first_fault_stays_named_until_reset() -> None:
     assert (machine.mode, machine.fault) == (Mode.HOLD, Fault.NONE)
 
 
-def compensating() -> Machine:
+def compensating() -> MachineLog:
     machine = armed()
     machine.command(2, Verb.TENSION, READY, 5)
     machine.on(Event.TENSIONED)
@@ -172,7 +173,7 @@ def test_a_ramp_down_is_ended_by_a_hold_a_stronger_trip_or_a_stop_and_holds_at_f
 
 @pytest.mark.parametrize("slack", [True, False])
 def test_a_ramp_down_is_a_hold_where_there_is_nothing_to_ramp(slack: bool) -> None:
-    machine = compensating() if slack else Machine()
+    machine = compensating() if slack else MachineLog()
     assert machine.trip(WARM, 10, slack=slack)
     assert (machine.mode, machine.action) == (Mode.FAULT, Action.HOLD)
 
@@ -216,7 +217,7 @@ def test_stopping_holds_and_takes_no_more_commands() -> None:
     )
 )
 def test_whatever_happens_a_fault_stays_until_a_reset_and_every_command_is_answered(steps: list) -> None:  # type: ignore[type-arg]
-    machine, asked = Machine(), 0
+    machine, asked = MachineLog(), 0
     for t, (kind, what, flag) in enumerate(steps):
         before = machine.mode
         if kind == "verb":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from collections.abc import Callable
@@ -13,7 +14,6 @@ from rigctl.config import rig_file as config
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Mode
 from rigctl.control.plausibility import STRETCH_MEMORY_S, Plausibility
-from rigctl.control.safety import Snapshot
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
@@ -32,14 +32,14 @@ class Stand:
         bus = can.Bus(interface="virtual", channel="plausibility")
         self.inbox = Inbox(bus, SETTINGS)
         bus.shutdown()
-        self.snapshot = Snapshot(drive_enabled=True)
+        self.drive_enabled = True
         self.subject = Plausibility(SETTINGS)
         self.mode = Mode.COMPENSATING
 
     def run(
         self, seconds: float, tension: Signal, stroke: Signal = lambda _: 50.0, speed: Signal = lambda _: 0.0,
         command: Signal = lambda _: 0.0, *, slack: bool = False, fresh: Callable[[int], bool] = lambda _: True,
-    ) -> list[Snapshot]:  # fmt: skip
+    ) -> list[Plausibility]:  # fmt: skip
         inbox, seen = self.inbox, []
         for n in range(round(seconds / DT)):
             t = n * DT
@@ -47,9 +47,14 @@ class Stand:
             if fresh(n):
                 inbox.reading_n = inbox.tension_n = tension(t) + next(DITHER)
                 inbox.stroke_mm, inbox.speed_mm_s = stroke(t), speed(t)
-            self.subject.look(inbox, self.snapshot, command(t - DT), ticks=1, slack=slack, mode=self.mode)
-            seen.append(Snapshot(**{name: getattr(self.snapshot, name) for name in Snapshot.__slots__}))
+            self.look(command(t - DT), slack=slack)
+            seen.append(copy.copy(self.subject))
         return seen
+
+    def look(self, command_mm_s: float, ticks: int = 1, *, slack: bool = False) -> None:
+        self.subject.look(
+            self.inbox, command_mm_s, ticks=ticks, drive_enabled=self.drive_enabled, slack=slack, mode=self.mode
+        )
 
 
 def as_commanded(lag_s: float = LAG, delay: int = DELAY, level: float = 10.0) -> tuple[Signal, Signal, Signal]:
@@ -102,11 +107,11 @@ def test_a_drive_that_ignores_its_command_shows_the_stroke_it_owes() -> None:
 
 def test_with_the_drive_off_nothing_is_expected_of_it() -> None:
     stand = Stand()
-    stand.snapshot.drive_enabled = False
+    stand.drive_enabled = False
     seen = stand.run(0.2, lambda t: 300.0 - 200.0 * t, lambda t: 50.0 + 5.0 * t, lambda _t: 5.0)
     last = seen[-1]
     assert (last.speed_error_mm_s, last.stroke_error_mm, last.unexplained_mm) == (0.0, 0.0, 0.0)
-    stand.snapshot.drive_enabled = True
+    stand.drive_enabled = True
     assert stand.run(0.002, lambda _t: 300.0, lambda _t: 51.0, lambda _t: 5.0)[0].speed_error_mm_s < 0.5
 
 
@@ -125,11 +130,11 @@ def test_tension_that_no_stroke_explains_is_counted_as_stretch_and_forgotten() -
     later = stand.run(STRETCH_MEMORY_S, lambda _t: 240.0)
     assert later[-1].unexplained_mm == pytest.approx(-60.0 / K * math.exp(-0.4 / STRETCH_MEMORY_S - 1), rel=0.02)
     for before, after in ((Mode.COMPENSATING, Mode.HOLD), (Mode.HOLD, Mode.FAULT), (Mode.FAULT, Mode.DISARMED)):
-        stand.mode, stand.snapshot.unexplained_mm = before, 5.0
+        stand.mode, stand.subject.unexplained_mm = before, 5.0
         stand.run(DT, lambda _t: 240.0)
-        stand.mode, stand.snapshot.unexplained_mm = after, 5.0
+        stand.mode, stand.subject.unexplained_mm = after, 5.0
         stand.run(DT, lambda _t: 240.0)
-        assert abs(stand.snapshot.unexplained_mm) < 1e-3
+        assert abs(stand.subject.unexplained_mm) < 1e-3
 
 
 def test_stroke_that_the_tension_does_not_show_is_counted_too_but_not_on_a_slack_rope() -> None:
@@ -154,8 +159,8 @@ def test_equal_samples_in_a_row_are_counted_and_one_other_ends_it() -> None:
     for value in values:
         stand.inbox.cell_fresh, stand.inbox.drive_fresh = True, False
         stand.inbox.reading_n = stand.inbox.tension_n = value
-        stand.subject.look(stand.inbox, stand.snapshot, 0.0, ticks=1, slack=False, mode=stand.mode)
-        counts.append(stand.snapshot.cell_repeats)
+        stand.look(0.0)
+        counts.append(stand.subject.cell_repeats)
     assert counts == [*range(25), 0, 1, 2, 3]
 
 
@@ -180,9 +185,9 @@ def test_ticks_that_were_skipped_are_caught_up() -> None:
         stand.inbox.cell_fresh = stand.inbox.drive_fresh = True
         stand.inbox.reading_n = stand.inbox.tension_n = follow(stroke)(t) + next(DITHER)
         stand.inbox.stroke_mm, stand.inbox.speed_mm_s = stroke(t), speed(t)
-        stand.subject.look(stand.inbox, stand.snapshot, command(t - DT), ticks=3, slack=False, mode=stand.mode)
-        assert stand.snapshot.speed_error_mm_s < 1.6
-        assert abs(stand.snapshot.stroke_error_mm) < 0.1
+        stand.look(command(t - DT), 3)
+        assert stand.subject.speed_error_mm_s < 1.6
+        assert abs(stand.subject.stroke_error_mm) < 0.1
 
 
 @pytest.mark.parametrize("late", [0, 2])
@@ -200,8 +205,6 @@ def test_a_loop_that_was_stopped_does_not_blame_the_drive_that_went_on(at: int, 
         if silent <= 0:
             stand.inbox.reading_n = stand.inbox.tension_n = follow(stroke)(n * DT) + next(DITHER)
             stand.inbox.stroke_mm, stand.inbox.speed_mm_s = stroke(n * DT), speed(n * DT)
-        stand.subject.look(
-            stand.inbox, stand.snapshot, command((n - 1) * DT), ticks=ticks, slack=False, mode=stand.mode
-        )
-        assert abs(stand.snapshot.stroke_error_mm) < 0.05
-        assert silent > 0 or stand.snapshot.speed_error_mm_s < 0.6
+        stand.look(command((n - 1) * DT), ticks)
+        assert abs(stand.subject.stroke_error_mm) < 0.05
+        assert silent > 0 or stand.subject.speed_error_mm_s < 0.6

@@ -13,7 +13,9 @@ from rigctl.control import limits
 from rigctl.control.checks import Check
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.control.safety import Action, EStop, Row, Snapshot, Watch, preflight, table
+from rigctl.control.safety import Action, Row, preflight, table
+from rigctl.control.snapshot import EStop, Snapshot
+from tests.builders.outcomes import WatchLog
 from tests.builders.paths import ROOT
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")
@@ -111,7 +113,7 @@ def test_the_table_covers_every_fault_a_tick_can_see() -> None:
 
 @pytest.mark.parametrize("mode", Mode)
 def test_a_good_rig_never_trips(mode: Mode) -> None:
-    watch = Watch(SETTINGS)
+    watch = WatchLog(SETTINGS)
     assert all(watch.trips(GOOD, mode, t * MS) is None for t in range(500))
 
 
@@ -119,7 +121,7 @@ def test_a_good_rig_never_trips(mode: Mode) -> None:
 @pytest.mark.parametrize("mode", Mode)
 def test_a_row_trips_in_its_modes_after_its_persistence(row: Row, mode: Mode) -> None:
     snapshot = bad_for(row)
-    watch = Watch(SETTINGS)
+    watch = WatchLog(SETTINGS)
     if mode not in row.modes:
         trips = [watch.trips(snapshot, mode, t * MS) for t in range(500)]
         assert all(trip is None or (trip.fault, trip.limit) != (row.fault, row.sign * row.limit) for trip in trips)
@@ -137,7 +139,7 @@ def test_a_row_trips_in_its_modes_after_its_persistence(row: Row, mode: Mode) ->
 def test_a_row_that_recovers_starts_again(row: Row) -> None:
     mode = min(row.modes)
     snapshot = bad_for(row)
-    watch = Watch(SETTINGS)
+    watch = WatchLog(SETTINGS)
     assert watch.trips(snapshot, mode, 0) is None
     assert watch.trips(GOOD, mode, row.persistence_ns // 2) is None
     assert watch.trips(snapshot, mode, row.persistence_ns) is None
@@ -151,7 +153,7 @@ def test_every_armed_mode_watches_every_signal_it_needs() -> None:
 
 
 def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -> None:
-    watch = Watch(SETTINGS)
+    watch = WatchLog(SETTINGS)
     assert watch.present(GOOD) is Fault.NONE
     assert watch.present(replace(GOOD, cell_age_ns=20 * MS)) is Fault.CELL_STALE
     assert watch.present(replace(GOOD, drive_faulted=True)) is Fault.NONE
@@ -168,7 +170,6 @@ def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -
         ({"drive_faulted": True}, Check.DRIVE_FAULT),
         ({"tension_n": 401.0}, Check.TENSION_HIGH),
         ({"reading_n": 401.0}, Check.TENSION_HIGH),
-        ({"calibration_overdue": True}, Check.CALIBRATION),
         ({"e_stop": True}, Check.E_STOP),
         ({"e_stop": int(EStop.IO_NODE)}, Check.E_STOP_IO),
         ({"e_stop": int(EStop.DRIVE | EStop.IO_NODE)}, Check.E_STOP | Check.E_STOP_IO),
@@ -180,30 +181,30 @@ def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -
         ({"stroke_mm": 121.9}, Check.STROKE_NEAR_END),
         ({"stroke_mm": -22.1}, Check.STROKE_RANGE),
         ({"e_stop_unseen": True}, Check.E_STOP_UNSEEN),
-        ({"host_checks": int(Check.DISK | Check.TARE)}, Check.DISK | Check.TARE),
     ],
 )
 def test_preflight_names_what_failed(bad: dict[str, object], check: Check) -> None:
-    assert preflight(GOOD, SETTINGS, set(), supervision_verified=True) == Check(0)
+    assert preflight(GOOD, SETTINGS, set(), Check(0)) == Check(0)
     snapshot = replace(GOOD, **bad)  # type: ignore[arg-type]
-    assert preflight(snapshot, SETTINGS, set(), supervision_verified=True) == check
-    assert preflight(snapshot, SETTINGS, set(), supervision_verified=False) == check | Check.DRIVE_SUPERVISION
+    assert preflight(snapshot, SETTINGS, set(), Check(0)) == check
+    known = Check.DRIVE_SUPERVISION | Check.CALIBRATION | Check.DISK | Check.TARE
+    assert preflight(snapshot, SETTINGS, set(), known) == check | known
 
 
 @pytest.mark.parametrize(("stroke_mm", "check"), [(121.9, Check(0)), (-21.9, Check(0)), (122.1, Check.STROKE_RANGE)])
 def test_an_operator_may_arm_near_an_end_but_not_beyond_it(stroke_mm: float, check: Check) -> None:
     snapshot = replace(GOOD, stroke_mm=stroke_mm)
-    assert preflight(snapshot, SETTINGS, set(), supervision_verified=True, near_end=True) == check
+    assert preflight(snapshot, SETTINGS, set(), Check(0), near_end=True) == check
 
 
 def test_nothing_has_been_seen_at_first() -> None:
-    unseen = preflight(Snapshot(), SETTINGS, set(), supervision_verified=True)
+    unseen = preflight(Snapshot(), SETTINGS, set(), Check(0))
     assert Check.CELL_STALE | Check.DRIVE_STALE | Check.INCLINATION_STALE | Check.STROKE_RANGE in unseen
 
 
 @pytest.mark.parametrize("mode", Mode)
 def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> None:
-    watch = Watch(SETTINGS)
+    watch = WatchLog(SETTINGS)
     snapshot = replace(GOOD, tension_n=395.0, reading_n=400.1)
     trips = [watch.trips(snapshot, mode, t * MS) for t in range(40)]
     assert trips[-1] is not None
@@ -227,33 +228,33 @@ def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> Non
 )
 def test_nobody_arms_into_what_would_trip(bad: dict[str, object], check: Check) -> None:
     tilted = LimitSettings(signal="tangential_deg", low=-5.0, high=5.0, action="hold", modes=["HOLD"])
-    watch = Watch(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [tilted]})))
+    watch = WatchLog(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [tilted]})))
     snapshot = replace(GOOD, **bad)  # type: ignore[arg-type]
-    assert preflight(snapshot, SETTINGS, watch.beyond(snapshot, Mode.HOLD), supervision_verified=True) == check
-    assert preflight(GOOD, SETTINGS, watch.beyond(GOOD, Mode.HOLD), supervision_verified=True) == Check(0)
+    assert preflight(snapshot, SETTINGS, watch.beyond(snapshot, Mode.HOLD), Check(0)) == check
+    assert preflight(GOOD, SETTINGS, watch.beyond(GOOD, Mode.HOLD), Check(0)) == Check(0)
 
 
 def test_a_limit_that_is_only_logged_is_told_once_when_it_begins_and_once_when_it_is_over() -> None:
     late = LimitSettings(signal="lateness_us", high=500.0, persistence_ms=2, action="log", modes=["HOLD"])
-    watch = Watch(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [late]})))
+    watch = WatchLog(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [late]})))
     bad = replace(GOOD, lateness_ns=600_000)
     for t, snapshot in enumerate([GOOD, bad, bad, bad, bad, GOOD, GOOD]):
         assert watch.trips(snapshot, Mode.HOLD, t * MS) is None
-    told = [(trip.text, trip.value, trip.limit, begins) for trip, begins in watch.crossed]
+    told = [(trip.text, trip.value, trip.limit, begins) for trip, begins in watch.limits]
     assert told == [("lateness_us above", 600.0, 500.0, True), ("lateness_us above", 500.0, 500.0, False)]
     assert watch.beyond(bad, Mode.HOLD) == set()
 
 
 def test_a_limit_that_comes_and_goes_is_told_at_most_once_a_second() -> None:
     late = LimitSettings(signal="lateness_us", high=500.0, action="log", modes=["HOLD"])
-    watch = Watch(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [late]})))
+    watch = WatchLog(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [late]})))
     for t in range(3000):
         watch.trips(replace(GOOD, lateness_ns=600_000 * (t % 2)), Mode.HOLD, t * MS)
-    assert [begins for _, begins in watch.crossed] == [True, False] * 3
+    assert [begins for _, begins in watch.limits] == [True, False] * 3
 
 
 def test_of_several_rows_the_strongest_acts_and_among_equals_the_first() -> None:
-    watch = Watch(SETTINGS)
+    watch = WatchLog(SETTINGS)
     snapshot = replace(GOOD, cell_quality=1, inclination_quality=1)
     trip = watch.trips(snapshot, Mode.HOLD, 0)
     assert trip is not None
@@ -265,14 +266,14 @@ def test_of_several_rows_the_strongest_acts_and_among_equals_the_first() -> None
 
 
 def test_a_row_whose_persistence_runs_keeps_no_later_one_from_tripping() -> None:
-    watch = Watch(SETTINGS)
+    watch = WatchLog(SETTINGS)
     trip = watch.trips(replace(GOOD, tension_n=400.1, device_restarted=True), Mode.HOLD, 0)
     assert trip is not None
     assert trip.fault is Fault.DEVICE_RESTARTED
 
 
 def test_a_row_begins_anew_in_a_mode_that_was_left() -> None:
-    watch = Watch(SETTINGS)
+    watch = WatchLog(SETTINGS)
     low = replace(GOOD, tension_n=19.9)
     assert all(watch.trips(low, Mode.COMPENSATING, t * MS) is None for t in range(15))
     assert watch.trips(low, Mode.HOLD, 15 * MS) is None
@@ -284,25 +285,25 @@ def test_a_row_begins_anew_in_a_mode_that_was_left() -> None:
 
 def test_a_limit_that_is_logged_is_over_when_its_mode_is_left() -> None:
     late = LimitSettings(signal="lateness_us", high=500.0, action="log", modes=["HOLD"])
-    watch = Watch(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [late]})))
+    watch = WatchLog(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [late]})))
     bad = replace(GOOD, lateness_ns=600_000)
     watch.trips(bad, Mode.HOLD, 0)
     watch.trips(bad, Mode.TENSIONING, MS)
-    assert [begins for _, begins in watch.crossed] == [True, False]
+    assert [begins for _, begins in watch.limits] == [True, False]
 
 
 def test_a_weaker_row_never_takes_the_place_of_a_stronger_one_before_it() -> None:
-    trip = Watch(SETTINGS).trips(replace(GOOD, e_stop=True, cell_quality=1), Mode.HOLD, 0)
+    trip = WatchLog(SETTINGS).trips(replace(GOOD, e_stop=True, cell_quality=1), Mode.HOLD, 0)
     assert trip is not None
     assert (trip.fault, trip.action) == (Fault.E_STOP, Action.QUICK_STOP)
 
 
 def test_a_rival_that_is_still_heard_keeps_its_fault_from_being_reset() -> None:
-    assert Watch(SETTINGS).present(replace(GOOD, rival_age_ns=10 * MS)) is Fault.RIVAL
+    assert WatchLog(SETTINGS).present(replace(GOOD, rival_age_ns=10 * MS)) is Fault.RIVAL
 
 
 def test_a_rig_without_an_io_node_watches_for_none() -> None:
-    watch = Watch(PAPER)
+    watch = WatchLog(PAPER)
     never = replace(GOOD, io_age_ns=1 << 62)
     assert {row.fault for row in ROWS} - {row.fault for row in table(PAPER)} == {Fault.E_STOP_UNSEEN}
     assert watch.trips(never, Mode.COMPENSATING, 0) is None
@@ -313,7 +314,7 @@ def test_a_rig_without_an_io_node_watches_for_none() -> None:
 @pytest.mark.parametrize("mode", Mode)
 def test_a_press_trips_wherever_it_is_seen_and_its_value_says_where(mode: Mode, pressed: EStop) -> None:
     snapshot = replace(GOOD, e_stop=int(pressed))
-    trip = Watch(SETTINGS).trips(snapshot, mode, 0)
+    trip = WatchLog(SETTINGS).trips(snapshot, mode, 0)
     assert trip is not None
     assert (trip.fault, trip.value, trip.action) == (Fault.E_STOP, float(pressed), Action.QUICK_STOP)
-    assert Watch(SETTINGS).present(snapshot) is Fault.E_STOP
+    assert WatchLog(SETTINGS).present(snapshot) is Fault.E_STOP

@@ -14,10 +14,12 @@ from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.faults import Fault
-from rigctl.control.machine import ARM_LIMIT_NS, Machine
+from rigctl.control.machine import ARM_LIMIT_NS
 from rigctl.control.modes import Event, Mode, Refusal, Situation, Verb
-from rigctl.control.safety import Action, Snapshot, Trip, Watch
+from rigctl.control.safety import Action, Trip
+from rigctl.control.snapshot import Snapshot
 from rigctl.devices.drive import Power
+from tests.builders.outcomes import MachineLog, WatchLog
 from tests.builders.paths import ROOT
 
 MS = 1_000_000
@@ -49,9 +51,9 @@ class Rig(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.machine = Machine()
+        self.machine = MachineLog()
         self.rows = limits.rows(SETTINGS)
-        self.watch = Watch(SETTINGS, self.rows)
+        self.watch = WatchLog(SETTINGS, self.rows)
         self.snapshot = replace(GOOD)
         self.t_ns = 0
         self.since: dict[str, int] = {}  # time at which each signal that is bad now became bad

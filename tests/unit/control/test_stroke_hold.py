@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.safety import Snapshot
+from rigctl.control.snapshot import Snapshot
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, DEAD_ZONE_MM, SAID_MM, StrokeHold
 from tests.builders.paths import ROOT
 

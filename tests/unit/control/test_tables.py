@@ -28,7 +28,9 @@ from rigctl.control.modes import (
     Verb,
     decide,
 )  # fmt: skip
-from rigctl.control.safety import Action, Row, Snapshot, Trip, Watch, preflight, table
+from rigctl.control.safety import Action, Row, Trip, preflight, table
+from rigctl.control.snapshot import Snapshot
+from tests.builders.outcomes import WatchLog
 from tests.builders.paths import ROOT
 
 MS = 1_000_000
@@ -182,7 +184,7 @@ def test_bounds_that_follow_from_the_rig_file() -> None:
 
 
 def test_a_row_acts_at_its_persistence_and_not_before() -> None:
-    watch, bad = Watch(SETTINGS), replace(GOOD, cell_unrest_n=1.0)
+    watch, bad = WatchLog(SETTINGS), replace(GOOD, cell_unrest_n=1.0)
     assert watch.trips(bad, Mode.HOLD, 7) is None
     assert watch.trips(bad, Mode.HOLD, 5 * MS + 6) is None
     trip = watch.trips(bad, Mode.HOLD, 5 * MS + 7)
@@ -194,17 +196,17 @@ def test_a_row_acts_at_its_persistence_and_not_before() -> None:
 def test_a_logged_limit_is_told_with_what_it_found_and_hides_nothing_behind_it() -> None:
     rows = [LimitSettings(signal="lateness_us", high=500.0, action="log", modes=["HOLD"]),
             LimitSettings(signal="drive_current_a", high=5.0, action="ramp_down", modes=["HOLD"])]  # fmt: skip
-    watch = Watch(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": rows})))
+    watch = WatchLog(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": rows})))
     both = replace(GOOD, lateness_ns=600_000, drive_current_a=6.0)
     trip = watch.trips(both, Mode.HOLD, 0)
     assert trip is not None
     assert trip.action is Action.RAMP_DOWN
-    assert watch.crossed == [(Trip(Fault.LIMIT, 600.0, 500.0, Action.LOG, "lateness_us above"), True)]
-    watch.crossed.clear()
+    assert watch.limits == [(Trip(Fault.LIMIT, 600.0, 500.0, Action.LOG, "lateness_us above"), True)]
+    watch.limits.clear()
     watch.trips(both, Mode.HOLD, MS)
-    assert watch.crossed == []
+    assert watch.limits == []
     watch.trips(both, Mode.TENSIONING, 2 * MS)
-    assert [begins for _, begins in watch.crossed] == [False], "in a mode that does not watch it, it is over"
+    assert [begins for _, begins in watch.limits] == [False], "in a mode that does not watch it, it is over"
 
 
 @pytest.mark.parametrize(
@@ -231,7 +233,7 @@ def test_a_logged_limit_is_told_with_what_it_found_and_hides_nothing_behind_it()
     ],
 )  # fmt: skip
 def test_what_keeps_a_fault_from_being_reset(bad: dict[str, object], fault: str) -> None:
-    assert Watch(SETTINGS).present(replace(GOOD, **bad)).name == fault  # type: ignore[arg-type]
+    assert WatchLog(SETTINGS).present(replace(GOOD, **bad)).name == fault  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -246,24 +248,23 @@ def test_what_keeps_a_fault_from_being_reset(bad: dict[str, object], fault: str)
         ({"inclination_age_ns": 100 * MS}, False, ""), ({"tension_n": 400.0}, False, ""),
         ({"e_stop": 1}, False, "E_STOP"), ({"e_stop": 2}, False, "E_STOP_IO"),
         ({"e_stop": 3}, False, "E_STOP E_STOP_IO"),
-        ({"e_stop_unseen": True}, False, "E_STOP_UNSEEN"), ({"host_checks": 1 << 19}, False, "DISK"),
+        ({"e_stop_unseen": True}, False, "E_STOP_UNSEEN"),
         ({"stroke_unconfirmed": True}, False, "STROKE_UNCONFIRMED"),
-        ({"host_checks": 1 << 16, "e_stop": True}, False, "TARE E_STOP"),
     ],
 )  # fmt: skip
 def test_preflight_at_its_bounds(seen: dict[str, object], near_end: bool, failing: str) -> None:
     snapshot = replace(GOOD, **seen)  # type: ignore[arg-type]
-    found = preflight(snapshot, SETTINGS, set(), supervision_verified=True, near_end=near_end)
+    found = preflight(snapshot, SETTINGS, set(), Check(0), near_end=near_end)
     assert {check.name for check in found} == set(failing.split())
 
 
 def test_what_no_gateway_has_told_stands_against_arming() -> None:
     assert {check.name for check in HOST_CHECKS} == {"TARE", "MARGINS", "REALTIME", "DISK", "HOST"}
-    assert not preflight(GOOD, SETTINGS, {Fault.DRIVE_STALE}, supervision_verified=True)
+    assert not preflight(GOOD, SETTINGS, {Fault.DRIVE_STALE}, Check(0))
 
 
 def test_an_io_nodes_input_that_would_trip_as_unseen_stands_against_arming() -> None:
-    found = preflight(GOOD, SETTINGS, {Fault.E_STOP_UNSEEN}, supervision_verified=True)
+    found = preflight(GOOD, SETTINGS, {Fault.E_STOP_UNSEEN}, Check(0))
     assert found == Check.E_STOP_IO_UNSEEN
 
 

@@ -1,0 +1,92 @@
+"""What the safety table, the checks and the escalation look at in one tick."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import IntFlag
+
+
+class EStop(IntFlag):
+    """Inputs on which the emergency stop reads as pressed; the value of its trip."""
+
+    DRIVE = 1
+    IO_NODE = 2
+
+
+@dataclass(slots=True)
+class Snapshot:
+    """Values of one tick, ages in ns, quality bits (0 good), counters.
+
+    `rigctl.control.observer.Observer` alone assigns them, each in one place; the rest of the tick reads them.
+    """
+
+    t_ns: int = 0
+    tension_n: float = math.nan
+    reading_n: float = math.nan  # tension before zero and scale are applied
+    cell_age_ns: int = 1 << 62
+    cell_quality: int = 0
+    inclination_age_ns: int = 1 << 62
+    inclination_quality: int = 0
+    tangential_rad: float = 0.0
+    normal_rad: float = 0.0
+    stroke_mm: float = math.nan
+    travel_mm: float = 0.0  # since the target was reached
+    speed_mm_s: float = 0.0
+    drive_age_ns: int = 1 << 62
+    drive_enabled: bool = False
+    drive_off: bool = False  # no power, brake closed or closing
+    off_ns: int = 0  # time since the drive began to report a state without power
+    still_ns: int = 0  # time the stroke has stood still, see rigctl.control.arming
+    brake_slip_known: bool = False  # the slip is acknowledged: arming may put the load on the motor
+    drive_faulted: bool = False
+    drive_warning: bool = False
+    drive_local: bool = False  # statusword bit 9 is off: the drive takes no commands from the bus
+    drive_limited: bool = False  # statusword bit 11: a limit inside the drive is active
+    drive_ignores: bool = False  # enabled, but bit 12 is off: the drive does not follow the target velocity
+    drive_powered: bool = False  # neither off nor in its fault state
+    drive_unasked: bool = False  # enabled again after it was off, without our command
+    drive_lingers: bool = False  # still enabled although it is commanded to go off
+    heartbeats_t_ns: dict[int, int] = field(default_factory=dict)  # time of each node's newest heartbeat
+    node_states: dict[int, int] = field(default_factory=dict)  # NMT state each node reported last
+    drive_temperature_c: float = math.nan
+    drive_current_a: float = math.nan
+    e_stop: int = 0  # inputs that read as pressed, bits of EStop
+    e_stop_unseen: bool = False  # the drive has the input, but its state is stale
+    io_age_ns: int = 1 << 62  # of the I/O node's inputs, where one is fitted
+    status_age_ns: int = 1 << 62  # of the drive's current, temperature and inputs, where configured
+    rail_age_ns: int = 1 << 62  # of the rail encoder's angle, where one is fitted
+    bus_age_ns: int = 1 << 62
+    error_frames: int = 0  # in the last second
+    skipped_in_window: int = 0
+    lateness_ns: int = 0
+    command_age_ns: int = 0  # since an operator gave the last one
+    stroke_limited: bool = False
+    drive_wanted: bool = False
+    rope_lost: bool = False
+    device_restarted: bool = False
+    rival_age_ns: int = 1 << 62  # since another controller was heard
+    rival_words: str = ""  # what that controller did
+    stroke_unconfirmed: bool = False  # see rigctl.control.homed
+    stroke_jump_mm: float = 0.0  # kept until the stroke is confirmed
+    settings_lost: int = 0  # objects that changed or gave no answer, see rigctl.control.readback
+    disobeys: bool = False  # the drive cannot follow commands without one of them
+    settings_words: str = ""  # the first of them, in words
+    sensor_emergency: int = 0  # node << 16 | code of an emergency that is still active
+    drive_emergency: int = 0
+    drive_reversed: bool = False  # see rigctl.control.signs
+    cell_reversed: bool = False
+    rejects: int = 0
+    slope_rejects: int = 0
+    cell_nis: float = 0.0
+    vertical_error_n: float = 0.0  # from the set-point on its ramp, 0 without a set-point
+    disturbance_mm_s: float = 0.0
+    speed_error_mm_s: float = 0.0  # these four and the last three: see rigctl.control.plausibility
+    stroke_error_mm: float = 0.0
+    contradiction_mm: float = 0.0
+    unexplained_mm: float = 0.0
+    excursion_mm: float = 0.0  # with doubt_mm: see rigctl.control.stroke_hold
+    doubt_mm: float = 0.0
+    cell_repeats: int = 0
+    cell_unrest_n: float = 0.0
+    tension_rate_n_s: float = 0.0

@@ -1,0 +1,50 @@
+"""The safety table's watch and the machine, with what they have reported over all ticks of a test."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rigctl.control.machine import Answer, Change, Machine
+from rigctl.control.modes import Mode
+from rigctl.control.safety import Trip, Watch
+from rigctl.control.snapshot import Snapshot
+
+
+class WatchLog(Watch):
+    """``limits`` and ``causes``: rows of each kind that began (True) or ended."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.limits: list[tuple[Trip, bool]] = []
+        self.causes: list[tuple[Trip, bool]] = []
+
+    def trips(self, snapshot: Snapshot, mode: Mode, t_ns: int) -> Trip | None:
+        """Trip of one tick."""
+        found = self.look(snapshot, mode, t_ns)
+        self.limits += found.limits
+        self.causes += found.causes
+        return found.trip
+
+
+class MachineLog(Machine):
+    """``changes`` of mode and ``answers`` to commands, all of them unless the test clears the lists."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self._all_changes: list[Change] = []
+        self._all_answers: list[Answer] = []
+
+    def _take(self) -> None:
+        done = self.outcome()
+        self._all_changes += done.changes
+        self._all_answers += done.answers
+
+    @property
+    def changes(self) -> list[Change]:
+        self._take()
+        return self._all_changes
+
+    @property
+    def answers(self) -> list[Answer]:
+        self._take()
+        return self._all_answers

@@ -1,0 +1,36 @@
+"""Each field of the snapshot has one writer."""
+
+from __future__ import annotations
+
+import ast
+import collections
+
+from rigctl.control.snapshot import Snapshot
+from tests.builders.paths import ROOT
+
+FIELDS = frozenset(Snapshot.__slots__)
+LIVE = {"heartbeats_t_ns", "node_states"}  # given to the constructor: the inbox's own
+
+
+def _assigned(tree: ast.AST) -> list[str]:
+    """Fields assigned through a name or attribute called ``snapshot``."""
+    found = []
+    for node in ast.walk(tree):
+        targets = (
+            node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AugAssign) else []
+        )
+        for target in targets:
+            for one in target.elts if isinstance(target, ast.Tuple) else [target]:
+                if isinstance(one, ast.Attribute) and ast.unparse(one.value).split(".")[-1] in ("snapshot", "x"):
+                    found.append(one.attr)
+    return found
+
+
+def test_the_observer_alone_assigns_the_fields_of_the_snapshot_each_in_one_place() -> None:
+    places = collections.Counter[str]()
+    for file in (ROOT / "rigctl/control").glob("*.py"):
+        fields = [name for name in _assigned(ast.parse(file.read_text())) if name in FIELDS]
+        assert not fields or file.name == "observer.py", f"{file.name} assigns {fields}"
+        places.update(fields)
+    assert [name for name, count in places.items() if count > 1] == []
+    assert set(places) | LIVE == FIELDS
