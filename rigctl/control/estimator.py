@@ -75,7 +75,7 @@ def filter_model(settings: RigSettings) -> FilterModel:
 
 
 @dataclass(frozen=True)
-class _Settled:
+class _SettledGain:
     """Gain (3 rows of 2) that no longer changes, covariance before an update, variances of the innovations."""
 
     gain: list[list[float]]
@@ -106,7 +106,7 @@ class TensionFilter:
         self._kf = kf = KalmanFilter(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), noise, _inverse)
         kf.f, kf.b, kf.q = model.f, model.b, model.q
         self._transition = [(*row, b) for row, b in zip(model.f.tolist(), model.b[:, 0].tolist(), strict=True)]
-        self._settled: _Settled | None = None
+        self._settled: _SettledGain | None = None
         self._x = (0.0, 0.0, 0.0)  # the state, once settled
         self._prior: Array = np.eye(3)
         self._sent: list[float] = [0.0] * (model.delay_ticks + 1)  # oldest first
@@ -199,7 +199,7 @@ class TensionFilter:
         kf.update(np.array([[tension_n], [speed_mm_s]]))
         if before.shape == kf.k.shape and np.abs(kf.k - before).max() < SETTLED_GAIN:
             self._x = self.state
-            self._settled = _Settled(kf.k.tolist(), kf.p_prior, (kf.s.item(0, 0), kf.s.item(1, 1)))
+            self._settled = _SettledGain(kf.k.tolist(), kf.p_prior, (kf.s.item(0, 0), kf.s.item(1, 1)))
         else:
             kf.p = 0.5 * (kf.p + kf.p.T)
 

@@ -23,7 +23,7 @@ MOST_AHEAD_S = 0.1
 SETTLED_GAIN = 1e-9  # relative change of the gain from one sample to the next below which it counts as settled
 
 
-class _Settled(NamedTuple):
+class _SettledSlope(NamedTuple):
     """Samples at one interval: gain on angle and rate, variance of the innovation, covariance before an update."""
 
     ticks: int
@@ -53,7 +53,7 @@ class InclinationFilter:
         self._x = (0.0, 0.0, 0.0, 0.0)
         self._gain = 0.0
         self._interval = self._last_interval = 0  # ticks between samples
-        self._settled: _Settled | None = None
+        self._settled: _SettledSlope | None = None
 
     def update(self, tangential_rad: float, normal_rad: float) -> None:
         """Correct with a sample; the first one starts the filter."""
@@ -98,11 +98,11 @@ class InclinationFilter:
         kf.p = 0.5 * (kf.p + kf.p.T)
         before, self._gain = self._gain, kf.k.item(0, 0)
         if abs(self._gain - before) < SETTLED_GAIN and self._interval == self._last_interval:
-            self._settled = _Settled(
+            self._settled = _SettledSlope(
                 self._interval, kf.k.item(0, 0), kf.k.item(1, 0), kf.s.item(0, 0), np.array(kf.p_prior)
             )
 
-    def _unsettle(self, settled: _Settled) -> None:
+    def _unsettle(self, settled: _SettledSlope) -> None:
         """Hand state and covariance back to `KalmanFilter`: those after the last update."""
         kf = self._kf
         kf.x = np.array(self._x).reshape(4, 1)
