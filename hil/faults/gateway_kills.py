@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from hil.faults.live_rows_rig import GATEWAY, Live, LiveError, give, live
 from hil.scenario.errors import ScenarioError
-from rigctl.cli.progress import Advance
+from hil.scenario.play import Advance
 from rigctl.client.connection import Client
 from rigctl.client.fast import FastReader
 from rigctl.config.settings import RigSettings

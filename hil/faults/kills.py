@@ -13,7 +13,7 @@ from hil.faults.judge import DRIVE_STOPS_MS
 from hil.faults.live_rows_rig import CONTROL, GATEWAY, SUPERVISOR, Live, LiveError, live
 from hil.faults.processes import TOLD_MS, Seen, judged, kills, strike
 from hil.scenario.errors import ScenarioError
-from rigctl.cli.progress import Advance
+from hil.scenario.play import Advance
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 

@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.paper.cases import FIGURE_9, NO_SPRING, SPEEDS_DEG_S, STIFFNESSES_N_MM, speed, stiffness
-from hil.paper.signals import Floats, Signals
+from hil.paper.cases import FIGURE_9, NO_SPRING, SPEEDS_DEG_S, speed, stiffness
+from hil.paper.run_truth import Floats, RunTruth
+from hil.study.planned_run import STIFFNESSES_N_MM
 
 TARGET_N = 300.0
 """The paper's F_d."""
-Runs = Mapping[str, Signals]
+Runs = Mapping[str, RunTruth]
 BROAD = 1e3
 """Upper bound of a trend whose size is not stated."""
 
@@ -35,7 +36,7 @@ class Claim(NamedTuple):
     """Why the model cannot agree, where known: such a row is reported as differing, with this reason."""
 
 
-class Row(NamedTuple):
+class ClaimResult(NamedTuple):
     """A claim and the model's value."""
 
     claim: Claim
@@ -52,9 +53,9 @@ class Row(NamedTuple):
         return self.ok or bool(self.claim.shortfall)
 
 
-def judge(runs: Runs) -> list[Row]:
+def judge(runs: Runs) -> list[ClaimResult]:
     """Every claim against the passive runs."""
-    return [Row(claim, float(claim.measure(runs))) for claim in CLAIMS]
+    return [ClaimResult(claim, float(claim.measure(runs))) for claim in CLAIMS]
 
 
 ETA_PCT = {6.0: 0.31, 13.0: 0.64, 20.0: 0.88, 27.0: 1.20, 34.0: 1.77}
@@ -262,12 +263,12 @@ def _figure_9() -> list[Claim]:
     ]  # fmt: skip
 
 
-def _way_out(run: Signals) -> Floats:
+def _way_out(run: RunTruth) -> Floats:
     out: Floats = run.tangential_deg[run.t_s < 0.5 * run.t_s[-1]]
     return out
 
 
-def _fluctuation(run: Signals) -> float:
+def _fluctuation(run: RunTruth) -> float:
     """Standard deviation of Fz within a second of the plateau, its trend taken out; the median second."""
     values = run.plateau(run.vertical_n)
     seconds = values[: len(values) // 1000 * 1000].reshape(-1, 1000)

@@ -11,45 +11,42 @@ from rich.table import Table
 from rich.text import Text
 
 from hil.faults.expected import ACCURACY_N, Expected, InjectedFault, Reaction
-from hil.faults.judge import Row
+from hil.faults.judge import FaultResult
 from hil.faults.processes import ProcessFault
+from hil.study.table import console
 from rigctl.config.quantity import count
 from rigctl.control.modes import Mode
 
 WIDTH = 150
 
 
-def show(rows: Sequence[Row]) -> None:
+def show(rows: Sequence[FaultResult]) -> None:
     """Print all rows and a line with their counts."""
-    terminal = Console()
-    console = Console(width=WIDTH) if not terminal.is_terminal or terminal.width > WIDTH else terminal
+    terminal = console(WIDTH)
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name, justify in _COLUMNS:
         table.add_column(name, justify=justify, overflow="fold")
     for row in sorted(rows, key=lambda row: row.ok):
         table.add_row(*_cells(row), style="" if row.ok else "red")
-    console.print(table)
+    terminal.print(table)
     bad = sum(not row.ok for row in rows)
     faults = len({row.id for row in rows})
     verdict = "all as expected" if not bad else f"{bad} not as expected"
-    console.print(f"{count(len(rows), 'row')} of {count(faults, 'fault')}: {verdict}")
+    terminal.print(f"{count(len(rows), 'row')} of {count(faults, 'fault')}: {verdict}")
 
 
 def show_kills(found: Mapping[str, object]) -> None:
-    """Print the kills with findings, and the largest figures."""
-    kills = found["kills"]
-    assert isinstance(kills, list)
-    console = Console(soft_wrap=True)
-    for kill in kills:
-        if kill["findings"]:
-            console.print(f"{kill['signal']} {kill['victim']} in {kill['mode']}: {'; '.join(kill['findings'])}")
-    show_figures({name: value for name, value in found.items() if name != "kills"})
-
-
-def show_figures(found: Mapping[str, object]) -> None:
-    """Print figures by name."""
+    """Print kills with findings, and the figures by name."""
+    terminal = Console(soft_wrap=True)
     for name, value in found.items():
-        Console(soft_wrap=True).print(f"{name}: {value:.3g}" if isinstance(value, float) else f"{name}: {value}")
+        if isinstance(value, list):
+            for kill in value:
+                if kill["findings"]:
+                    terminal.print(
+                        f"{kill['signal']} {kill['victim']} in {kill['mode']}: {'; '.join(kill['findings'])}"
+                    )
+        else:
+            terminal.print(f"{name}: {value:.3g}" if isinstance(value, float) else f"{name}: {value}")
 
 
 def show_list(faults: Sequence[InjectedFault | ProcessFault]) -> None:
@@ -87,7 +84,7 @@ _COLUMNS: tuple[tuple[str, Literal["left", "right"]], ...] = (
 )  # fmt: skip
 
 
-def _cells(row: Row) -> list[Text]:
+def _cells(row: FaultResult) -> list[Text]:
     words = [
         row.id,
         row.mode,

@@ -10,8 +10,9 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.paper.cases import cases
-from hil.paper.claims import BROAD, TARGET_N, Claim, Row
-from hil.paper.study import Study
+from hil.paper.claims import BROAD, TARGET_N, Claim, ClaimResult
+from hil.paper.paper_study import PaperStudy
+from hil.study.table import table, verdict
 
 _TITLES = {
     "4": "Figure 4: with (k = 6 N/mm) and without (k = 1000 N/mm) the spring",
@@ -21,25 +22,22 @@ _TITLES = {
 }
 
 
-def show(rows: list[Row], study: Study, console: Console) -> None:
+def show(rows: list[ClaimResult], study: PaperStudy, console: Console) -> None:
     """Print a table per figure with the remarks on its rows, then the closed loop."""
     for figure, title in _TITLES.items():
-        table = Table("quantity", title=title, title_justify="left", box=None, pad_edge=False)
-        for column in ("paper", "ours", "difference", "expected"):
-            table.add_column(column, justify="right", no_wrap=True)
-        table.add_column("")
-        mine = [row for row in rows if row.claim.figure == figure]
+        found = table("quantity", ("paper", "ours", "difference", "expected"), title)
+        found.add_column("")
         marks: dict[str, int] = {}
-        for row in mine:
-            claim = row.claim
-            said = remark(row)
-            mark = f" [{marks.setdefault(said, len(marks) + 1)}]" if said else ""
+        for row in (row for row in rows if row.claim.figure == figure):
+            claim, note = row.claim, remark(row)
+            mark = f" [{marks.setdefault(note, len(marks) + 1)}]" if note else ""
             name = claim.quantity + (f", {claim.unit}" if claim.unit else "") + mark
-            verdict = "[green]agrees[/]" if row.ok else "[red]DIFFERS[/]"
-            table.add_row(
-                name.replace("[", "\\["), _paper(claim), _figure(row.model), _difference(row), _range(claim), verdict
-            )
-        console.print(table, highlight=False)
+            paper = "trend" if claim.paper is None else f"{claim.paper:g}"
+            found.add_row(
+                name.replace("[", "\\["), paper, _figure(row.model), _difference(row), _range(claim),
+                verdict(row.ok, "agrees", "DIFFERS"),
+            )  # fmt: skip
+        console.print(found, highlight=False)
         for note, number in marks.items():
             console.print(f"[{number}] {note}", highlight=False, markup=False, style="dim")
         console.print()
@@ -48,16 +46,12 @@ def show(rows: list[Row], study: Study, console: Console) -> None:
     console.print(f"{good} of {len(rows)} agree, one parameter set", highlight=False)
 
 
-def document(rows: list[Row], study: Study) -> dict[str, Any]:
+def document(rows: list[ClaimResult], study: PaperStudy) -> dict[str, Any]:
     """Everything that is printed, for JSON: ``rows``, ``ok_count``, ``total`` and ``closed_loop``."""
     return {
         "rows": [
             {
-                "id": row.claim.id,
-                "figure": row.claim.figure,
-                "quantity": row.claim.quantity,
-                "unit": row.claim.unit,
-                "paper": row.claim.paper,
+                **{name: getattr(row.claim, name) for name in ("id", "figure", "quantity", "unit", "paper")},
                 "model": row.model if math.isfinite(row.model) else None,
                 "low": row.claim.low,
                 "high": row.claim.high,
@@ -69,20 +63,13 @@ def document(rows: list[Row], study: Study) -> dict[str, Any]:
         "ok_count": sum(row.ok for row in rows),
         "total": len(rows),
         "closed_loop": {
-            name: {
-                "eta_max_pct": run.eta_max_pct,
-                "eta_rms_pct": run.eta_rms_pct,
-                "speed_max_mm_s": run.speed_max_mm_s,
-                "stroke_mm": run.stroke_mm,
-                "ended": run.ended,
-                "waived": run.waived,
-            }
+            name: {key: value for key, value in run._asdict().items() if key != "truth"}
             for name, run in study.closed.items()
         },
     }
 
 
-def remark(row: Row) -> str:
+def remark(row: ClaimResult) -> str:
     """Remarks on a row: where the paper contradicts itself, and why the model differs."""
     said = [row.claim.note] if row.claim.note else []
     if not row.ok and row.claim.shortfall:
@@ -90,41 +77,29 @@ def remark(row: Row) -> str:
     return "; ".join(said)
 
 
-def _closed(study: Study) -> Table:
+def _closed(study: PaperStudy) -> Table:
     title = "The same cases locked and with the loop closed: error of Fz in %, cylinder in mm/s and mm"
-    table = Table("case", title=title, title_justify="left", box=None, pad_edge=False)
-    for column in ("locked, max", "closed, max", "rms", "speed", "stroke"):
-        table.add_column(column, justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
+    found = table("case", ("locked, max", "closed, max", "rms", "speed", "stroke"), title)
+    found.add_column("", no_wrap=True)
     for case in cases():
         run = study.closed[case.name]
         passive = float(np.max(np.abs(study.passive[case.name].eta_pct(TARGET_N))))
-        said = "" if run.ended == "COMPENSATING" else f"[red]{run.ended}[/]"
-        table.add_row(
-            case.title,
-            f"{passive:.3f}",
-            f"{run.eta_max_pct:.4f}",
-            f"{run.eta_rms_pct:.4f}",
-            f"{run.speed_max_mm_s:.2f}",
-            f"{run.stroke_mm:.2f}",
-            said or ("waived" if run.waived else ""),
-        )
-    return table
-
-
-def _paper(claim: Claim) -> str:
-    return "trend" if claim.paper is None else f"{claim.paper:g}"
+        ended = "" if run.ended == "COMPENSATING" else f"[red]{run.ended}[/]"
+        found.add_row(
+            case.title, f"{passive:.3f}", f"{run.eta_max_pct:.4f}", f"{run.eta_rms_pct:.4f}",
+            f"{run.speed_max_mm_s:.2f}", f"{run.stroke_mm:.2f}", ended or ("waived" if run.waived else ""),
+        )  # fmt: skip
+    return found
 
 
 def _figure(value: float) -> str:
     return f"{value:.4g}" if abs(value) < 1000.0 else f"{value:.1f}"
 
 
-def _difference(row: Row) -> str:
+def _difference(row: ClaimResult) -> str:
     if row.claim.paper is None:
         return ""
-    difference = row.model - row.claim.paper
-    return f"{100.0 * difference / row.claim.paper:+.1f} %"
+    return f"{100.0 * (row.model - row.claim.paper) / row.claim.paper:+.1f} %"
 
 
 def _range(claim: Claim) -> str:
