@@ -26,10 +26,9 @@ STATUS_SILENT_MS = 310.0
 _SEEN_AT_REST: Expected = {**HOLD, Mode.DISARMED: Reaction.LATCHED}
 """Feedback that shows a stroke moving on a closed brake."""
 DRIVE_FEEDBACK = (
-    InjectedFault("drive_silent", "bus", "the drive's samples stop", on_bus.silent(on_bus.drive), HOLD, within_ms=20),
+    InjectedFault("drive_silent", "the drive's samples stop", on_bus.silent(on_bus.drive), HOLD, within_ms=20),
     InjectedFault(
         "status_silent",
-        "bus",
         "the drive's current, temperature and inputs stop coming, its position and speed go on",
         on_bus.silent(on_bus.drive_status),
         HOLD,
@@ -38,7 +37,6 @@ DRIVE_FEEDBACK = (
     ),
     InjectedFault(
         "stroke_stuck",
-        "device",
         "its position stands still, its speed does not",
         stuck(STROKE),
         WHEN_MOVING,
@@ -49,7 +47,6 @@ DRIVE_FEEDBACK = (
     ),
     InjectedFault(
         "stroke_jump",
-        "device",
         "its position is 10 mm further from one sample to the next",
         reads(STROKE, plus=10.0),
         HOLD,
@@ -58,7 +55,6 @@ DRIVE_FEEDBACK = (
     ),
     InjectedFault(
         "stroke_drift",
-        "device",
         "its position creeps by 5 mm/s, its speed says nothing of it",
         reads(STROKE, drift_s=5.0),
         _SEEN_AT_REST,
@@ -67,7 +63,6 @@ DRIVE_FEEDBACK = (
     ),
     InjectedFault(
         "stroke_unit",
-        "device",
         "a tenth of the position's unit",
         reads(STROKE, times=10.0),
         HOLD,
@@ -76,7 +71,6 @@ DRIVE_FEEDBACK = (
     ),
     InjectedFault(
         "speed_stuck",
-        "device",
         "its speed stands at 0",
         reads(SPEED, times=0.0),
         WHEN_MOVING,
@@ -86,7 +80,6 @@ DRIVE_FEEDBACK = (
     ),
     InjectedFault(
         "speed_sign",
-        "device",
         "its speed has the wrong sign",
         reads(SPEED, times=-1.0),
         WHEN_MOVING,
@@ -95,14 +88,9 @@ DRIVE_FEEDBACK = (
         around=Around(motion=in_plant.heaving),
     ),
     InjectedFault(
-        "speed_noisy",
-        "device",
-        "noise of 5 mm/s rms on its speed",
-        reads(SPEED, noise=5.0),
-        EITHER,
-        latency_ms=DRIVE_MS,
+        "speed_noisy", "noise of 5 mm/s rms on its speed", reads(SPEED, noise=5.0), EITHER, latency_ms=DRIVE_MS
     ),
-    InjectedFault("status_garbled", "device", "its statusword reads 0", says(STATUS, 0), HOLD, within_ms=40),
+    InjectedFault("status_garbled", "its statusword reads 0", says(STATUS, 0), HOLD, within_ms=40),
 )
 
 _BIT_MS = 40.0
@@ -123,7 +111,6 @@ SUPERVISION = (
     *(
         InjectedFault(
             f"foreign_{name}",
-            "bus",
             f"another master writes 0 to {what} of the drive",
             on_bus.sdo_write(index, sub, size),
             HOLD,
@@ -132,16 +119,15 @@ SUPERVISION = (
         )
         for name, what, index, sub, size in OWN_STOP
     ),
-    InjectedFault("foreign_sdo_read", "bus", "another master reads the drive's temperature", on_bus.sdo_read(), HOLD,
-          within_ms=10),
     InjectedFault(
-        "foreign_sdo_answers", "bus", "the drive answers a master that is not heard", on_bus.sdo_answers(), HOLD,
-        within_ms=10,
+        "foreign_sdo_read", "another master reads the drive's temperature", on_bus.sdo_read(), HOLD, within_ms=10
+    ),
+    InjectedFault(
+        "foreign_sdo_answers", "the drive answers a master that is not heard", on_bus.sdo_answers(), HOLD, within_ms=10
     ),
     *(
         InjectedFault(
             f"lost_{name}",
-            "device",
             f"{what} of the drive reads 0: its own service connection wrote it",
             in_device.setting_lost(index, sub),
             HOLD,
@@ -150,24 +136,29 @@ SUPERVISION = (
         )
         for name, what, index, sub, _ in OWN_STOP
     ),
-    InjectedFault("sdo_silent", "bus", "the drive's SDO server does not answer any more", on_bus.sdo_silent(), HOLD,
-          within_ms=1_500, seconds=2.5, why="what it would do without us is not known any more"),
+    InjectedFault(
+        "sdo_silent",
+        "the drive's SDO server does not answer any more",
+        on_bus.sdo_silent(),
+        HOLD,
+        within_ms=1_500,
+        seconds=2.5,
+        why="what it would do without us is not known any more",
+    ),
     InjectedFault(
         "encoder_restarts",
-        "device",
         "its encoder counts from a new zero",
         in_device.encoder_restarts(),
         HOLD,
         within_ms=10,
         why="where the stroke's ends are is not known any more: an operator has to confirm it",
     ),
-)  # fmt: skip
+)
 
 OVERCURRENT, OVERHEATED = 0x2310, 0x4310
 DRIVE = (
     InjectedFault(
         "drive_trips",
-        "device",
         "the drive finds an overcurrent: it stops, its brake closes",
         in_device.trips(OVERCURRENT),
         HOLD,
@@ -175,7 +166,6 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_emergency",
-        "bus",
         "the drive reports that it is too hot, and goes on",
         on_bus.emergency(lambda s: s.drive.id, OVERHEATED),
         HOLD,
@@ -183,7 +173,6 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_emergency_vendor",
-        "bus",
         "an emergency message of its maker's own (0xFF10, register 0x81), and it goes on",
         on_bus.emergency(lambda s: s.drive.id, VENDOR_ERROR, VENDOR_REGISTER),
         HOLD,
@@ -191,25 +180,20 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_emergency_none",
-        "bus",
         "an emergency message that says no error (0x00FF, register 0)",
         on_bus.emergency(lambda s: s.drive.id, NO_ERROR_EITHER, 0),
         RIDE,
     ),
     InjectedFault(
         "drive_emergency_remains",
-        "bus",
         "an emergency message says that one error is over, and its register that others stand (0x0000, register 0x09)",
         on_bus.emergency(lambda s: s.drive.id, 0, 0x09),
         HOLD,
         within_ms=10,
     ),
-    InjectedFault(
-        "drive_reboots", "device", "the drive starts anew", in_device.reboots(lambda s: s.drive), HOLD, within_ms=20
-    ),
+    InjectedFault("drive_reboots", "the drive starts anew", in_device.reboots(lambda s: s.drive), HOLD, within_ms=20),
     InjectedFault(
         "drive_tool",
-        "device",
         "a service tool at the drive has it enabled and winds up at 5 mm/s; quick stop and disable voltage still work",
         in_device.tool_takes_over(5.0),
         {**POWER_OFF, Mode.DISARMED: Reaction.LATCHED},
@@ -219,7 +203,6 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_tool_unsaid",
-        "device",
         "the same, and the drive's statusword says nothing of the tool",
         in_device.tool_takes_over(5.0, shows_remote=True),
         {**POWER_OFF, Mode.DISARMED: Reaction.LATCHED},
@@ -228,7 +211,6 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_tool_at_rest",
-        "device",
         "a service tool has the drive enabled and does not move it; quick stop and disable voltage still work",
         in_device.tool_takes_over(0.0),
         {**HOLD, Mode.DISARMED: Reaction.LATCHED},
@@ -236,7 +218,6 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_tool_deaf",
-        "device",
         "a service tool moves the drive by 1 mm/s, and nothing on the bus stops it",
         in_device.tool_takes_over(1.0, deaf=True),
         {Mode.DISARMED: Reaction.MOVES},
@@ -245,7 +226,6 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_remote_lost",
-        "device",
         "its statusword says that it takes no commands from the bus (bit 9 off)",
         in_device.status_bit(objects.STATUS_REMOTE, on=False),
         HOLD,
@@ -254,7 +234,6 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_internal_limit",
-        "device",
         "its statusword says that a limit of its own is active (bit 11)",
         in_device.status_bit(objects.STATUS_INTERNAL_LIMIT, on=True),
         HOLD,
@@ -263,7 +242,6 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_not_following",
-        "device",
         "its statusword says that it does not follow the target velocity (bit 12 off)",
         in_device.status_bit(objects.STATUS_FOLLOWS, on=False),
         {**POWER_OFF, Mode.DISARMED: Reaction.RIDDEN},
@@ -272,7 +250,6 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_no_heartbeat",
-        "device",
         "the drive sends no heartbeat any more, its samples go on",
         in_device.no_heartbeat(lambda s: s.drive),
         HOLD,
@@ -280,7 +257,6 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_ignores",
-        "device",
         "the motor stands still whatever it is told",
         in_device.ignores_commands(),
         WHEN_MOVING,
@@ -290,7 +266,6 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_runs_up",
-        "device",
         "the motor winds up at 10 mm/s by itself",
         in_device.runs_away(10.0),
         POWER_OFF,
@@ -299,7 +274,6 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_runs_down",
-        "device",
         "the motor pays out at 10 mm/s by itself",
         in_device.runs_away(-10.0),
         POWER_OFF,
@@ -308,7 +282,6 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_runs_slowly",
-        "device",
         "the motor pays out at 1 mm/s by itself",
         in_device.runs_away(-1.0),
         POWER_OFF,
@@ -318,7 +291,6 @@ DRIVE = (
     ),
     InjectedFault(
         "drive_runs_blind",
-        "device",
         "the motor pays out at 5 mm/s, its encoder says it stands still",
         both(in_device.runs_away(-5.0), stuck(STROKE), reads(SPEED, times=0.0)),
         POWER_OFF,
@@ -329,7 +301,6 @@ DRIVE = (
     ),
     InjectedFault(
         "brake_stuck_closed",
-        "device",
         "the brake has closed by itself",
         in_device.brake_stays_closed(),
         WHEN_MOVING,
@@ -339,7 +310,6 @@ DRIVE = (
     ),
     InjectedFault(
         "brake_stuck_open",
-        "device",
         "the brake does not hold: a motor without power gives way by 0.5 mm/s",
         in_device.brake_stays_open(),
         {**RIDE, Mode.DISARMED: Reaction.MOVES},
@@ -349,7 +319,6 @@ DRIVE = (
     ),
     InjectedFault(
         "brake_weak",
-        "device",
         "the closed brake gives way by 0.06 mm/s: less than any limit sees",
         in_device.brake_gives_way(0.06),
         {Mode.DISARMED: Reaction.REFUSED},
@@ -357,6 +326,6 @@ DRIVE = (
         why="the brake test of the arming finds it",
     ),
     InjectedFault(
-        "power_dip", "device", "all devices are without power for 100 ms", in_device.power_dip(0.1), HOLD, within_ms=20
+        "power_dip", "all devices are without power for 100 ms", in_device.power_dip(0.1), HOLD, within_ms=20
     ),
 )

@@ -16,7 +16,6 @@ RAIL = Around(change=(("rail_encoder", RailEncoderSettings(counts_per_turn=1 << 
 RAIL_ENCODER = (
     InjectedFault(
         "rail_silent",
-        "bus",
         "the rail encoder's angle stops coming",
         on_bus.silent(on_bus.rail),
         RIDE,
@@ -26,7 +25,6 @@ RAIL_ENCODER = (
     ),
     InjectedFault(
         "rail_no_heartbeat",
-        "device",
         "the rail encoder sends no heartbeat any more, its angle goes on",
         in_device.no_heartbeat(lambda s: s.rail),
         RIDE,
@@ -38,7 +36,6 @@ RAIL_ENCODER = (
 IO = (
     InjectedFault(
         "io_e_stop",
-        "device",
         "the emergency stop's contact opens at the I/O node alone",
         in_device.io_contact_opens(),
         PRESSED,
@@ -48,7 +45,6 @@ IO = (
     ),
     InjectedFault(
         "io_e_stop_bounces",
-        "device",
         "the same contact opens for 10 ms",
         in_device.io_contact_opens(0.01),
         PRESSED,
@@ -58,7 +54,6 @@ IO = (
     ),
     InjectedFault(
         "io_silent",
-        "bus",
         "the I/O node's inputs stop coming",
         on_bus.silent(on_bus.io),
         HOLD,
@@ -66,17 +61,10 @@ IO = (
         around=FITTED,
     ),
     InjectedFault(
-        "io_reboots",
-        "device",
-        "the I/O node starts anew",
-        in_device.reboots(lambda s: s.io),
-        HOLD,
-        within_ms=20,
-        around=FITTED,
+        "io_reboots", "the I/O node starts anew", in_device.reboots(lambda s: s.io), HOLD, within_ms=20, around=FITTED
     ),
     InjectedFault(
         "io_nmt_stopped",
-        "bus",
         "another master stops the I/O node",
         on_bus.nmt(0x02, lambda s: s.io.id),
         HOLD,
@@ -85,7 +73,6 @@ IO = (
     ),
     InjectedFault(
         "io_nmt_preop",
-        "bus",
         "another master takes the I/O node to pre-operational",
         on_bus.nmt(0x80, lambda s: s.io.id),
         HOLD,
@@ -94,7 +81,6 @@ IO = (
     ),
     InjectedFault(
         "io_no_heartbeat",
-        "device",
         "the I/O node sends no heartbeat any more, its inputs go on",
         in_device.no_heartbeat(lambda s: s.io),
         HOLD,
@@ -103,7 +89,6 @@ IO = (
     ),
     InjectedFault(
         "io_emergency",
-        "bus",
         "an emergency message of the I/O node, its inputs go on",
         on_bus.emergency(lambda s: s.io.id, EmcyCode.SENSOR_INVALID),
         HOLD,
@@ -112,7 +97,6 @@ IO = (
     ),
     InjectedFault(
         "io_length_wrong",
-        "bus",
         "every frame of the I/O node has a byte too few",
         on_bus.cut(on_bus.io, 1.0),
         HOLD,

@@ -7,17 +7,12 @@ from hil.faults.expected import ARMED, DRIVE_MS, DRIVE_STOPS, HOLD, LOST, PASSIN
 from rigctl.control.modes import Mode, Verb
 
 PLANT = (
-    InjectedFault("backlash_doubled", "plant", "the nut has twice its play", in_plant.backlash(2.0), RIDE, band_n=3),
+    InjectedFault("backlash_doubled", "the nut has twice its play", in_plant.backlash(2.0), RIDE, band_n=3),
     InjectedFault(
-        "spring_stiffens",
-        "plant",
-        "coils of the spring no longer work: 30 % stiffer",
-        in_plant.spring_stiffens(1.3),
-        RIDE,
+        "spring_stiffens", "coils of the spring no longer work: 30 % stiffer", in_plant.spring_stiffens(1.3), RIDE
     ),
     InjectedFault(
         "stroke_end_high",
-        "plant",
         "the payload goes up further than the stroke",
         in_plant.nothing(),
         {Mode.COMPENSATING: Reaction.HELD},
@@ -29,7 +24,6 @@ PLANT = (
     ),
     InjectedFault(
         "stroke_end_tensioning",
-        "plant",
         "the rope is longer than the stroke",
         in_plant.nothing(),
         {Mode.TENSIONING: Reaction.HELD},
@@ -40,7 +34,6 @@ PLANT = (
     ),
     InjectedFault(
         "stroke_end_low",
-        "plant",
         "the stroke ends before the rope is slack",
         in_plant.nothing(),
         {Mode.RELEASING: Reaction.HELD},
@@ -50,21 +43,11 @@ PLANT = (
         around=Around((("cylinder.stroke_min_mm", 40.0),)),
     ),
     InjectedFault(
-        "rope_breaks",
-        "plant",
-        "the rope breaks",
-        in_plant.rope_breaks(),
-        LOST,
-        band_n=350,
-        within_ms=60,
-        carried=False,
+        "rope_breaks", "the rope breaks", in_plant.rope_breaks(), LOST, band_n=350, within_ms=60, carried=False
     ),
-    InjectedFault(
-        "rope_slips_a_little", "plant", "the rope slips by 1 mm in its clamp", in_plant.rope_slips(50.0, 1.0), RIDE
-    ),
+    InjectedFault("rope_slips_a_little", "the rope slips by 1 mm in its clamp", in_plant.rope_slips(50.0, 1.0), RIDE),
     InjectedFault(
         "rope_slips_away",
-        "plant",
         "the rope slips through its clamp at 30 mm/s",
         in_plant.rope_slips(30.0, 200.0),
         LOST,
@@ -74,7 +57,6 @@ PLANT = (
     ),
     InjectedFault(
         "spring_breaks",
-        "plant",
         "the spring breaks, its chain hangs 20 mm longer",
         in_plant.spring_breaks(),
         LOST,
@@ -83,15 +65,10 @@ PLANT = (
         carried=False,
     ),
     InjectedFault(
-        "payload_bumped",
-        "plant",
-        "a bump lifts the payload by 1 mm within 0.1 s",
-        in_plant.payload_jolts(1.0, 0.1),
-        RIDE,
+        "payload_bumped", "a bump lifts the payload by 1 mm within 0.1 s", in_plant.payload_jolts(1.0, 0.1), RIDE
     ),
     InjectedFault(
         "payload_caught",
-        "plant",
         "the payload is caught and pulled down at 30 mm/s",
         in_plant.payload_moves(-40.0, 30.0),
         {**HOLD, Mode.DISARMED: Reaction.LATCHED, Mode.TENSIONING: Reaction.EITHER},
@@ -101,7 +78,6 @@ PLANT = (
     ),
     InjectedFault(
         "payload_lifted",
-        "plant",
         "something lifts the payload off the rope at 40 mm/s",
         in_plant.payload_moves(80.0, 40.0),
         {mode: reaction for mode, reaction in LOST.items() if mode is not Mode.RELEASING},
@@ -114,25 +90,13 @@ PLANT = (
 
 CONTROLLER = (
     InjectedFault(
-        "controller_hangs",
-        "controller",
-        "the loop stands still for 300 ms",
-        in_controller.hangs(300),
-        DRIVE_STOPS,
-        band_n=9,
+        "controller_hangs", "the loop stands still for 300 ms", in_controller.hangs(300), DRIVE_STOPS, band_n=9
     ),
     InjectedFault(
-        "overrun_once",
-        "controller",
-        "5 ticks are missed at once",
-        in_controller.hangs(5),
-        RIDE,
-        band_n=3,
-        counter="skipped",
+        "overrun_once", "5 ticks are missed at once", in_controller.hangs(5), RIDE, band_n=3, counter="skipped"
     ),
     InjectedFault(
         "overrun_bursts",
-        "controller",
         "6 ticks are missed every 50 ms",
         in_controller.overruns(6, 0.05),
         PASSING,
@@ -142,7 +106,6 @@ CONTROLLER = (
     ),
     InjectedFault(
         "arm_during_run_out",
-        "controller",
         "an operator disarms, and arms again 10 ms later",
         in_controller.commanded(Verb.DISARM, Verb.ARM),
         {Mode.HOLD: Reaction.RIDDEN},
@@ -151,7 +114,6 @@ CONTROLLER = (
     ),
     InjectedFault(
         "reset_during_quick_stop",
-        "controller",
         "an operator resets and arms 10 ms after a quick stop has begun",
         in_controller.quick_stop_then(Verb.RESET, Verb.ARM),
         dict.fromkeys(ARMED, Reaction.DRIVE_OFF),

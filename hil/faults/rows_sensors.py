@@ -25,13 +25,10 @@ WAY_N = 90.0
 """15 mm of stroke: the payload of this rig moves by 10 mm, so a larger motion has another cause."""
 
 SENSOR_CELL = (
-    InjectedFault("cell_silent", "bus", "the cell's samples stop", on_bus.silent(on_bus.cell), HOLD, within_ms=20),
-    InjectedFault(
-        "cell_stuck", "device", "the cell repeats its last sample to the last bit", stuck(CELL), HOLD, within_ms=300
-    ),
+    InjectedFault("cell_silent", "the cell's samples stop", on_bus.silent(on_bus.cell), HOLD, within_ms=20),
+    InjectedFault("cell_stuck", "the cell repeats its last sample to the last bit", stuck(CELL), HOLD, within_ms=300),
     InjectedFault(
         "cell_frozen",
-        "device",
         "the cell's noise goes on about one value, 1 % too low",
         reads(CELL, times=0.99, noise=0.03, freezes=True),
         WHEN_MOVING,
@@ -42,7 +39,6 @@ SENSOR_CELL = (
     ),
     InjectedFault(
         "cell_drift_fast",
-        "device",
         "the cell drifts by 20 N/s",
         reads(CELL, drift_s=20.0),
         {
@@ -55,7 +51,6 @@ SENSOR_CELL = (
     ),
     InjectedFault(
         "cell_drift_slow",
-        "device",
         "the cell drifts by 0.5 N/s",
         reads(CELL, drift_s=0.5),
         RIDE,
@@ -63,32 +58,15 @@ SENSOR_CELL = (
         why="not to be told from a payload that moves: calibration's affair",
     ),
     InjectedFault(
-        "cell_jump_up",
-        "device",
-        "80 N more from one sample to the next",
-        reads(CELL, plus=80.0),
-        PASSING,
-        within_ms=60,
+        "cell_jump_up", "80 N more from one sample to the next", reads(CELL, plus=80.0), PASSING, within_ms=60
     ),
     InjectedFault(
-        "cell_jump_down",
-        "device",
-        "80 N less from one sample to the next",
-        reads(CELL, plus=-80.0),
-        PASSING,
-        within_ms=60,
+        "cell_jump_down", "80 N less from one sample to the next", reads(CELL, plus=-80.0), PASSING, within_ms=60
     ),
-    InjectedFault(
-        "cell_spike",
-        "device",
-        "one sample in 200 is 80 N too high",
-        reads(CELL, spikes=80.0),
-        RIDE,
-    ),
-    InjectedFault("cell_noisy", "device", "three times the noise", reads(CELL, noise=0.1), RIDE),
+    InjectedFault("cell_spike", "one sample in 200 is 80 N too high", reads(CELL, spikes=80.0), RIDE),
+    InjectedFault("cell_noisy", "three times the noise", reads(CELL, noise=0.1), RIDE),
     InjectedFault(
         "cell_noise_gross",
-        "device",
         "noise of 20 N rms",
         reads(CELL, noise=20.0),
         {**PASSING, Mode.HOLD: Reaction.EITHER},
@@ -96,49 +74,34 @@ SENSOR_CELL = (
         within_ms=300,
         why="a stroke that is held does not mind; it trips as soon as it is to move",
     ),
-    InjectedFault(
-        "cell_overload", "device", "the amplifier says it is overloaded", in_device.overloaded(), HOLD, within_ms=10
-    ),
+    InjectedFault("cell_overload", "the amplifier says it is overloaded", in_device.overloaded(), HOLD, within_ms=10),
     InjectedFault(
         "cell_pinned_high",
-        "device",
         "it reads the end of its range, 500 N, and says nothing",
         reads(CELL, times=0.0, plus=500.0),
         HOLD,
         within_ms=40,
     ),
     InjectedFault(
-        "cell_over_range",
-        "device",
-        "it reads 650 N, more than it can",
-        reads(CELL, times=0.0, plus=650.0),
-        HOLD,
-        within_ms=10,
+        "cell_over_range", "it reads 650 N, more than it can", reads(CELL, times=0.0, plus=650.0), HOLD, within_ms=10
     ),
     InjectedFault(
-        "cell_zero",
-        "device",
-        "a broken wire: it reads 0 N",
-        reads(CELL, times=0.0, noise=0.03),
-        PASSING,
-        within_ms=60,
+        "cell_zero", "a broken wire: it reads 0 N", reads(CELL, times=0.0, noise=0.03), PASSING, within_ms=60
     ),
     InjectedFault(
-        "cell_nan", "device", "the number that stands for none", says(CELL, in_device.NOT_A_NUMBER), HOLD, within_ms=10
+        "cell_nan", "the number that stands for none", says(CELL, in_device.NOT_A_NUMBER), HOLD, within_ms=10
     ),
     InjectedFault(
         "cell_not_valid",
-        "device",
         "its status says that the sample is not valid",
         says(CELL_STATUS, int(AiStatus.NOT_VALID)),
         HOLD,
         within_ms=10,
     ),
-    InjectedFault("cell_sign", "device", "its sign turns round", reads(CELL, times=-1.0), HOLD, within_ms=60),
-    InjectedFault("cell_unit", "device", "it reads kgf for N", reads(CELL, times=1 / G), PASSING, within_ms=60),
+    InjectedFault("cell_sign", "its sign turns round", reads(CELL, times=-1.0), HOLD, within_ms=60),
+    InjectedFault("cell_unit", "it reads kgf for N", reads(CELL, times=1 / G), PASSING, within_ms=60),
     InjectedFault(
         "cell_sign_from_start",
-        "device",
         "mounted the wrong way round",
         reads(CELL, times=-1.0),
         FROM_START,
@@ -148,7 +111,6 @@ SENSOR_CELL = (
     ),
     InjectedFault(
         "cell_unit_from_start",
-        "device",
         "reads kgf for N since power-on",
         reads(CELL, times=1 / G),
         FROM_START,
@@ -160,18 +122,14 @@ SENSOR_CELL = (
     ),
     InjectedFault(
         "cell_emergency",
-        "bus",
         "an emergency message, samples go on",
         on_bus.emergency(lambda s: s.cell.id, EmcyCode.SENSOR_INVALID),
         HOLD,
         within_ms=10,
     ),
-    InjectedFault(
-        "cell_reboots", "device", "the amplifier starts anew", in_device.reboots(lambda s: s.cell), HOLD, within_ms=20
-    ),
+    InjectedFault("cell_reboots", "the amplifier starts anew", in_device.reboots(lambda s: s.cell), HOLD, within_ms=20),
     InjectedFault(
         "cell_emergency_vendor",
-        "bus",
         "an emergency message of its maker's own (0xFF10, register 0x81), samples go on",
         on_bus.emergency(lambda s: s.cell.id, VENDOR_ERROR, VENDOR_REGISTER),
         HOLD,
@@ -179,14 +137,12 @@ SENSOR_CELL = (
     ),
     InjectedFault(
         "cell_emergency_none",
-        "bus",
         "an emergency message that says no error (0x00FF, register 0)",
         on_bus.emergency(lambda s: s.cell.id, NO_ERROR_EITHER, 0),
         RIDE,
     ),
     InjectedFault(
         "cell_nmt_stopped",
-        "bus",
         "another master stops the amplifier",
         on_bus.nmt(0x02, lambda s: s.cell.id),
         HOLD,
@@ -194,7 +150,6 @@ SENSOR_CELL = (
     ),
     InjectedFault(
         "cell_nmt_preop",
-        "bus",
         "another master takes the cell to pre-operational",
         on_bus.nmt(0x80, lambda s: s.cell.id),
         HOLD,
@@ -202,7 +157,6 @@ SENSOR_CELL = (
     ),
     InjectedFault(
         "cell_no_heartbeat",
-        "device",
         "the cell sends no heartbeat any more, its samples go on",
         in_device.no_heartbeat(lambda s: s.cell),
         HOLD,
@@ -210,7 +164,6 @@ SENSOR_CELL = (
     ),
     InjectedFault(
         "cell_length_wrong",
-        "bus",
         "every sample has a byte too few",
         on_bus.cut(on_bus.cell, 1.0),
         HOLD,
@@ -220,12 +173,9 @@ SENSOR_CELL = (
 )
 
 SENSOR_SLOPE = (
-    InjectedFault(
-        "slope_silent", "bus", "the inclinometer's samples stop", on_bus.silent(on_bus.slope), HOLD, within_ms=120
-    ),
+    InjectedFault("slope_silent", "the inclinometer's samples stop", on_bus.silent(on_bus.slope), HOLD, within_ms=120),
     InjectedFault(
         "slope_stuck",
-        "device",
         "it repeats its last sample while the mechanism turns",
         both(stuck(LONG), stuck(LATERAL)),
         RIDE,
@@ -235,7 +185,6 @@ SENSOR_SLOPE = (
     ),
     InjectedFault(
         "slope_drift_slow",
-        "device",
         "it drifts by 1 deg/s",
         reads(LONG, drift_s=1.0),
         RIDE,
@@ -244,49 +193,29 @@ SENSOR_SLOPE = (
     ),
     InjectedFault(
         "slope_drift_fast",
-        "device",
         "it drifts by 10 deg/s",
         reads(LONG, drift_s=10.0),
         HOLD,
         seconds=3.5,
         why="beyond 14 deg the set-point would be 3 % off",
     ),
-    InjectedFault(
-        "slope_jump",
-        "device",
-        "20 deg from one sample to the next",
-        reads(LONG, plus=20.0),
-        HOLD,
-        within_ms=300,
-    ),
-    InjectedFault("slope_noisy", "device", "ten times the noise, 0.03 deg rms", reads(LONG, noise=0.03), RIDE),
+    InjectedFault("slope_jump", "20 deg from one sample to the next", reads(LONG, plus=20.0), HOLD, within_ms=300),
+    InjectedFault("slope_noisy", "ten times the noise, 0.03 deg rms", reads(LONG, noise=0.03), RIDE),
     InjectedFault(
         "slope_invalid",
-        "device",
         "both axes say that they cannot measure",
         both(says(LONG, SLOPE_INVALID), says(LATERAL, SLOPE_INVALID)),
         HOLD,
         within_ms=30,
     ),
     InjectedFault(
-        "slope_axis_invalid",
-        "device",
-        "one axis says that it cannot measure",
-        says(LATERAL, SLOPE_INVALID),
-        HOLD,
-        within_ms=30,
+        "slope_axis_invalid", "one axis says that it cannot measure", says(LATERAL, SLOPE_INVALID), HOLD, within_ms=30
     ),
     InjectedFault(
-        "slope_over_range",
-        "device",
-        "it reads 60 deg, more than it can",
-        reads(LONG, times=0.0, plus=60.0),
-        HOLD,
-        within_ms=30,
+        "slope_over_range", "it reads 60 deg, more than it can", reads(LONG, times=0.0, plus=60.0), HOLD, within_ms=30
     ),
     InjectedFault(
         "slope_sign",
-        "device",
         "its sign turns round while the mechanism turns",
         reads(LONG, times=-1.0),
         RIDE,
@@ -296,7 +225,6 @@ SENSOR_SLOPE = (
     ),
     InjectedFault(
         "slope_unit",
-        "device",
         "ten times the angle while the mechanism turns",
         reads(LONG, times=10.0),
         EITHER,
@@ -306,23 +234,16 @@ SENSOR_SLOPE = (
     ),
     InjectedFault(
         "slope_emergency",
-        "bus",
         "an emergency message, samples go on",
         on_bus.emergency(lambda s: s.slope.id, EmcyCode.SENSOR_INVALID),
         HOLD,
         within_ms=10,
     ),
     InjectedFault(
-        "slope_reboots",
-        "device",
-        "the inclinometer starts anew",
-        in_device.reboots(lambda s: s.slope),
-        HOLD,
-        within_ms=20,
+        "slope_reboots", "the inclinometer starts anew", in_device.reboots(lambda s: s.slope), HOLD, within_ms=20
     ),
     InjectedFault(
         "slope_nmt_stopped",
-        "bus",
         "another master stops the inclinometer",
         on_bus.nmt(0x02, lambda s: s.slope.id),
         HOLD,
@@ -330,7 +251,6 @@ SENSOR_SLOPE = (
     ),
     InjectedFault(
         "slope_nmt_preop",
-        "bus",
         "another master takes the inclinometer to pre-operational",
         on_bus.nmt(0x80, lambda s: s.slope.id),
         HOLD,
@@ -338,7 +258,6 @@ SENSOR_SLOPE = (
     ),
     InjectedFault(
         "slope_no_heartbeat",
-        "device",
         "the inclinometer sends no heartbeat any more, its samples go on",
         in_device.no_heartbeat(lambda s: s.slope),
         HOLD,
