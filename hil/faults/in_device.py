@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
-from hil.faults.stand import Injector, Stand, Step
+from hil.faults.stand import FindNode, Injector, Stand, Step
 from hil.nodes.cylinder_drive import ServiceTool
 from hil.nodes.node import Node
 from rigctl.devices import objects
@@ -116,12 +115,11 @@ def both(*parts: Injector) -> Injector:
     return inject
 
 
-def reboots(*which: Callable[[Stand], Node]) -> Injector:
-    """Devices that reboot and, as after power-on, wait to be configured."""
+def reboots(find: FindNode) -> Injector:
+    """A device that reboots and, as after power-on, waits to be configured."""
 
     def inject(stand: Stand) -> None:
-        for node in which:
-            node(stand).reset_node()
+        find(stand).reset_node()
 
     return inject
 
@@ -201,11 +199,11 @@ def status_bit(bit: int, on: bool) -> Injector:
     return inject
 
 
-def no_heartbeat(node: Callable[[Stand], Node]) -> Injector:
+def no_heartbeat(find: FindNode) -> Injector:
     """A device stops sending its heartbeat; its samples go on."""
 
     def inject(stand: Stand) -> None:
-        node(stand)._set_heartbeat(0)
+        find(stand)._set_heartbeat(0)
 
     return inject
 
@@ -248,11 +246,12 @@ def creeps(speed_mm_s: float) -> Injector:
     return inject
 
 
-def brake_slips(speed_mm_s: float) -> Injector:
-    """The brake gives way at this speed under load."""
+def brake_slips(speed_mm_s: float, *, dead_band: bool = False) -> Injector:
+    """The closed brake lets the load down at this speed; ``dead_band``: a speed below the motor's is none."""
 
     def inject(stand: Stand) -> None:
-        stand.plant.parameters["dead_band"] = 0.0  # of the motor, which does not slip here
+        if not dead_band:
+            stand.plant.parameters["dead_band"] = 0.0
         stand.drive.defect = lambda speed, braked: (-speed_mm_s, False) if braked else (speed, False)
 
     return inject
@@ -275,15 +274,6 @@ def brake_stays_open() -> Injector:
             return (-stand.plant.truth.tension_n / CREEP_N if braked else speed), False
 
         stand.drive.defect = defect
-
-    return inject
-
-
-def brake_gives_way(speed_mm_s: float) -> Injector:
-    """The closed brake lets the load down at this speed."""
-
-    def inject(stand: Stand) -> None:
-        stand.drive.defect = lambda speed, braked: (-speed_mm_s, False) if braked else (speed, False)
 
     return inject
 

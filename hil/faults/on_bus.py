@@ -6,56 +6,27 @@ import errno
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable
+from operator import attrgetter
 
 import can
 
-from hil.faults.stand import Injector, Stand, Step
+from hil.faults.stand import FindNode, Injector, Stand, Step
 from hil.hub import Port
 from hil.wire import ERROR_FLAG, FRAME
 from rigctl.devices import objects
 
-
-def everybody(_: Stand) -> int:
-    """The node id that addresses all nodes."""
-    return 0
-
-
-Which = Callable[[Stand], int]
-"""Identifier of the frames that a fault affects."""
 FULL_LOAD_FRAMES = 7
 """Frames of 8 bytes in a millisecond at 1 Mbit/s, 135 bits each."""
 _LOWEST, _HIGHEST = 0x7F0, 0x001
+NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET = 0x02, 0x80, 0x81
 _BUS_OFF, _CONTROLLER, _PASSIVE = 0x040, 0x004, 0x30  # classes and byte 1 of linux/can/error.h
 
 
-def cell(stand: Stand) -> int:
-    """Identifier of the cell's samples."""
-    return stand.data_id(stand.cell)
-
-
-def slope(stand: Stand) -> int:
-    """Identifier of the inclinometer's samples."""
-    return stand.data_id(stand.slope)
-
-
-def drive(stand: Stand) -> int:
-    """Identifier of the drive's samples."""
-    return stand.data_id(stand.drive)
-
-
-def drive_status(stand: Stand) -> int:
-    """Identifier of the drive's current, temperature and inputs."""
-    return objects.DRIVE_TPDO2.cob_base + stand.drive.id
-
-
-def io(stand: Stand) -> int:
-    """Identifier of the I/O node's inputs."""
-    return stand.data_id(stand.io)
-
-
-def rail(stand: Stand) -> int:
-    """Identifier of the rail encoder's angle."""
-    return stand.data_id(stand.rail)
+cell: FindNode = attrgetter("cell")
+slope: FindNode = attrgetter("slope")
+drive: FindNode = attrgetter("drive")
+io: FindNode = attrgetter("io")
+rail: FindNode = attrgetter("rail")
 
 
 def can_id(frame: bytes) -> int:
@@ -63,11 +34,11 @@ def can_id(frame: bytes) -> int:
     return int(FRAME.unpack(frame)[0])
 
 
-def silent(which: Which) -> Injector:
-    """One device's samples are lost from now on."""
+def silent(find: FindNode, base: int = objects.TPDO1_BASE) -> Injector:
+    """One device's samples, or other frames of its own, are lost from now on."""
 
     def inject(stand: Stand) -> None:
-        gone = which(stand)
+        gone = base + find(stand).id
         stand.rig.hub.tap = lambda _, frame: () if can_id(frame) == gone else (frame,)
 
     return inject
@@ -146,11 +117,11 @@ def reordered() -> Injector:
     return inject
 
 
-def cut(which: Which, share: float) -> Injector:
+def cut(find: FindNode, share: float) -> Injector:
     """A share of one device's frames has a byte too few."""
 
     def inject(stand: Stand) -> None:
-        ours, draw = which(stand), stand.random.random
+        ours, draw = objects.TPDO1_BASE + find(stand).id, stand.random.random
 
         def tap(_: Port, frame: bytes) -> Iterable[bytes]:
             identifier, size, data = FRAME.unpack(frame)
@@ -207,7 +178,7 @@ def impostor() -> Injector:
 
     def frames(stand: Stand) -> list[bytes]:
         value = round(stand.random.uniform(0.0, 400.0) / objects.N_PER_CELL_UNIT)
-        return [FRAME.pack(cell(stand), 5, struct.pack("<iB", value, 0))]
+        return [FRAME.pack(objects.TPDO1_BASE + stand.cell.id, 5, struct.pack("<iB", value, 0))]
 
     return _every_tick(frames)
 
@@ -255,11 +226,6 @@ def sdo_answers() -> Injector:
     return _every_tick(lambda stand: [FRAME.pack(objects.SDO_TX_BASE + stand.drive.id, 8, data)])
 
 
-def sdo_silent() -> Injector:
-    """The drive's SDO server stops answering; the rest of the drive goes on."""
-    return silent(lambda stand: objects.SDO_TX_BASE + stand.drive.id)
-
-
 def error_frames() -> Injector:
     """The controller reports itself error-passive, ten times a second; every frame still arrives."""
 
@@ -292,21 +258,22 @@ def bus_off() -> Injector:
     return inject
 
 
-def nmt(command: int, node: Callable[[Stand], int]) -> Injector:
-    """Another master gives an NMT command; node 0 addresses all."""
+def nmt(command: int, find: FindNode | None = None) -> Injector:
+    """Another master gives an NMT command, to all nodes or to one."""
 
     def inject(stand: Stand) -> None:
-        stand.rig.inject(FRAME.pack(objects.NMT_COB, 2, bytes([command, node(stand)])))
+        node = 0 if find is None else find(stand).id
+        stand.rig.inject(FRAME.pack(objects.NMT_COB, 2, bytes([command, node])))
 
     return inject
 
 
-def emergency(node: Callable[[Stand], int], code: int, register: int = 1) -> Injector:
+def emergency(find: FindNode, code: int, register: int = 1) -> Injector:
     """A device's emergency message that reports only some error; its samples go on."""
 
     def inject(stand: Stand) -> None:
         data = struct.pack("<HB5x", code, register)
-        stand.rig.inject(FRAME.pack(objects.EMCY_BASE + node(stand), 8, data))
+        stand.rig.inject(FRAME.pack(objects.EMCY_BASE + find(stand).id, 8, data))
 
     return inject
 

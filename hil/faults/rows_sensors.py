@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from hil.faults import in_device, in_plant, on_bus
+from functools import partial
+
+from hil.faults import in_device, in_plant
+from hil.faults.bus_devices import AMPLIFIER, INCLINOMETER
 from hil.faults.expected import (
     EITHER,
     FROM_START,
     HOLD,
-    NO_HEARTBEAT_MS,
     PASSING,
     RIDE,
     WHEN_MOVING,
@@ -17,15 +19,19 @@ from hil.faults.expected import (
 )
 from hil.faults.in_device import CELL, CELL_STATUS, LATERAL, LONG, both, reads, says, stuck
 from rigctl.control.modes import Mode
-from rigctl.devices.objects import SLOPE_INVALID, AiStatus, EmcyCode
+from rigctl.devices.objects import SLOPE_INVALID, AiStatus
 
-VENDOR_ERROR, VENDOR_REGISTER, NO_ERROR_EITHER = 0xFF10, 0x81, 0x00FF
 G = 9.80665
 WAY_N = 90.0
 """15 mm of stroke: the payload of this rig moves by 10 mm, so a larger motion has another cause."""
 
+_while_turning = partial(InjectedFault, seconds=3.0, around=Around(motion=in_plant.rotating))
+"""Shows only on a rope that leans."""
+_from_start = partial(InjectedFault, expected=FROM_START, band_n=15.0, from_start=True)
+"""Detected in the first tensioning."""
+
 SENSOR_CELL = (
-    InjectedFault("cell_silent", "the cell's samples stop", on_bus.silent(on_bus.cell), HOLD, within_ms=20),
+    AMPLIFIER.silent(),
     InjectedFault("cell_stuck", "the cell repeats its last sample to the last bit", stuck(CELL), HOLD, within_ms=300),
     InjectedFault(
         "cell_frozen",
@@ -100,87 +106,32 @@ SENSOR_CELL = (
     ),
     InjectedFault("cell_sign", "its sign turns round", reads(CELL, times=-1.0), HOLD, within_ms=60),
     InjectedFault("cell_unit", "it reads kgf for N", reads(CELL, times=1 / G), PASSING, within_ms=60),
-    InjectedFault(
-        "cell_sign_from_start",
-        "mounted the wrong way round",
-        reads(CELL, times=-1.0),
-        FROM_START,
-        seconds=3.0,
-        band_n=15.0,
-        from_start=True,
-    ),
-    InjectedFault(
+    _from_start("cell_sign_from_start", "mounted the wrong way round", reads(CELL, times=-1.0), seconds=3.0),
+    _from_start(
         "cell_unit_from_start",
         "reads kgf for N since power-on",
         reads(CELL, times=1 / G),
-        FROM_START,
         seconds=4.0,
-        band_n=15.0,
-        from_start=True,
         latency_ms=170,
         why="caught while the tension is a fraction of the target",
     ),
-    InjectedFault(
-        "cell_emergency",
-        "an emergency message, samples go on",
-        on_bus.emergency(lambda s: s.cell.id, EmcyCode.SENSOR_INVALID),
-        HOLD,
-        within_ms=10,
-    ),
-    InjectedFault("cell_reboots", "the amplifier starts anew", in_device.reboots(lambda s: s.cell), HOLD, within_ms=20),
-    InjectedFault(
-        "cell_emergency_vendor",
-        "an emergency message of its maker's own (0xFF10, register 0x81), samples go on",
-        on_bus.emergency(lambda s: s.cell.id, VENDOR_ERROR, VENDOR_REGISTER),
-        HOLD,
-        within_ms=10,
-    ),
-    InjectedFault(
-        "cell_emergency_none",
-        "an emergency message that says no error (0x00FF, register 0)",
-        on_bus.emergency(lambda s: s.cell.id, NO_ERROR_EITHER, 0),
-        RIDE,
-    ),
-    InjectedFault(
-        "cell_nmt_stopped",
-        "another master stops the amplifier",
-        on_bus.nmt(0x02, lambda s: s.cell.id),
-        HOLD,
-        within_ms=20,
-    ),
-    InjectedFault(
-        "cell_nmt_preop",
-        "another master takes the cell to pre-operational",
-        on_bus.nmt(0x80, lambda s: s.cell.id),
-        HOLD,
-        within_ms=20,
-    ),
-    InjectedFault(
-        "cell_no_heartbeat",
-        "the cell sends no heartbeat any more, its samples go on",
-        in_device.no_heartbeat(lambda s: s.cell),
-        HOLD,
-        within_ms=NO_HEARTBEAT_MS,
-    ),
-    InjectedFault(
-        "cell_length_wrong",
-        "every sample has a byte too few",
-        on_bus.cut(on_bus.cell, 1.0),
-        HOLD,
-        within_ms=20,
-        counter="frames_refused",
-    ),
+    AMPLIFIER.emergency("an emergency message, samples go on"),
+    AMPLIFIER.reboots("the amplifier"),
+    AMPLIFIER.emergency_vendor("samples go on"),
+    AMPLIFIER.emergency_none(),
+    AMPLIFIER.nmt_stopped("the amplifier"),
+    AMPLIFIER.nmt_preop(),
+    AMPLIFIER.no_heartbeat(),
+    AMPLIFIER.length_wrong("every sample has a byte too few"),
 )
 
 SENSOR_SLOPE = (
-    InjectedFault("slope_silent", "the inclinometer's samples stop", on_bus.silent(on_bus.slope), HOLD, within_ms=120),
-    InjectedFault(
+    INCLINOMETER.silent(),
+    _while_turning(
         "slope_stuck",
         "it repeats its last sample while the mechanism turns",
         both(stuck(LONG), stuck(LATERAL)),
         RIDE,
-        seconds=3.0,
-        around=Around(motion=in_plant.rotating),
         why="at rest it repeats itself anyhow; at 0.7 deg it is worth 0.0075 %",
     ),
     InjectedFault(
@@ -214,53 +165,23 @@ SENSOR_SLOPE = (
     InjectedFault(
         "slope_over_range", "it reads 60 deg, more than it can", reads(LONG, times=0.0, plus=60.0), HOLD, within_ms=30
     ),
-    InjectedFault(
+    _while_turning(
         "slope_sign",
         "its sign turns round while the mechanism turns",
         reads(LONG, times=-1.0),
         RIDE,
-        seconds=3.0,
-        around=Around(motion=in_plant.rotating),
         why="the cosine does not care",
     ),
-    InjectedFault(
+    _while_turning(
         "slope_unit",
         "ten times the angle while the mechanism turns",
         reads(LONG, times=10.0),
         EITHER,
-        seconds=3.0,
-        around=Around(motion=in_plant.rotating),
         why="7 deg for 0.7 deg are worth 0.74 %, and beyond the limit of 5 deg",
     ),
-    InjectedFault(
-        "slope_emergency",
-        "an emergency message, samples go on",
-        on_bus.emergency(lambda s: s.slope.id, EmcyCode.SENSOR_INVALID),
-        HOLD,
-        within_ms=10,
-    ),
-    InjectedFault(
-        "slope_reboots", "the inclinometer starts anew", in_device.reboots(lambda s: s.slope), HOLD, within_ms=20
-    ),
-    InjectedFault(
-        "slope_nmt_stopped",
-        "another master stops the inclinometer",
-        on_bus.nmt(0x02, lambda s: s.slope.id),
-        HOLD,
-        within_ms=120,
-    ),
-    InjectedFault(
-        "slope_nmt_preop",
-        "another master takes the inclinometer to pre-operational",
-        on_bus.nmt(0x80, lambda s: s.slope.id),
-        HOLD,
-        within_ms=120,
-    ),
-    InjectedFault(
-        "slope_no_heartbeat",
-        "the inclinometer sends no heartbeat any more, its samples go on",
-        in_device.no_heartbeat(lambda s: s.slope),
-        HOLD,
-        within_ms=NO_HEARTBEAT_MS,
-    ),
+    INCLINOMETER.emergency("an emergency message, samples go on"),
+    INCLINOMETER.reboots(),
+    INCLINOMETER.nmt_stopped(),
+    INCLINOMETER.nmt_preop(),
+    INCLINOMETER.no_heartbeat(),
 )
