@@ -10,7 +10,7 @@ from hil.cli.files import check_folder, check_names, check_outputs, simulated_ri
 from hil.compare import comparison, comparison_charts, comparison_tables
 from hil.compare.compared_runs import QUICK, compared_runs
 from hil.compare.rivals import LAWS, OURS
-from hil.study.table import console
+from hil.study.result_table import console
 from rigctl.cli.progress import progress
 
 WIDTH = 100

@@ -37,16 +37,16 @@ def run(file: pathlib.Path, json: pathlib.Path | None, picture: pathlib.Path | N
     inputs = [file, file.parent / case.scenario.rig]
     check_outputs({"--json": None if json == STANDARD_OUTPUT else json, "--plot": picture}, inputs)
     played = _play(case)
-    said = output.as_dict(case, played)
+    results = output.as_dict(case, played)
     if json != STANDARD_OUTPUT:
-        write_json(json, said)
+        write_json(json, results)
     if picture is not None:
         with output_file.writing(picture):
             plot(case, played, picture)
     if json == STANDARD_OUTPUT:
-        sys.stdout.write(json_text(said))
+        sys.stdout.write(json_text(results))
     else:
-        output.show(said, Console(soft_wrap=True))
+        output.show(results, Console(soft_wrap=True))
     return 1 if played.ended.tripped else 0
 
 

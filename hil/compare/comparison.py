@@ -15,7 +15,7 @@ from hil.compare.rivals import LAWS, OURS, PASSIVE, ComparedLaw
 from hil.scenario.errors import ScenarioError
 from hil.scenario.play import Advance, Played, play
 from hil.study import runner
-from hil.study.runner import Piece
+from hil.study.runner import Work
 from rigctl.config.settings import RigSettings
 from rigctl.metrics.tension_error import error_pct, largest_and_rms_pct
 
@@ -88,23 +88,21 @@ class Comparison(NamedTuple):
                 yield LimitVerdict(run.name, quantity, most, found, found is not None and found <= most)
 
 
-def pieces(
-    rig: RigSettings, chosen: Sequence[ComparedRun], laws: Sequence[ComparedLaw]
-) -> dict[tuple[str, str], Piece]:
+def pieces(rig: RigSettings, chosen: Sequence[ComparedRun], laws: Sequence[ComparedLaw]) -> dict[tuple[str, str], Work]:
     """The work of a comparison: ``(run, law)``, ``(run, "cell")`` and ``("robustness", law)``, longest runs first."""
     longest_first = sorted(chosen, key=lambda run: -run.seconds)
     found = {
-        (run.name, law.name): Piece(_result, (rig, run, law.name), f"{run.name}: {law.title}", run.seconds)
+        (run.name, law.name): Work(_result, (rig, run, law.name), f"{run.name}: {law.title}", run.seconds)
         for run in longest_first
         for law in laws
     }
     if any(law.name == OURS for law in laws):
         wrong, title = cell.with_errors(rig), "ours, with the cell's errors"
         found |= {
-            (run.name, _CELL): Piece(_result, (wrong, run, OURS), f"{run.name}: {title}", run.seconds) for run in chosen
+            (run.name, _CELL): Work(_result, (wrong, run, OURS), f"{run.name}: {title}", run.seconds) for run in chosen
         }
     return found | {
-        (_ROBUSTNESS, law.name): Piece(_robustness, (rig, law.name), f"robustness: {law.title}", ROBUSTNESS_S)
+        (_ROBUSTNESS, law.name): Work(_robustness, (rig, law.name), f"robustness: {law.title}", ROBUSTNESS_S)
         for law in laws
     }
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.compare.comparison import SETTLED_PCT, Comparison
 from hil.compare.rivals import OURS, PASSIVE
-from hil.study import picture
+from hil.study import plotting
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +46,7 @@ def save(study: Comparison, folder: pathlib.Path) -> list[pathlib.Path]:
 def _bars(study: Comparison, file: pathlib.Path) -> pathlib.Path:
     count = len(study.laws)
     rows = len(study.runs)
-    figure, ((axis,),) = picture.panels(1, 1, (13.0, 1.2 + 0.62 * max(rows, 3)))
+    figure, ((axis,),) = plotting.panels(1, 1, (13.0, 1.2 + 0.62 * max(rows, 3)))
     height = 0.84 / count
     places = np.arange(rows)[::-1]
     for i, law in enumerate(study.laws):
@@ -67,10 +67,10 @@ def _bars(study: Comparison, file: pathlib.Path) -> pathlib.Path:
     axis.set_xlim(1e-3, 1.3 * axis.get_xlim()[1])  # the end of a bar must be visible
     axis.set_yticks(places, [run.title for run in study.runs])
     axis.set_ylim(-0.6, rows - 0.4)
-    picture.label(axis, "largest error of the vertical force, %", axis="x", which="major", alpha=0.35)
+    plotting.label(axis, "largest error of the vertical force, %", axis="x", which="major", alpha=0.35)
     axis.set_axisbelow(True)
     figure.legend(loc="outside upper center", ncols=count + 1, frameon=False, fontsize=9)
-    return picture.save(figure, file)
+    return plotting.save(figure, file)
 
 
 def _trace(study: Comparison, name: str, file: pathlib.Path) -> pathlib.Path:
@@ -83,13 +83,13 @@ def _trace(study: Comparison, name: str, file: pathlib.Path) -> pathlib.Path:
     band = f"; band: {SETTLED_PCT:g} %" if name == "jolt" else ""
     title += f" (faint: {' and '.join(behind)}{band})" if behind else ""
     size = (3.4 * columns, 2.7 * rows + 0.6)
-    figure, axes = picture.panels(rows, columns, size, title, sharex=True, sharey=True)
+    figure, axes = plotting.panels(rows, columns, size, title, sharex=True, sharey=True)
     for axis, law in zip(axes.flat, laws, strict=False):
         for drawn in dict.fromkeys((PASSIVE, OURS, law.name)):
             if (name, drawn) in study.results:
                 _curve(study, name, drawn, axis, faint=drawn != law.name)
         axis.set_title(law.title, fontsize=10)
-        picture.label(axis)
+        plotting.label(axis)
         if name == "jolt":
             axis.axhspan(-SETTLED_PCT, SETTLED_PCT, color="#2a9d8f", alpha=0.15, linewidth=0.0)
     for axis in list(axes.flat)[len(laws) :]:
@@ -101,7 +101,7 @@ def _trace(study: Comparison, name: str, file: pathlib.Path) -> pathlib.Path:
         axis.set_ylabel("error, %", fontsize=9)
     for axis in axes[-1]:
         axis.set_xlabel("time, s", fontsize=9)
-    return picture.save(figure, file)
+    return plotting.save(figure, file)
 
 
 def _curve(study: Comparison, name: str, law: str, axis: Axes, *, faint: bool) -> None:

@@ -14,7 +14,7 @@ from hil.compare.compared_runs import ComparedRun
 from hil.compare.comparison import SETTLED_PCT, Comparison, LawResult, LimitVerdict
 from hil.compare.law_robustness import Robustness
 from hil.compare.rivals import OURS, PASSIVE
-from hil.study.table import table, verdict
+from hil.study.result_table import table, verdict
 from rigctl.config.quantity import count
 from rigctl.config.settings import RigSettings
 from rigctl.report.sensor_budget import Error, budget, combined_n

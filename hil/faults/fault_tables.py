@@ -13,7 +13,7 @@ from rich.text import Text
 from hil.faults.expected import ACCURACY_N, Expected, InjectedFault, Reaction
 from hil.faults.judge import FaultResult
 from hil.faults.processes import ProcessFault
-from hil.study.table import console
+from hil.study.result_table import console
 from rigctl.config.quantity import count
 from rigctl.control.modes import Mode
 

@@ -268,8 +268,8 @@ class Live:
             time.sleep(POLL_S)
 
     def _last_words(self) -> str:
-        said = [file.read_text(errors="replace").strip() for file in self.folder.glob("*.log")]
-        return " | ".join(text.rsplit("\n", 1)[-1] for text in said if text)
+        logs = [file.read_text(errors="replace").strip() for file in self.folder.glob("*.log")]
+        return " | ".join(text.rsplit("\n", 1)[-1] for text in logs if text)
 
 
 class _Bus:

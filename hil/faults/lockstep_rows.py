@@ -10,7 +10,7 @@ from hil.faults.judge import FaultResult, judge
 from hil.faults.lockstep_run import Bench
 from hil.scenario.play import Advance, design
 from hil.study import runner
-from hil.study.runner import Piece
+from hil.study.runner import Work
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
@@ -29,7 +29,7 @@ def play(rig: RigSettings, rows: Sequence[tuple[InjectedFault, Mode]], advance: 
     """
     if not rows:
         return []
-    pieces = {(fault.id, mode): Piece(_play, (fault.id, mode), f"{fault.id} in {mode.name}") for fault, mode in rows}
+    pieces = {(fault.id, mode): Work(_play, (fault.id, mode), f"{fault.id} in {mode.name}") for fault, mode in rows}
     start = (rig, design(rig))
     found = runner.play(pieces, advance, pieces_per_worker=_ROWS_PER_WORKER, start=_start, start_arguments=start)
     return list(found.values())

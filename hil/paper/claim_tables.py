@@ -12,7 +12,7 @@ from rich.table import Table
 from hil.paper.cases import cases
 from hil.paper.claims import BROAD, TARGET_N, Claim, ClaimResult
 from hil.paper.paper_study import PaperStudy
-from hil.study.table import table, verdict
+from hil.study.result_table import table, verdict
 
 _TITLES = {
     "4": "Figure 4: with (k = 6 N/mm) and without (k = 1000 N/mm) the spring",
@@ -71,10 +71,10 @@ def document(rows: list[ClaimResult], study: PaperStudy) -> dict[str, Any]:
 
 def remark(row: ClaimResult) -> str:
     """Remarks on a row: where the paper contradicts itself, and why the model differs."""
-    said = [row.claim.note] if row.claim.note else []
+    notes = [row.claim.note] if row.claim.note else []
     if not row.ok and row.claim.shortfall:
-        said.append(f"ours differs: {row.claim.shortfall}")
-    return "; ".join(said)
+        notes.append(f"ours differs: {row.claim.shortfall}")
+    return "; ".join(notes)
 
 
 def _closed(study: PaperStudy) -> Table:

@@ -10,7 +10,7 @@ from hil.paper.cases import FIGURE_9, NO_SPRING, SPEEDS_DEG_S, cases, speed, sti
 from hil.paper.claims import ETA_PCT, TARGET_N
 from hil.paper.paper_study import PaperStudy
 from hil.paper.run_truth import Floats, RunTruth
-from hil.study import picture
+from hil.study import plotting
 from hil.study.planned_run import STIFFNESSES_N_MM
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def save(study: PaperStudy, folder: pathlib.Path) -> list[pathlib.Path]:
     written = []
     for name, (title, shown, panels) in _FIGURES.items():
         names = panels.split()
-        figure, axes = picture.panels(len(names), 2, (13.0, 3.0 * len(names)), title, sharex=True)
+        figure, axes = plotting.panels(len(names), 2, (13.0, 3.0 * len(names)), title, sharex=True)
         for row, panel in enumerate(names):
             for axis, runs in zip(axes[row], (study.passive, closed), strict=True):
                 _panel(axis, f"({'abcd'[row]})", panel, {titles[case]: runs[case] for case in shown})
@@ -69,7 +69,7 @@ def save(study: PaperStudy, folder: pathlib.Path) -> list[pathlib.Path]:
         axes[0, 0].legend(fontsize=8, loc="lower right")
         for axis in axes[-1]:
             axis.set_xlabel("time, s")
-        written.append(picture.save(figure, folder / f"{name}.png"))
+        written.append(plotting.save(figure, folder / f"{name}.png"))
     return [*written, _figure_6(study, folder / "fig6.png")]
 
 
@@ -78,12 +78,12 @@ def _panel(axis: Axes, letter: str, panel: str, runs: Mapping[str, RunTruth]) ->
     for title, run in runs.items():
         axis.plot(run.t_s[::10], values(run)[::10], label=title, linewidth=1.0)
     axis.ticklabel_format(axis="y", useOffset=False)
-    picture.label(axis, y=f"{letter} {label}")
+    plotting.label(axis, y=f"{letter} {label}")
 
 
 def _figure_6(study: PaperStudy, file: pathlib.Path) -> pathlib.Path:
     title = "Figure 6: influence of the elastic element's stiffness, 0.5 deg/s"
-    figure, ((errors, lags),) = picture.panels(1, 2, (13.0, 4.5), title)
+    figure, ((errors, lags),) = plotting.panels(1, 2, (13.0, 4.5), title)
     k = list(STIFFNESSES_N_MM)
     passive = [study.passive[stiffness(x)] for x in k]
     errors.semilogy(k, [ETA_PCT[x] for x in k], "k--x", label="paper, simulated")
@@ -92,6 +92,6 @@ def _figure_6(study: PaperStudy, file: pathlib.Path) -> pathlib.Path:
     lags.plot(k, [float(run.tangential_deg.max()) for run in passive], "-o", label="largest lag")
     lags.plot(k, [float(run.plateau(run.tangential_deg).mean()) for run in passive], "-s", label="mean lag, plateau")
     for axis, words in ((errors, "largest error of vertical tension, %"), (lags, "tangential inclination, deg")):
-        picture.label(axis, "stiffness, N/mm", words)
+        plotting.label(axis, "stiffness, N/mm", words)
         axis.legend(fontsize=8)
-    return picture.save(figure, file)
+    return plotting.save(figure, file)

@@ -12,7 +12,7 @@ from hil.paper.run_truth import RunTruth
 from hil.scenario.play import Advance, play
 from hil.study import runner
 from hil.study.planned_run import PlannedRun
-from hil.study.runner import Piece
+from hil.study.runner import Work
 from rigctl.config.settings import RigSettings
 from rigctl.metrics.tension_error import largest_and_rms_pct
 
@@ -45,9 +45,7 @@ def run(rig: RigSettings, advance: Advance) -> PaperStudy:
         ScenarioError: the rig cannot be simulated, or its design is refused.
     """
     pieces = {  # the slow ones first
-        (how, case.name): Piece(how, (rig, case), f"{case.name} done")
-        for how in (_closed, _passive)
-        for case in cases()
+        (how, case.name): Work(how, (rig, case), f"{case.name} done") for how in (_closed, _passive) for case in cases()
     }
     found = runner.play(pieces, advance)
     passive, closed = ({case.name: found[how, case.name] for case in cases()} for how in (_passive, _closed))

@@ -199,5 +199,5 @@ class Disturbances(Settings):
     vertical: list[Vertical] = Field(default_factory=list, description="vertical motion of the mechanism")
     run_out: list[RunOut] = Field(default_factory=list, description="level of the rail against its angle")
     floor: list[Floor] = Field(default_factory=list, description="vibration of the gantry against the mechanism's base")
-    impacts: list[Impact] = Field(default_factory=list, description="blows and jolts")
+    impacts: list[Impact] = Field(default_factory=list, description="impulses and jolts")
     mass: list[MassChange] = Field(default_factory=list, description="changes of the payload's mass")

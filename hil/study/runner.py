@@ -14,7 +14,7 @@ MOST_WORKERS = 4
 Key = TypeVar("Key", bound=Hashable)
 
 
-class Piece(NamedTuple):
+class Work(NamedTuple):
     """One piece of work, which any process can do."""
 
     function: Callable[..., Any]
@@ -27,7 +27,7 @@ class Piece(NamedTuple):
 
 
 def play(
-    pieces: Mapping[Key, Piece],
+    pieces: Mapping[Key, Work],
     advance: Advance,
     *,
     pieces_per_worker: int = 1,

@@ -29,7 +29,7 @@ from rigctl.config.wording import Wording
 from rigctl.control.tension import Gains
 from rigctl.design.gains import DesignError, design
 from rigctl.design.margins import design_and_check, judge
-from rigctl.design.verdict import Design, Source
+from rigctl.design.verdict import Design, GainSource
 
 # Keys that determine gains, margins and performance.
 INPUTS: dict[str, tuple[str, ...]] = {
@@ -238,7 +238,7 @@ def _judged(settings: RigSettings, gains: Gains, made: Provenance, name: str) ->
     own = design(settings)
     edited = not all(math.isclose(asdict(gains)[k], g, rel_tol=SAME_GAIN) for k, g in asdict(own).items())
     try:
-        return judge(settings, gains, Source(name, made.model_dump(), edited))
+        return judge(settings, gains, GainSource(name, made.model_dump(), edited))
     except (ArithmeticError, ValueError) as error:  # numbers that no law has
         raise GainFileError(f"{settings.file(name)}: no margins for its gains: {error}") from None
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from hil.compare.rivals.adrc import Adrc
+from hil.compare.rivals.disturbance_observer import DisturbanceObserver
 from hil.compare.rivals.feedback import Feedback, Model, Rival
 from hil.compare.rivals.lqi import Lqi
-from hil.compare.rivals.observer import DisturbanceObserver
 from hil.compare.rivals.pid import PidFeedForward
 from hil.compare.rivals.proportional import Proportional, ProportionalIntegral
 from rigctl.config.settings import RigSettings
