@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from hil.faults.expected import ACCURACY_N, Expected, InjectedFault, Reaction
+from hil.faults.expected import Expected, InjectedFault, Reaction
 from hil.faults.judge import FaultResult
 from hil.faults.processes import ProcessFault
 from hil.study.result_table import console
@@ -61,11 +61,9 @@ def show_list(faults: Sequence[InjectedFault | ProcessFault]) -> None:
 
 def page_row(fault: InjectedFault | ProcessFault) -> str:
     """The fault's row in docs/faults.md."""
-    what = f"{fault.what}; {fault.why}" if isinstance(fault, InjectedFault) and fault.why else fault.what
-    place = fault.place if isinstance(fault, InjectedFault) else "process"
-    band_n = fault.band_n if isinstance(fault, InjectedFault) else ACCURACY_N
-    bound = f"{band_n:g}" if not isinstance(fault, InjectedFault) or fault.carried else "-"
-    return f"| `{fault.id}` | {place} | {what} | {worded(fault.expected)} | {bound} |"
+    what = f"{fault.what}; {fault.why}" if fault.why else fault.what
+    bound = f"{fault.band_n:g}" if fault.carried else "-"
+    return f"| `{fault.id}` | {fault.place} | {what} | {worded(fault.expected)} | {bound} |"
 
 
 def worded(expected: Expected) -> str:

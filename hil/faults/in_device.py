@@ -82,11 +82,7 @@ def stuck(address: Address) -> Injector:
 
 def says(address: Address, raw: int) -> Injector:
     """An object that always reads as this number."""
-
-    def inject(stand: Stand) -> None:
-        _device(stand, address).distort(*address, lambda _: raw)
-
-    return inject
+    return lambda stand: _device(stand, address).distort(*address, lambda _: raw)
 
 
 def overloaded() -> Injector:
@@ -117,11 +113,7 @@ def both(*parts: Injector) -> Injector:
 
 def reboots(find: FindNode) -> Injector:
     """A device that reboots and, as after power-on, waits to be configured."""
-
-    def inject(stand: Stand) -> None:
-        find(stand).reset_node()
-
-    return inject
+    return lambda stand: find(stand).reset_node()
 
 
 def power_dip(seconds: float) -> Injector:
@@ -144,11 +136,7 @@ def power_dip(seconds: float) -> Injector:
 
 def trips(code: int) -> Injector:
     """The drive reports a fault of its own."""
-
-    def inject(stand: Stand) -> None:
-        stand.drive.trip(code)
-
-    return inject
+    return lambda stand: stand.drive.trip(code)
 
 
 def io_contact_opens(seconds: float = math.inf) -> Injector:
@@ -183,29 +171,17 @@ def encoder_restarts(at_mm: float = 0.0) -> Injector:
 
 def tool_takes_over(speed_mm_s: float, *, deaf: bool = False, shows_remote: bool = False) -> Injector:
     """A service tool at the drive's own port enables and moves the drive; see `ServiceTool`."""
-
-    def inject(stand: Stand) -> None:
-        stand.drive.take_over(ServiceTool(speed_mm_s, deaf, shows_remote))
-
-    return inject
+    return lambda stand: stand.drive.take_over(ServiceTool(speed_mm_s, deaf, shows_remote))
 
 
 def status_bit(bit: int, on: bool) -> Injector:
     """A bit of the drive's statusword is stuck."""
-
-    def inject(stand: Stand) -> None:
-        stand.drive.distort(*STATUS, lambda raw: raw | bit if on else raw & ~bit)
-
-    return inject
+    return lambda stand: stand.drive.distort(*STATUS, lambda raw: raw | bit if on else raw & ~bit)
 
 
 def no_heartbeat(find: FindNode) -> Injector:
     """A device stops sending its heartbeat; its samples go on."""
-
-    def inject(stand: Stand) -> None:
-        find(stand)._set_heartbeat(0)
-
-    return inject
+    return lambda stand: find(stand)._set_heartbeat(0)
 
 
 def ignores_commands() -> Injector:

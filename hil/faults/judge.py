@@ -109,13 +109,9 @@ def judge(fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings
         error_n,
         stroke_mm,
         carried,
-        _named(int(run.records["fault"][-1])),
+        Fault(int(run.records["fault"][-1])).name,
         tuple(findings),
     )
-
-
-def _named(number: int) -> str:
-    return Fault(number).name
 
 
 def _reaction_at(run: Run, expected: Reaction, mode: Mode) -> float | None:

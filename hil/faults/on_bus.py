@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -154,7 +155,7 @@ def foreign(count: int) -> Injector:
 
 def babble() -> Injector:
     """A node sends all it can with the lowest priority: it waits for all others."""
-    return _every_tick(lambda stand: [FRAME.pack(_LOWEST, 8, stand.random.randbytes(8))] * FULL_LOAD_FRAMES)
+    return _sent(lambda stand: [FRAME.pack(_LOWEST, 8, stand.random.randbytes(8))] * FULL_LOAD_FRAMES)
 
 
 def babble_loud() -> Injector:
@@ -180,14 +181,14 @@ def impostor() -> Injector:
         value = round(stand.random.uniform(0.0, 400.0) / objects.N_PER_CELL_UNIT)
         return [FRAME.pack(objects.TPDO1_BASE + stand.cell.id, 5, struct.pack("<iB", value, 0))]
 
-    return _every_tick(frames)
+    return _sent(frames)
 
 
 def rival() -> Injector:
     """Another controller enables the drive and sends it a speed of its own every tick, after the loop's command."""
     command = objects.DRIVE_RPDO
     data = command.codec.pack(objects.Controlword.ENABLE_OPERATION, 5000)
-    return _every_tick(
+    return _sent(
         lambda stand: [FRAME.pack(command.cob_base + stand.settings.cylinder.node, command.size, data + bytes(2))]
     )
 
@@ -205,42 +206,20 @@ def sdo_write(index: int, sub: int, size: int, value: int = 0) -> Injector:
 
 def sdo_read() -> Injector:
     """Another master reads the drive's temperature ten times a second."""
-
-    def inject(stand: Stand) -> Step:
-        data = struct.pack("<BHB4x", 0x40, objects.DRIVE_TEMPERATURE, 0)
-        ticks = [0]
-
-        def step(_: float) -> None:
-            ticks[0] += 1
-            if ticks[0] % 100 == 1:
-                stand.rig.inject(FRAME.pack(objects.SDO_RX_BASE + stand.drive.id, 8, data))
-
-        return step
-
-    return inject
+    data = struct.pack("<BHB4x", 0x40, objects.DRIVE_TEMPERATURE, 0)
+    return _sent(lambda stand: [FRAME.pack(objects.SDO_RX_BASE + stand.drive.id, 8, data)], every=100)
 
 
 def sdo_answers() -> Injector:
     """The drive answers requests that the rig has not sent; the requests themselves are not received."""
     data = struct.pack("<BHB4x", 0x60, objects.QUICK_STOP_OPTION, 0)
-    return _every_tick(lambda stand: [FRAME.pack(objects.SDO_TX_BASE + stand.drive.id, 8, data)])
+    return _sent(lambda stand: [FRAME.pack(objects.SDO_TX_BASE + stand.drive.id, 8, data)])
 
 
 def error_frames() -> Injector:
     """The controller reports itself error-passive, ten times a second; every frame still arrives."""
-
-    def inject(stand: Stand) -> Step:
-        frame = FRAME.pack(ERROR_FLAG | _CONTROLLER, 8, bytes([0, _PASSIVE, 0, 0, 0, 0, 0, 0]))
-        ticks = [0]
-
-        def step(_: float) -> None:
-            ticks[0] += 1
-            if ticks[0] % 100 == 1:
-                stand.rig.inject(frame)
-
-        return step
-
-    return inject
+    frame = FRAME.pack(ERROR_FLAG | _CONTROLLER, 8, bytes([0, _PASSIVE, 0, 0, 0, 0, 0, 0]))
+    return _sent(lambda _: [frame], every=100)
 
 
 def bus_off() -> Injector:
@@ -278,10 +257,14 @@ def emergency(find: FindNode, code: int, register: int = 1) -> Injector:
     return inject
 
 
-def _every_tick(frames: Callable[[Stand], list[bytes]]) -> Injector:
+def _sent(frames: Callable[[Stand], list[bytes]], every: int = 1) -> Injector:
+    """A node sends these frames in the first tick and in one of ``every``."""
+
     def inject(stand: Stand) -> Step:
+        ticks = itertools.count()
+
         def step(_: float) -> None:
-            for frame in frames(stand):
+            for frame in frames(stand) if next(ticks) % every == 0 else ():
                 stand.rig.inject(frame)
 
         return step
