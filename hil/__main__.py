@@ -103,7 +103,7 @@ def _faults(
     elif kills:
         raise typer.Exit(command.run_kills(file, kills, json))
     elif gateway_kills:
-        raise typer.Exit(command.run_gateway(file, gateway_kills, json))
+        raise typer.Exit(command.run_kills(file, gateway_kills, json, gateway=True))
     else:
         raise typer.Exit(command.run(file, only or [], mode or [], json))
 

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import json as json_codec
 import pathlib
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
-from rich.console import Console
-
-from hil.cli.scenario import check_folder, check_outputs, simulated_rig
-from hil.compare import plots, study, tables
-from hil.compare.rivals import CONTROLLERS, OURS
-from hil.compare.scenarios import QUICK, scenarios
-from hil.scenario.errors import ScenarioError
+from hil.cli.files import check_folder, check_names, check_outputs, simulated_rig, write_json
+from hil.compare import comparison, comparison_charts, comparison_tables
+from hil.compare.compared_runs import QUICK, compared_runs
+from hil.compare.rivals import LAWS, OURS
+from hil.study.result_table import console
 from rigctl.cli.progress import progress
-from rigctl.ipc import output_file
 
 WIDTH = 100
 
@@ -47,26 +43,20 @@ def run(
         OutputError: a file that cannot be written.
     """
     rig = simulated_rig(rig_file)
+    runs = compared_runs(rig)
     names = [name for part in controllers for name in part.split(",")]
-    _known("--only", only, [scenario.name for scenario in scenarios(rig)])
-    _known("--controllers", names, [controller.name for controller in CONTROLLERS])
+    check_names("--only", only, [run.name for run in runs])
+    check_names("--controllers", names, list(LAWS))
     wanted = only or (QUICK if quick else ())
-    chosen = [scenario for scenario in scenarios(rig) if not wanted or scenario.name in wanted]
-    laws = [controller for controller in CONTROLLERS if not names or controller.name in names]
+    chosen = [run for run in runs if not wanted or run.name in wanted]
+    laws = [law for law in LAWS.values() if not names or law.name in names]
     check_outputs({"--json": json}, [rig_file])
-    check_folder("--plots", folder, plots.FIRST)
-    with progress("the comparison", study.length_s(chosen, laws)) as advance:
-        found = study.run(rig, chosen, laws, advance)
-    terminal = Console()
-    tables.show(found, Console(width=WIDTH) if not terminal.is_terminal or terminal.width > WIDTH else terminal)
-    if json is not None:
-        output_file.write(json, json_codec.dumps(tables.document(found), indent=2, allow_nan=False) + "\n")
-    for file in plots.save(found, folder) if folder is not None else ():
+    check_folder("--plots", folder, comparison_charts.FIRST)
+    total = sum(piece.cost for piece in comparison.pieces(rig, chosen, laws).values())
+    with progress("the comparison", total) as advance:
+        found = comparison.compare(rig, chosen, laws, advance)
+    comparison_tables.show(found, console(WIDTH))
+    write_json(json, comparison_tables.document(found))
+    for file in comparison_charts.save(found, folder) if folder is not None else ():
         sys.stdout.write(f"{file}\n")
-    return 1 if any(who == OURS and not result.whole for (_, who), result in found.results.items()) else 0
-
-
-def _known(option: str, names: Collection[str], allowed: Sequence[str]) -> None:
-    for name in names:
-        if name not in allowed:
-            raise ScenarioError([f"{option}: found {name!r}, expected {', '.join(allowed)}"])
+    return 1 if any(law == OURS and not result.whole for (_, law), result in found.results.items()) else 0

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json as json_codec
 import pathlib
 import sys
 
 from rich.console import Console
 
-from hil.cli.scenario import check_folder, check_outputs, simulated_rig
-from hil.paper import claims, plots, study, tables
+from hil.cli.files import check_folder, check_outputs, simulated_rig, write_json
+from hil.paper import claim_tables, claims, paper_figures, paper_study
 from rigctl.cli.progress import progress
-from rigctl.ipc import output_file
 
 
 def run(rig_file: pathlib.Path, json: pathlib.Path | None, folder: pathlib.Path | None) -> int:
@@ -31,13 +29,12 @@ def run(rig_file: pathlib.Path, json: pathlib.Path | None, folder: pathlib.Path 
     """
     rig = simulated_rig(rig_file)
     check_outputs({"--json": json}, [rig_file])
-    check_folder("--plots", folder, plots.FIRST)
-    with progress("the paper's study", study.runs()) as advance:
-        found = study.run(rig, lambda name: advance(1.0, f"{name} done"))
+    check_folder("--plots", folder, paper_figures.FIRST)
+    with progress("the paper's study", paper_study.runs()) as advance:
+        found = paper_study.run(rig, advance)
     rows = claims.judge(found.passive)
-    tables.show(rows, found, Console())
-    if json is not None:
-        output_file.write(json, json_codec.dumps(tables.document(rows, found), indent=2) + "\n")
-    for file in plots.save(found, folder) if folder is not None else ():
+    claim_tables.show(rows, found, Console())
+    write_json(json, claim_tables.document(rows, found))
+    for file in paper_figures.save(found, folder) if folder is not None else ():
         sys.stdout.write(f"{file}\n")
     return 0 if all(row.explained for row in rows) else 1

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json as json_codec
 import pathlib
 import sys
 
 from rich.console import Console
 
+from hil.cli.files import check_outputs, json_text, write_json
 from hil.scenario import output
 from hil.scenario.case import Case, load
 from hil.scenario.errors import ScenarioError
 from hil.scenario.play import Played, play
 from hil.scenario.plot import SUFFIXES, plot
 from rigctl.cli.progress import progress
-from rigctl.config import rig_file as config
-from rigctl.config.settings import RigSettings
 from rigctl.ipc import output_file
 
 STANDARD_OUTPUT = pathlib.Path("-")
@@ -39,17 +37,16 @@ def run(file: pathlib.Path, json: pathlib.Path | None, picture: pathlib.Path | N
     inputs = [file, file.parent / case.scenario.rig]
     check_outputs({"--json": None if json == STANDARD_OUTPUT else json, "--plot": picture}, inputs)
     played = _play(case)
-    said = output.as_dict(case, played)
-    text = json_codec.dumps(said, indent=2, allow_nan=False) + "\n"
-    if json is not None and json != STANDARD_OUTPUT:
-        output_file.write(json, text)
+    results = output.as_dict(case, played)
+    if json != STANDARD_OUTPUT:
+        write_json(json, results)
     if picture is not None:
         with output_file.writing(picture):
             plot(case, played, picture)
     if json == STANDARD_OUTPUT:
-        sys.stdout.write(text)
+        sys.stdout.write(json_text(results))
     else:
-        output.show(said, Console(soft_wrap=True))
+        output.show(results, Console(soft_wrap=True))
     return 1 if played.ended.tripped else 0
 
 
@@ -65,48 +62,3 @@ def _play(case: Case) -> Played:
             settle_s=scenario.settle_s,
             progress=advance,
         )
-
-
-def check_outputs(outputs: dict[str, pathlib.Path | None], inputs: list[pathlib.Path]) -> None:
-    """Refuse, before a long run, outputs that could not be written after it or would overwrite an input.
-
-    Args:
-        outputs: files by option.
-        inputs: files that were read.
-
-    Raises:
-        ScenarioError: two outputs are one file, or one is an input.
-        OutputError: one cannot be written.
-    """
-    taken = {file.resolve() for file in inputs}
-    for option, file in outputs.items():
-        if file is None:
-            continue
-        if file.resolve() in taken:
-            raise ScenarioError([f"{option}: {file} is in use already, expected a file of its own"])
-        taken.add(file.resolve())
-        output_file.check(option, file)
-
-
-def check_folder(option: str, folder: pathlib.Path | None, first: str) -> None:
-    """Make a folder for plots, and refuse one that the plot ``first`` could not be written to."""
-    if folder is None:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ScenarioError([f"{option}: {folder} cannot be made: {error.strerror}"]) from None
-    output_file.check(option, folder / first)
-
-
-def simulated_rig(rig_file: pathlib.Path) -> RigSettings:
-    """A rig file with a ``simulation`` section."""
-    try:
-        rig = config.load(rig_file)
-    except config.ConfigError as error:
-        raise ScenarioError(error.findings) from None
-    if rig.simulation is None:
-        raise ScenarioError(
-            [f"{rig_file}: simulation: found nothing, expected a section (it says what rig to simulate)"]
-        )
-    return rig

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.report.sensor_budget import CREEP_PCT, GAIN_PCT, Error, budget, combined_n
-
-__all__ = ["Error", "budget", "combined_n", "with_errors"]
+from rigctl.report.sensor_budget import CREEP_PCT, GAIN_PCT, budget
 
 
 def with_errors(rig: RigSettings) -> RigSettings:
     """The same rig with every error of the budget at its full size and of one sign, the worst case."""
-    simulation = rig.simulation
-    assert simulation is not None  # the comparison refuses a rig without it
     size = {error.name: error.newtons for error in budget(rig)}
-    update = {
+    errors = {
         "bias_n": size["bias"] + size["drift"],
         "gain_pct": GAIN_PCT,
         "creep_pct": CREEP_PCT,
         "creep_s": 0.1,  # the creep has run its course
     }
-    changed = simulation.model_copy(update={"cell": simulation.cell.model_copy(update=update)})
-    return rig.model_copy(update={"simulation": changed})
+    return changed(rig, {f"simulation.cell.{key}": value for key, value in errors.items()})

@@ -93,7 +93,6 @@ class InjectedFault:
     """
 
     id: str
-    place: str  # bus, device, plant, controller or process
     what: str
     inject: Injector
     expected: Expected
@@ -108,6 +107,11 @@ class InjectedFault:
     counter: str = ""  # field of the record that must have counted the fault
     around: Around = field(default_factory=Around)
     why: str = ""
+
+    @property
+    def place(self) -> str:
+        """Where the fault is, which its injector's module says: bus, device, plant or controller."""
+        return self.inject.__module__.rpartition("_")[2]
 
     @property
     def modes(self) -> tuple[Mode, ...]:

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.faults.live_rows_rig import GATEWAY, Live, LiveError, give, live
-from hil.scenario.errors import ScenarioError
-from rigctl.cli.progress import Advance
+from hil.scenario.play import Advance
 from rigctl.client.connection import Client
 from rigctl.client.fast import FastReader
 from rigctl.config.settings import RigSettings
@@ -83,14 +82,11 @@ def play(settings: RigSettings, count: int, advance: Advance) -> Figures:
     Raises:
         ScenarioError: rig and daemon do not come up, or the gateway does not come back (1).
     """
-    try:
-        with live(settings) as rig:
-            rig.enter(Mode.COMPENSATING)
-            time.sleep(1.0)
-            with Client(rig.endpoint) as client:
-                return _play(rig, client, count, advance)
-    except LiveError as error:
-        raise ScenarioError([f"faults: {error}"], exit_code=1) from None
+    with live(settings) as rig:
+        rig.enter(Mode.COMPENSATING)
+        time.sleep(1.0)
+        with Client(rig.endpoint) as client:
+            return _play(rig, client, count, advance)
 
 
 def _play(rig: Live, client: Client, count: int, advance: Advance) -> Figures:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
-from hil.faults.stand import Injector, Stand, Step
+from hil.faults.stand import FindNode, Injector, Stand, Step
 from hil.nodes.cylinder_drive import ServiceTool
 from hil.nodes.node import Node
 from rigctl.devices import objects
@@ -83,11 +82,7 @@ def stuck(address: Address) -> Injector:
 
 def says(address: Address, raw: int) -> Injector:
     """An object that always reads as this number."""
-
-    def inject(stand: Stand) -> None:
-        _device(stand, address).distort(*address, lambda _: raw)
-
-    return inject
+    return lambda stand: _device(stand, address).distort(*address, lambda _: raw)
 
 
 def overloaded() -> Injector:
@@ -116,14 +111,9 @@ def both(*parts: Injector) -> Injector:
     return inject
 
 
-def reboots(*which: Callable[[Stand], Node]) -> Injector:
-    """Devices that reboot and, as after power-on, wait to be configured."""
-
-    def inject(stand: Stand) -> None:
-        for node in which:
-            node(stand).reset_node()
-
-    return inject
+def reboots(find: FindNode) -> Injector:
+    """A device that reboots and, as after power-on, waits to be configured."""
+    return lambda stand: find(stand).reset_node()
 
 
 def power_dip(seconds: float) -> Injector:
@@ -146,11 +136,7 @@ def power_dip(seconds: float) -> Injector:
 
 def trips(code: int) -> Injector:
     """The drive reports a fault of its own."""
-
-    def inject(stand: Stand) -> None:
-        stand.drive.trip(code)
-
-    return inject
+    return lambda stand: stand.drive.trip(code)
 
 
 def io_contact_opens(seconds: float = math.inf) -> Injector:
@@ -185,29 +171,17 @@ def encoder_restarts(at_mm: float = 0.0) -> Injector:
 
 def tool_takes_over(speed_mm_s: float, *, deaf: bool = False, shows_remote: bool = False) -> Injector:
     """A service tool at the drive's own port enables and moves the drive; see `ServiceTool`."""
-
-    def inject(stand: Stand) -> None:
-        stand.drive.take_over(ServiceTool(speed_mm_s, deaf, shows_remote))
-
-    return inject
+    return lambda stand: stand.drive.take_over(ServiceTool(speed_mm_s, deaf, shows_remote))
 
 
 def status_bit(bit: int, on: bool) -> Injector:
     """A bit of the drive's statusword is stuck."""
-
-    def inject(stand: Stand) -> None:
-        stand.drive.distort(*STATUS, lambda raw: raw | bit if on else raw & ~bit)
-
-    return inject
+    return lambda stand: stand.drive.distort(*STATUS, lambda raw: raw | bit if on else raw & ~bit)
 
 
-def no_heartbeat(node: Callable[[Stand], Node]) -> Injector:
+def no_heartbeat(find: FindNode) -> Injector:
     """A device stops sending its heartbeat; its samples go on."""
-
-    def inject(stand: Stand) -> None:
-        node(stand)._set_heartbeat(0)
-
-    return inject
+    return lambda stand: find(stand)._set_heartbeat(0)
 
 
 def ignores_commands() -> Injector:
@@ -248,11 +222,12 @@ def creeps(speed_mm_s: float) -> Injector:
     return inject
 
 
-def brake_slips(speed_mm_s: float) -> Injector:
-    """The brake gives way at this speed under load."""
+def brake_slips(speed_mm_s: float, *, dead_band: bool = False) -> Injector:
+    """The closed brake lets the load down at this speed; ``dead_band``: a speed below the motor's is none."""
 
     def inject(stand: Stand) -> None:
-        stand.plant.parameters["dead_band"] = 0.0  # of the motor, which does not slip here
+        if not dead_band:
+            stand.plant.parameters["dead_band"] = 0.0
         stand.drive.defect = lambda speed, braked: (-speed_mm_s, False) if braked else (speed, False)
 
     return inject
@@ -275,15 +250,6 @@ def brake_stays_open() -> Injector:
             return (-stand.plant.truth.tension_n / CREEP_N if braked else speed), False
 
         stand.drive.defect = defect
-
-    return inject
-
-
-def brake_gives_way(speed_mm_s: float) -> Injector:
-    """The closed brake lets the load down at this speed."""
-
-    def inject(stand: Stand) -> None:
-        stand.drive.defect = lambda speed, braked: (-speed_mm_s, False) if braked else (speed, False)
 
     return inject
 

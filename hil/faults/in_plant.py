@@ -106,7 +106,4 @@ def rising(up_mm: float, speed_mm_s: float) -> Callable[[], Mapping[int, Track]]
 
 
 def _moved(tracks: Mapping[int, Track]) -> Injector:
-    def inject(stand: Stand) -> None:
-        stand.plant.start_motion(tracks, stand.plant.t_ns)
-
-    return inject
+    return lambda stand: stand.plant.start_motion(tracks, stand.plant.t_ns)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hil.faults.expected import InjectedFault, Reaction
-from hil.faults.lockstep_run import Floats, Run, Trip
+from hil.faults.lockstep_run import Floats, Run, TripEvent
 from rigctl.config.settings import RigSettings
 from rigctl.control import limits, safety
 from rigctl.control.faults import Fault
@@ -37,7 +37,7 @@ _WHAT_WILL_DO = {
 
 
 @dataclass(frozen=True)
-class Row:
+class FaultResult:
     """One line of the catalogue's result."""
 
     id: str
@@ -55,7 +55,7 @@ class Row:
     findings: tuple[str, ...]  # deviations from the expectation
 
     @classmethod
-    def unreached(cls, id_: str, mode: Mode, expected: Reaction, why: str) -> Row:
+    def unreached(cls, id_: str, mode: Mode, expected: Reaction, why: str) -> FaultResult:
         """A row that could not be played counts as failed; the other rows are still played."""
         nan = math.nan
         return cls(
@@ -76,7 +76,7 @@ class Row:
         return {**values, **unknown, "ok": self.ok}
 
 
-def judge(fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings: RigSettings) -> Row:
+def judge(fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings: RigSettings) -> FaultResult:
     """Compare a run with the catalogue's expectation."""
     expected = fault.expected[mode]
     at = _reaction_at(run, expected, mode)
@@ -97,7 +97,7 @@ def judge(fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings
         findings.append("load not carried")
     findings += _late(fault, mode, expected, detection_ms, latency_ms)
     findings += _uncounted(fault, run, undisturbed)
-    return Row(
+    return FaultResult(
         fault.id,
         mode.name,
         str(expected),
@@ -109,13 +109,9 @@ def judge(fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings
         error_n,
         stroke_mm,
         carried,
-        _named(int(run.records["fault"][-1])),
+        Fault(int(run.records["fault"][-1])).name,
         tuple(findings),
     )
-
-
-def _named(number: int) -> str:
-    return Fault(number).name
 
 
 def _reaction_at(run: Run, expected: Reaction, mode: Mode) -> float | None:
@@ -172,7 +168,7 @@ def _stands_from(run: Run) -> float:
     return float(moving[-1]) if len(moving) else 0.0
 
 
-def _persistence_s(trip: Trip, settings: RigSettings) -> float:
+def _persistence_s(trip: TripEvent, settings: RigSettings) -> float:
     """Persistence of the tripped row of the safety table; 0 without such a row."""
     rows = (*safety.table(settings), *limits.rows(settings))
     same = [

@@ -12,8 +12,7 @@ from hil.faults.expected import Reaction
 from hil.faults.judge import DRIVE_STOPS_MS
 from hil.faults.live_rows_rig import CONTROL, GATEWAY, SUPERVISOR, Live, LiveError, live
 from hil.faults.processes import TOLD_MS, Seen, judged, kills, strike
-from hil.scenario.errors import ScenarioError
-from rigctl.cli.progress import Advance
+from hil.scenario.play import Advance
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 
@@ -53,13 +52,10 @@ def play(settings: RigSettings, count: int, advance: Advance, seed: int = SEED) 
     """
     chance = random.Random(seed)
     found: list[Kill] = []
-    try:
-        while len(found) < count:
-            with live(settings) as rig:
-                while len(found) < count and _strike(rig, chance, found, advance):
-                    pass
-    except LiveError as error:
-        raise ScenarioError([f"faults: {error}"], exit_code=1) from None
+    while len(found) < count:
+        with live(settings) as rig:
+            while len(found) < count and _strike(rig, chance, found, advance):
+                pass
     return found
 
 

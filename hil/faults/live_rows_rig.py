@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.faults import wall_clock
+from hil.scenario.errors import ScenarioError
 from hil.truth import TRUTH_DTYPE
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.config.settings import RigSettings
@@ -268,8 +269,8 @@ class Live:
             time.sleep(POLL_S)
 
     def _last_words(self) -> str:
-        said = [file.read_text(errors="replace").strip() for file in self.folder.glob("*.log")]
-        return " | ".join(text.rsplit("\n", 1)[-1] for text in said if text)
+        logs = [file.read_text(errors="replace").strip() for file in self.folder.glob("*.log")]
+        return " | ".join(text.rsplit("\n", 1)[-1] for text in logs if text)
 
 
 class _Bus:
@@ -292,13 +293,15 @@ def live(settings: RigSettings) -> Iterator[Live]:
     """Rig and daemon, running, DISARMED; ended and removed afterwards.
 
     Raises:
-        LiveError: they do not come up.
+        ScenarioError: they do not come up, or a `LiveError` within the block (1).
     """
     with tempfile.TemporaryDirectory(prefix="hil-faults-") as folder:
         subject = Live(pathlib.Path(folder), settings)
         try:
             subject.start()
             yield subject
+        except LiveError as error:
+            raise ScenarioError([f"faults: {error}"], exit_code=1) from None
         finally:
             subject.close()
 

@@ -2,71 +2,50 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 
 from hil.faults.catalogue import BY_ID
 from hil.faults.expected import InjectedFault
-from hil.faults.judge import Row, judge
+from hil.faults.judge import FaultResult, judge
 from hil.faults.lockstep_run import Bench
-from hil.scenario.play import design
-from rigctl.cli.progress import Advance
+from hil.scenario.play import Advance, design
+from hil.study import runner
+from hil.study.runner import Work
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
 
-_MOST_WORKERS = 4
-_WORTH_A_WORKER = 12
-"""Rows per worker; a process takes as long to start as a few rows to play."""
-_bench: list[tuple[RigSettings, Bench]] = []
-"""The bench of this worker process."""
+_ROWS_PER_WORKER = 12
+"""A process takes as long to start as a few rows to play."""
+_bench: list[Bench] = []
+"""The bench of this process."""
 
 
-def play(rig: RigSettings, rows: Sequence[tuple[InjectedFault, Mode]], advance: Advance) -> list[Row]:
-    """Play rows; returns them in their order.
+def play(rig: RigSettings, rows: Sequence[tuple[InjectedFault, Mode]], advance: Advance) -> list[FaultResult]:
+    """Play rows; returns their results in their order.
 
     Raises:
         ScenarioError: the design of the rig's law is refused.
     """
     if not rows:
         return []
-    gains = design(rig)
-    workers = min(_MOST_WORKERS, os.cpu_count() or 1, len(rows) // _WORTH_A_WORKER)
-    if workers < 2:
-        bench = Bench(rig, gains)
-        return [_told(row_of(bench, rig, fault, mode), advance) for fault, mode in rows]
-    found: dict[int, Row] = {}
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, spawn, initializer=_start, initargs=(rig, gains)) as pool:
-        futures = {pool.submit(_row, fault.id, mode): i for i, (fault, mode) in enumerate(rows)}
-        try:
-            for future in as_completed(futures):
-                found[futures[future]] = _told(future.result(), advance)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    return [found[i] for i in range(len(rows))]
+    pieces = {(fault.id, mode): Work(_play, (fault.id, mode), f"{fault.id} in {mode.name}") for fault, mode in rows}
+    start = (rig, design(rig))
+    found = runner.play(pieces, advance, pieces_per_worker=_ROWS_PER_WORKER, start=_start, start_arguments=start)
+    return list(found.values())
 
 
-def row_of(bench: Bench, rig: RigSettings, fault: InjectedFault, mode: Mode) -> Row:
+def row_of(bench: Bench, fault: InjectedFault, mode: Mode) -> FaultResult:
     """Play and judge one row; a row whose mode cannot be reached has failed."""
     try:
-        return judge(fault, mode, bench.play(fault, mode), bench.undisturbed(fault, mode), rig)
+        return judge(fault, mode, bench.play(fault, mode), bench.undisturbed(fault, mode), bench.settings)
     except (RuntimeError, TimeoutError) as error:
-        return Row.unreached(fault.id, mode, fault.expected[mode], str(error))
+        return FaultResult.unreached(fault.id, mode, fault.expected[mode], str(error))
 
 
 def _start(rig: RigSettings, gains: Gains) -> None:
-    _bench.append((rig, Bench(rig, gains)))
+    _bench[:] = [Bench(rig, gains)]
 
 
-def _row(fault_id: str, mode: Mode) -> Row:
-    rig, bench = _bench[0]
-    return row_of(bench, rig, BY_ID[fault_id], mode)
-
-
-def _told(row: Row, advance: Advance) -> Row:
-    advance(1.0, f"{row.id} in {row.mode}")
-    return row
+def _play(fault_id: str, mode: Mode) -> FaultResult:
+    return row_of(_bench[0], BY_ID[fault_id], mode)

@@ -13,8 +13,8 @@ from hil.faults import stand
 from hil.faults.expected import Around, InjectedFault, Reaction
 from hil.faults.stand import Stand, Step
 from hil.lockstep import Lockstep, lockstep
+from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.config.settings_base import Settings
 from rigctl.control.events import Kind
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
@@ -24,7 +24,7 @@ SEED = "faults"
 
 
 @dataclass(frozen=True)
-class Trip:
+class TripEvent:
     """A tripped row of the safety table, from its event."""
 
     t_s: float
@@ -44,7 +44,7 @@ class Run:
     records_t_s: Floats
     records: npt.NDArray[Any]
     before: Any  # the record before the first of them
-    trips: tuple[Trip, ...]
+    trips: tuple[TripEvent, ...]
     refusal: Refusal | None  # of the arm command at the end, where one was given
 
 
@@ -67,7 +67,7 @@ class Bench:
     """Plays rows on a rig and keeps the runs without a fault."""
 
     def __init__(self, settings: RigSettings, gains: Gains) -> None:
-        self._settings = settings
+        self.settings = settings
         self._gains = gains
         self._undisturbed = functools.lru_cache(maxsize=None)(self._play_undisturbed)
 
@@ -86,7 +86,7 @@ class Bench:
     def _play(
         self, around: Around, mode: Mode, seconds: float, from_start: bool, fault: InjectedFault | None, *, arms: bool
     ) -> Run:
-        with lockstep(changed(self._settings, around.change), self._gains) as rig:
+        with lockstep(changed(self.settings, dict(around.change)), self._gains) as rig:
             subject = Stand(rig, f"{SEED}:{fault.id if fault else ''}:{mode.name}")
             step: Step | None = None
             if from_start:
@@ -113,19 +113,6 @@ class Bench:
         return Run(t_s, tension_n, stroke_mm, enabled, records_t_s, records, before, trips, refusal)
 
 
-def changed(settings: RigSettings, change: tuple[tuple[str, float | str | Settings | None], ...]) -> RigSettings:
-    """Settings with some of them changed, by dotted key."""
-    for key, value in change:
-        settings = _replaced(settings, key.split("."), value)
-    return settings
-
-
-def _replaced(section: Any, path: list[str], value: float | str | Settings | None) -> Any:
-    first, *rest = path
-    inner = _replaced(getattr(section, first), rest, value) if rest else value
-    return section.model_copy(update={first: inner})
-
-
 def _to_tensioning(rig: Lockstep) -> None:
     for verb in (Verb.ARM, Verb.TENSION):
         if rig.command(verb) is not Refusal.NONE:
@@ -147,9 +134,11 @@ def _go_on(rig: Lockstep, seconds: float, step: Step | None) -> npt.NDArray[Any]
     return np.concatenate([*parts, rig.read_records()])
 
 
-def _trips(rig: Lockstep, origin_ns: int) -> tuple[Trip, ...]:
+def _trips(rig: Lockstep, origin_ns: int) -> tuple[TripEvent, ...]:
     return tuple(
-        Trip((int(event["t_ns"]) - origin_ns) * 1e-9, int(event["a"]), float(event["limit"]), event["text"].decode())
+        TripEvent(
+            (int(event["t_ns"]) - origin_ns) * 1e-9, int(event["a"]), float(event["limit"]), event["text"].decode()
+        )
         for event in rig.events.read()
         if event["kind"] == Kind.TRIP
     )

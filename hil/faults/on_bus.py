@@ -3,59 +3,31 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable
+from operator import attrgetter
 
 import can
 
-from hil.faults.stand import Injector, Stand, Step
+from hil.faults.stand import FindNode, Injector, Stand, Step
 from hil.hub import Port
 from hil.wire import ERROR_FLAG, FRAME
 from rigctl.devices import objects
 
-
-def everybody(_: Stand) -> int:
-    """The node id that addresses all nodes."""
-    return 0
-
-
-Which = Callable[[Stand], int]
-"""Identifier of the frames that a fault affects."""
 FULL_LOAD_FRAMES = 7
 """Frames of 8 bytes in a millisecond at 1 Mbit/s, 135 bits each."""
 _LOWEST, _HIGHEST = 0x7F0, 0x001
+NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET = 0x02, 0x80, 0x81
 _BUS_OFF, _CONTROLLER, _PASSIVE = 0x040, 0x004, 0x30  # classes and byte 1 of linux/can/error.h
 
 
-def cell(stand: Stand) -> int:
-    """Identifier of the cell's samples."""
-    return stand.data_id(stand.cell)
-
-
-def slope(stand: Stand) -> int:
-    """Identifier of the inclinometer's samples."""
-    return stand.data_id(stand.slope)
-
-
-def drive(stand: Stand) -> int:
-    """Identifier of the drive's samples."""
-    return stand.data_id(stand.drive)
-
-
-def drive_status(stand: Stand) -> int:
-    """Identifier of the drive's current, temperature and inputs."""
-    return objects.DRIVE_TPDO2.cob_base + stand.drive.id
-
-
-def io(stand: Stand) -> int:
-    """Identifier of the I/O node's inputs."""
-    return stand.data_id(stand.io)
-
-
-def rail(stand: Stand) -> int:
-    """Identifier of the rail encoder's angle."""
-    return stand.data_id(stand.rail)
+cell: FindNode = attrgetter("cell")
+slope: FindNode = attrgetter("slope")
+drive: FindNode = attrgetter("drive")
+io: FindNode = attrgetter("io")
+rail: FindNode = attrgetter("rail")
 
 
 def can_id(frame: bytes) -> int:
@@ -63,11 +35,11 @@ def can_id(frame: bytes) -> int:
     return int(FRAME.unpack(frame)[0])
 
 
-def silent(which: Which) -> Injector:
-    """One device's samples are lost from now on."""
+def silent(find: FindNode, base: int = objects.TPDO1_BASE) -> Injector:
+    """One device's samples, or other frames of its own, are lost from now on."""
 
     def inject(stand: Stand) -> None:
-        gone = which(stand)
+        gone = base + find(stand).id
         stand.rig.hub.tap = lambda _, frame: () if can_id(frame) == gone else (frame,)
 
     return inject
@@ -146,11 +118,11 @@ def reordered() -> Injector:
     return inject
 
 
-def cut(which: Which, share: float) -> Injector:
+def cut(find: FindNode, share: float) -> Injector:
     """A share of one device's frames has a byte too few."""
 
     def inject(stand: Stand) -> None:
-        ours, draw = which(stand), stand.random.random
+        ours, draw = objects.TPDO1_BASE + find(stand).id, stand.random.random
 
         def tap(_: Port, frame: bytes) -> Iterable[bytes]:
             identifier, size, data = FRAME.unpack(frame)
@@ -183,7 +155,7 @@ def foreign(count: int) -> Injector:
 
 def babble() -> Injector:
     """A node sends all it can with the lowest priority: it waits for all others."""
-    return _every_tick(lambda stand: [FRAME.pack(_LOWEST, 8, stand.random.randbytes(8))] * FULL_LOAD_FRAMES)
+    return _sent(lambda stand: [FRAME.pack(_LOWEST, 8, stand.random.randbytes(8))] * FULL_LOAD_FRAMES)
 
 
 def babble_loud() -> Injector:
@@ -207,16 +179,16 @@ def impostor() -> Injector:
 
     def frames(stand: Stand) -> list[bytes]:
         value = round(stand.random.uniform(0.0, 400.0) / objects.N_PER_CELL_UNIT)
-        return [FRAME.pack(cell(stand), 5, struct.pack("<iB", value, 0))]
+        return [FRAME.pack(objects.TPDO1_BASE + stand.cell.id, 5, struct.pack("<iB", value, 0))]
 
-    return _every_tick(frames)
+    return _sent(frames)
 
 
 def rival() -> Injector:
     """Another controller enables the drive and sends it a speed of its own every tick, after the loop's command."""
     command = objects.DRIVE_RPDO
     data = command.codec.pack(objects.Controlword.ENABLE_OPERATION, 5000)
-    return _every_tick(
+    return _sent(
         lambda stand: [FRAME.pack(command.cob_base + stand.settings.cylinder.node, command.size, data + bytes(2))]
     )
 
@@ -234,47 +206,20 @@ def sdo_write(index: int, sub: int, size: int, value: int = 0) -> Injector:
 
 def sdo_read() -> Injector:
     """Another master reads the drive's temperature ten times a second."""
-
-    def inject(stand: Stand) -> Step:
-        data = struct.pack("<BHB4x", 0x40, objects.DRIVE_TEMPERATURE, 0)
-        ticks = [0]
-
-        def step(_: float) -> None:
-            ticks[0] += 1
-            if ticks[0] % 100 == 1:
-                stand.rig.inject(FRAME.pack(objects.SDO_RX_BASE + stand.drive.id, 8, data))
-
-        return step
-
-    return inject
+    data = struct.pack("<BHB4x", 0x40, objects.DRIVE_TEMPERATURE, 0)
+    return _sent(lambda stand: [FRAME.pack(objects.SDO_RX_BASE + stand.drive.id, 8, data)], every=100)
 
 
 def sdo_answers() -> Injector:
     """The drive answers requests that the rig has not sent; the requests themselves are not received."""
     data = struct.pack("<BHB4x", 0x60, objects.QUICK_STOP_OPTION, 0)
-    return _every_tick(lambda stand: [FRAME.pack(objects.SDO_TX_BASE + stand.drive.id, 8, data)])
-
-
-def sdo_silent() -> Injector:
-    """The drive's SDO server stops answering; the rest of the drive goes on."""
-    return silent(lambda stand: objects.SDO_TX_BASE + stand.drive.id)
+    return _sent(lambda stand: [FRAME.pack(objects.SDO_TX_BASE + stand.drive.id, 8, data)])
 
 
 def error_frames() -> Injector:
     """The controller reports itself error-passive, ten times a second; every frame still arrives."""
-
-    def inject(stand: Stand) -> Step:
-        frame = FRAME.pack(ERROR_FLAG | _CONTROLLER, 8, bytes([0, _PASSIVE, 0, 0, 0, 0, 0, 0]))
-        ticks = [0]
-
-        def step(_: float) -> None:
-            ticks[0] += 1
-            if ticks[0] % 100 == 1:
-                stand.rig.inject(frame)
-
-        return step
-
-    return inject
+    frame = FRAME.pack(ERROR_FLAG | _CONTROLLER, 8, bytes([0, _PASSIVE, 0, 0, 0, 0, 0, 0]))
+    return _sent(lambda _: [frame], every=100)
 
 
 def bus_off() -> Injector:
@@ -292,29 +237,34 @@ def bus_off() -> Injector:
     return inject
 
 
-def nmt(command: int, node: Callable[[Stand], int]) -> Injector:
-    """Another master gives an NMT command; node 0 addresses all."""
+def nmt(command: int, find: FindNode | None = None) -> Injector:
+    """Another master gives an NMT command, to all nodes or to one."""
 
     def inject(stand: Stand) -> None:
-        stand.rig.inject(FRAME.pack(objects.NMT_COB, 2, bytes([command, node(stand)])))
+        node = 0 if find is None else find(stand).id
+        stand.rig.inject(FRAME.pack(objects.NMT_COB, 2, bytes([command, node])))
 
     return inject
 
 
-def emergency(node: Callable[[Stand], int], code: int, register: int = 1) -> Injector:
+def emergency(find: FindNode, code: int, register: int = 1) -> Injector:
     """A device's emergency message that reports only some error; its samples go on."""
 
     def inject(stand: Stand) -> None:
         data = struct.pack("<HB5x", code, register)
-        stand.rig.inject(FRAME.pack(objects.EMCY_BASE + node(stand), 8, data))
+        stand.rig.inject(FRAME.pack(objects.EMCY_BASE + find(stand).id, 8, data))
 
     return inject
 
 
-def _every_tick(frames: Callable[[Stand], list[bytes]]) -> Injector:
+def _sent(frames: Callable[[Stand], list[bytes]], every: int = 1) -> Injector:
+    """A node sends these frames in the first tick and in one of ``every``."""
+
     def inject(stand: Stand) -> Step:
+        ticks = itertools.count()
+
         def step(_: float) -> None:
-            for frame in frames(stand):
+            for frame in frames(stand) if next(ticks) % every == 0 else ():
                 stand.rig.inject(frame)
 
         return step

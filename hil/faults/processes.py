@@ -19,10 +19,9 @@ import yaml
 
 from hil.faults import wall_clock
 from hil.faults.expected import ACCURACY_N, DRIVE_STOPS, RIDE, Expected, Reaction
-from hil.faults.judge import DRIVE_STOPS_MS, STANDS_MM, Row
+from hil.faults.judge import DRIVE_STOPS_MS, STANDS_MM, FaultResult
 from hil.faults.live_rows_rig import CONTROL, GATEWAY, SUPERVISOR, VICTIMS, Live, LiveError, give, live
-from hil.scenario.errors import ScenarioError
-from rigctl.cli.progress import Advance
+from hil.scenario.play import Advance
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 
@@ -43,7 +42,9 @@ Interference = Callable[[Live], AbstractContextManager[int]]
 
 @dataclass(frozen=True)
 class ProcessFault:
-    """One fault of a process."""
+    """One fault of a process; the other fields are those of an `InjectedFault`, the same for all."""
+
+    place, why, band_n, carried = "process", "", ACCURACY_N, True
 
     id: str
     what: str
@@ -187,36 +188,33 @@ CATALOGUE = (
 """The faults with the expected reaction in every mode; the loop's restart ends DISARMED."""
 
 
-def play(settings: RigSettings, rows: Sequence[tuple[ProcessFault, Mode]], advance: Advance) -> list[Row]:
+def play(settings: RigSettings, rows: Sequence[tuple[ProcessFault, Mode]], advance: Advance) -> list[FaultResult]:
     """Play rows one after the other, in their order. A row that fails to play ends its rig, and the next has a new one.
 
     Raises:
         ScenarioError: rig and daemon do not come up (1).
     """
-    found: list[Row] = []
-    try:
-        while len(found) < len(rows):
-            with live(settings) as rig:
-                _play_on(rig, rows, found, advance)
-    except LiveError as error:
-        raise ScenarioError([f"faults: {error}"], exit_code=1) from None
+    found: list[FaultResult] = []
+    while len(found) < len(rows):
+        with live(settings) as rig:
+            _play_on(rig, rows, found, advance)
     return found
 
 
-def _play_on(rig: Live, rows: Sequence[tuple[ProcessFault, Mode]], found: list[Row], advance: Advance) -> None:
+def _play_on(rig: Live, rows: Sequence[tuple[ProcessFault, Mode]], found: list[FaultResult], advance: Advance) -> None:
     """Play the rows that are not in ``found`` yet, until one fails to play."""
     for fault, mode in rows[len(found) :]:
         advance(0.0, f"{fault.id} in {mode.name}")
         try:
             found.append(row_of(rig, fault, mode))
         except LiveError as error:
-            found.append(Row.unreached(fault.id, mode, fault.expected[mode], str(error)))
+            found.append(FaultResult.unreached(fault.id, mode, fault.expected[mode], str(error)))
             return
         finally:
             advance(1.0, "")
 
 
-def row_of(rig: Live, fault: ProcessFault, mode: Mode) -> Row:
+def row_of(rig: Live, fault: ProcessFault, mode: Mode) -> FaultResult:
     """Play and judge one row."""
     rig.enter(mode)
     time.sleep(0.2)
@@ -225,7 +223,7 @@ def row_of(rig: Live, fault: ProcessFault, mode: Mode) -> Row:
     if fault.restart:
         rig.start_daemon()
     reaction, findings = judged(expected, came, mode, fault.within_ms)
-    return Row(
+    return FaultResult(
         fault.id,
         mode.name,
         str(expected),

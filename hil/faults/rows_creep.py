@@ -30,7 +30,6 @@ def _creeps() -> Iterator[InjectedFault]:
         for way, does, sign in (("up", "winds up", 1.0), ("down", "pays out", -1.0)):
             yield InjectedFault(
                 f"creep_{way}_{round(speed_mm_s * 1000)}",
-                "device",
                 f"the motor {does} {speed_mm_s:g} mm/s faster than it is told, seen by its encoder",
                 in_device.creeps(sign * speed_mm_s),
                 RIDE if corrected else _OFF,
@@ -46,7 +45,6 @@ CREEP: tuple[InjectedFault, ...] = (
     *_creeps(),
     InjectedFault(
         "position_drifts",
-        "device",
         "its position drifts by 0.3 mm/s, its speed says nothing of it",
         reads(STROKE, drift_s=0.3),
         _DRIFTS,
@@ -56,7 +54,6 @@ CREEP: tuple[InjectedFault, ...] = (
     ),
     InjectedFault(
         "encoder_drifts",
-        "device",
         "position and speed say that it moves by 0.3 mm/s; it does not",
         both(reads(STROKE, drift_s=0.3), reads(SPEED, plus=0.3)),
         {**_DRIFTS, Mode.DISARMED: Reaction.LATCHED},
@@ -67,7 +64,6 @@ CREEP: tuple[InjectedFault, ...] = (
     ),
     InjectedFault(
         "brake_slips_slowly",
-        "device",
         "the brake gives way by 0.15 mm/s whenever it is closed",
         in_device.brake_slips(0.15),
         {Mode.DISARMED: Reaction.MOVES},

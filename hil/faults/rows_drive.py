@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from hil.faults import in_device, in_plant, on_bus
+from hil.faults.bus_devices import CYLINDER_DRIVE
 from hil.faults.expected import (
     DRIVE_MS,
     EITHER,
     HOLD,
-    NO_HEARTBEAT_MS,
     POWER_OFF,
     RIDE,
     WHEN_MOVING,
@@ -17,7 +19,6 @@ from hil.faults.expected import (
     Reaction,
 )
 from hil.faults.in_device import SPEED, STATUS, STROKE, both, reads, says, stuck
-from hil.faults.rows_sensors import NO_ERROR_EITHER, VENDOR_ERROR, VENDOR_REGISTER
 from rigctl.control.modes import Mode
 from rigctl.devices import objects
 
@@ -25,84 +26,45 @@ STATUS_SILENT_MS = 310.0
 """Five periods of 50 ms, up to one since the last message, and a tick or two."""
 _SEEN_AT_REST: Expected = {**HOLD, Mode.DISARMED: Reaction.LATCHED}
 """Feedback that shows a stroke moving on a closed brake."""
+_while_heaving = partial(
+    InjectedFault, expected=WHEN_MOVING, band_n=15, latency_ms=DRIVE_MS, around=Around(motion=in_plant.heaving)
+)
+"""Shows only where the cylinder has to move."""
+_runs_away = partial(InjectedFault, expected=POWER_OFF, band_n=15, latency_ms=DRIVE_MS)
+"""The motor moves by itself."""
+_beside_lag = partial(InjectedFault, latency_ms=DRIVE_MS)
+"""Must differ from the drive's lag to be seen."""
+
 DRIVE_FEEDBACK = (
-    InjectedFault("drive_silent", "bus", "the drive's samples stop", on_bus.silent(on_bus.drive), HOLD, within_ms=20),
+    CYLINDER_DRIVE.silent(),
     InjectedFault(
         "status_silent",
-        "bus",
         "the drive's current, temperature and inputs stop coming, its position and speed go on",
-        on_bus.silent(on_bus.drive_status),
+        on_bus.silent(on_bus.drive, objects.DRIVE_TPDO2.cob_base),
         HOLD,
         within_ms=STATUS_SILENT_MS,
         why="neither the emergency stop's input nor the temperature is seen without them",
     ),
-    InjectedFault(
-        "stroke_stuck",
-        "device",
-        "its position stands still, its speed does not",
-        stuck(STROKE),
-        WHEN_MOVING,
-        band_n=15,
-        latency_ms=DRIVE_MS,
-        seconds=1.5,
-        around=Around(motion=in_plant.heaving),
-    ),
-    InjectedFault(
+    _while_heaving("stroke_stuck", "its position stands still, its speed does not", stuck(STROKE), seconds=1.5),
+    _beside_lag(
         "stroke_jump",
-        "device",
         "its position is 10 mm further from one sample to the next",
         reads(STROKE, plus=10.0),
         HOLD,
         within_ms=120,
-        latency_ms=DRIVE_MS,
     ),
-    InjectedFault(
+    _beside_lag(
         "stroke_drift",
-        "device",
         "its position creeps by 5 mm/s, its speed says nothing of it",
         reads(STROKE, drift_s=5.0),
         _SEEN_AT_REST,
         seconds=2.0,
-        latency_ms=DRIVE_MS,
     ),
-    InjectedFault(
-        "stroke_unit",
-        "device",
-        "a tenth of the position's unit",
-        reads(STROKE, times=10.0),
-        HOLD,
-        within_ms=120,
-        latency_ms=DRIVE_MS,
-    ),
-    InjectedFault(
-        "speed_stuck",
-        "device",
-        "its speed stands at 0",
-        reads(SPEED, times=0.0),
-        WHEN_MOVING,
-        band_n=15,
-        latency_ms=DRIVE_MS,
-        around=Around(motion=in_plant.heaving),
-    ),
-    InjectedFault(
-        "speed_sign",
-        "device",
-        "its speed has the wrong sign",
-        reads(SPEED, times=-1.0),
-        WHEN_MOVING,
-        band_n=15,
-        latency_ms=DRIVE_MS,
-        around=Around(motion=in_plant.heaving),
-    ),
-    InjectedFault(
-        "speed_noisy",
-        "device",
-        "noise of 5 mm/s rms on its speed",
-        reads(SPEED, noise=5.0),
-        EITHER,
-        latency_ms=DRIVE_MS,
-    ),
-    InjectedFault("status_garbled", "device", "its statusword reads 0", says(STATUS, 0), HOLD, within_ms=40),
+    _beside_lag("stroke_unit", "a tenth of the position's unit", reads(STROKE, times=10.0), HOLD, within_ms=120),
+    _while_heaving("speed_stuck", "its speed stands at 0", reads(SPEED, times=0.0)),
+    _while_heaving("speed_sign", "its speed has the wrong sign", reads(SPEED, times=-1.0)),
+    _beside_lag("speed_noisy", "noise of 5 mm/s rms on its speed", reads(SPEED, noise=5.0), EITHER),
+    InjectedFault("status_garbled", "its statusword reads 0", says(STATUS, 0), HOLD, within_ms=40),
 )
 
 _BIT_MS = 40.0
@@ -123,7 +85,6 @@ SUPERVISION = (
     *(
         InjectedFault(
             f"foreign_{name}",
-            "bus",
             f"another master writes 0 to {what} of the drive",
             on_bus.sdo_write(index, sub, size),
             HOLD,
@@ -132,16 +93,15 @@ SUPERVISION = (
         )
         for name, what, index, sub, size in OWN_STOP
     ),
-    InjectedFault("foreign_sdo_read", "bus", "another master reads the drive's temperature", on_bus.sdo_read(), HOLD,
-          within_ms=10),
     InjectedFault(
-        "foreign_sdo_answers", "bus", "the drive answers a master that is not heard", on_bus.sdo_answers(), HOLD,
-        within_ms=10,
+        "foreign_sdo_read", "another master reads the drive's temperature", on_bus.sdo_read(), HOLD, within_ms=10
+    ),
+    InjectedFault(
+        "foreign_sdo_answers", "the drive answers a master that is not heard", on_bus.sdo_answers(), HOLD, within_ms=10
     ),
     *(
         InjectedFault(
             f"lost_{name}",
-            "device",
             f"{what} of the drive reads 0: its own service connection wrote it",
             in_device.setting_lost(index, sub),
             HOLD,
@@ -150,196 +110,108 @@ SUPERVISION = (
         )
         for name, what, index, sub, _ in OWN_STOP
     ),
-    InjectedFault("sdo_silent", "bus", "the drive's SDO server does not answer any more", on_bus.sdo_silent(), HOLD,
-          within_ms=1_500, seconds=2.5, why="what it would do without us is not known any more"),
+    InjectedFault(
+        "sdo_silent",
+        "the drive's SDO server does not answer any more",
+        on_bus.silent(on_bus.drive, objects.SDO_TX_BASE),
+        HOLD,
+        within_ms=1_500,
+        seconds=2.5,
+        why="what it would do without us is not known any more",
+    ),
     InjectedFault(
         "encoder_restarts",
-        "device",
         "its encoder counts from a new zero",
         in_device.encoder_restarts(),
         HOLD,
         within_ms=10,
         why="where the stroke's ends are is not known any more: an operator has to confirm it",
     ),
-)  # fmt: skip
+)
 
 OVERCURRENT, OVERHEATED = 0x2310, 0x4310
 DRIVE = (
     InjectedFault(
         "drive_trips",
-        "device",
         "the drive finds an overcurrent: it stops, its brake closes",
         in_device.trips(OVERCURRENT),
         HOLD,
         within_ms=10,
     ),
-    InjectedFault(
-        "drive_emergency",
-        "bus",
-        "the drive reports that it is too hot, and goes on",
-        on_bus.emergency(lambda s: s.drive.id, OVERHEATED),
-        HOLD,
-        within_ms=10,
-    ),
-    InjectedFault(
-        "drive_emergency_vendor",
-        "bus",
-        "an emergency message of its maker's own (0xFF10, register 0x81), and it goes on",
-        on_bus.emergency(lambda s: s.drive.id, VENDOR_ERROR, VENDOR_REGISTER),
-        HOLD,
-        within_ms=10,
-    ),
-    InjectedFault(
-        "drive_emergency_none",
-        "bus",
-        "an emergency message that says no error (0x00FF, register 0)",
-        on_bus.emergency(lambda s: s.drive.id, NO_ERROR_EITHER, 0),
-        RIDE,
-    ),
-    InjectedFault(
-        "drive_emergency_remains",
-        "bus",
+    CYLINDER_DRIVE.emergency("the drive reports that it is too hot, and goes on", code=OVERHEATED),
+    CYLINDER_DRIVE.emergency_vendor("and it goes on"),
+    CYLINDER_DRIVE.emergency_none(),
+    CYLINDER_DRIVE.emergency(
         "an emergency message says that one error is over, and its register that others stand (0x0000, register 0x09)",
-        on_bus.emergency(lambda s: s.drive.id, 0, 0x09),
-        HOLD,
-        within_ms=10,
+        "emergency_remains",
+        0,
+        0x09,
     ),
-    InjectedFault(
-        "drive_reboots", "device", "the drive starts anew", in_device.reboots(lambda s: s.drive), HOLD, within_ms=20
-    ),
-    InjectedFault(
+    CYLINDER_DRIVE.reboots(),
+    _beside_lag(
         "drive_tool",
-        "device",
         "a service tool at the drive has it enabled and winds up at 5 mm/s; quick stop and disable voltage still work",
         in_device.tool_takes_over(5.0),
         {**POWER_OFF, Mode.DISARMED: Reaction.LATCHED},
-        latency_ms=DRIVE_MS,
         band_n=15,
         why="who commands the drive must not be a question, least of all while it is DISARMED",
     ),
-    InjectedFault(
+    _beside_lag(
         "drive_tool_unsaid",
-        "device",
         "the same, and the drive's statusword says nothing of the tool",
         in_device.tool_takes_over(5.0, shows_remote=True),
         {**POWER_OFF, Mode.DISARMED: Reaction.LATCHED},
-        latency_ms=DRIVE_MS,
         band_n=15,
     ),
-    InjectedFault(
+    _beside_lag(
         "drive_tool_at_rest",
-        "device",
         "a service tool has the drive enabled and does not move it; quick stop and disable voltage still work",
         in_device.tool_takes_over(0.0),
         {**HOLD, Mode.DISARMED: Reaction.LATCHED},
-        latency_ms=DRIVE_MS,
     ),
-    InjectedFault(
+    _beside_lag(
         "drive_tool_deaf",
-        "device",
         "a service tool moves the drive by 1 mm/s, and nothing on the bus stops it",
         in_device.tool_takes_over(1.0, deaf=True),
         {Mode.DISARMED: Reaction.MOVES},
-        latency_ms=DRIVE_MS,
         why="the operator is told at once; the emergency stop is what is left",
     ),
-    InjectedFault(
+    _beside_lag(
         "drive_remote_lost",
-        "device",
         "its statusword says that it takes no commands from the bus (bit 9 off)",
         in_device.status_bit(objects.STATUS_REMOTE, on=False),
         HOLD,
         within_ms=_BIT_MS,
-        latency_ms=DRIVE_MS,
     ),
-    InjectedFault(
+    _beside_lag(
         "drive_internal_limit",
-        "device",
         "its statusword says that a limit of its own is active (bit 11)",
         in_device.status_bit(objects.STATUS_INTERNAL_LIMIT, on=True),
         HOLD,
         within_ms=DRIVE_MS,
-        latency_ms=DRIVE_MS,
     ),
-    InjectedFault(
+    _beside_lag(
         "drive_not_following",
-        "device",
         "its statusword says that it does not follow the target velocity (bit 12 off)",
         in_device.status_bit(objects.STATUS_FOLLOWS, on=False),
         {**POWER_OFF, Mode.DISARMED: Reaction.RIDDEN},
-        latency_ms=DRIVE_MS,
         why="the bit means something only while the drive is enabled",
     ),
-    InjectedFault(
-        "drive_no_heartbeat",
-        "device",
-        "the drive sends no heartbeat any more, its samples go on",
-        in_device.no_heartbeat(lambda s: s.drive),
-        HOLD,
-        within_ms=NO_HEARTBEAT_MS,
-    ),
-    InjectedFault(
-        "drive_ignores",
-        "device",
-        "the motor stands still whatever it is told",
-        in_device.ignores_commands(),
-        WHEN_MOVING,
-        latency_ms=DRIVE_MS,
-        around=Around(motion=in_plant.heaving),
-        band_n=15,
-    ),
-    InjectedFault(
-        "drive_runs_up",
-        "device",
-        "the motor winds up at 10 mm/s by itself",
-        in_device.runs_away(10.0),
-        POWER_OFF,
-        latency_ms=DRIVE_MS,
-        band_n=15,
-    ),
-    InjectedFault(
-        "drive_runs_down",
-        "device",
-        "the motor pays out at 10 mm/s by itself",
-        in_device.runs_away(-10.0),
-        POWER_OFF,
-        latency_ms=DRIVE_MS,
-        band_n=15,
-    ),
-    InjectedFault(
-        "drive_runs_slowly",
-        "device",
-        "the motor pays out at 1 mm/s by itself",
-        in_device.runs_away(-1.0),
-        POWER_OFF,
-        latency_ms=DRIVE_MS,
-        band_n=15,
-        seconds=4.0,
-    ),
-    InjectedFault(
+    CYLINDER_DRIVE.no_heartbeat(),
+    _while_heaving("drive_ignores", "the motor stands still whatever it is told", in_device.ignores_commands()),
+    _runs_away("drive_runs_up", "the motor winds up at 10 mm/s by itself", in_device.runs_away(10.0)),
+    _runs_away("drive_runs_down", "the motor pays out at 10 mm/s by itself", in_device.runs_away(-10.0)),
+    _runs_away("drive_runs_slowly", "the motor pays out at 1 mm/s by itself", in_device.runs_away(-1.0), seconds=4.0),
+    _runs_away(
         "drive_runs_blind",
-        "device",
         "the motor pays out at 5 mm/s, its encoder says it stands still",
         both(in_device.runs_away(-5.0), stuck(STROKE), reads(SPEED, times=0.0)),
-        POWER_OFF,
-        latency_ms=DRIVE_MS,
-        band_n=15,
         seconds=2.0,
         why="tension changes, and no stroke is seen",
     ),
-    InjectedFault(
-        "brake_stuck_closed",
-        "device",
-        "the brake has closed by itself",
-        in_device.brake_stays_closed(),
-        WHEN_MOVING,
-        latency_ms=DRIVE_MS,
-        around=Around(motion=in_plant.heaving),
-        band_n=15,
-    ),
+    _while_heaving("brake_stuck_closed", "the brake has closed by itself", in_device.brake_stays_closed()),
     InjectedFault(
         "brake_stuck_open",
-        "device",
         "the brake does not hold: a motor without power gives way by 0.5 mm/s",
         in_device.brake_stays_open(),
         {**RIDE, Mode.DISARMED: Reaction.MOVES},
@@ -349,14 +221,13 @@ DRIVE = (
     ),
     InjectedFault(
         "brake_weak",
-        "device",
         "the closed brake gives way by 0.06 mm/s: less than any limit sees",
-        in_device.brake_gives_way(0.06),
+        in_device.brake_slips(0.06, dead_band=True),
         {Mode.DISARMED: Reaction.REFUSED},
         around=Around(change=(("cylinder.brake_test", True),)),
         why="the brake test of the arming finds it",
     ),
     InjectedFault(
-        "power_dip", "device", "all devices are without power for 100 ms", in_device.power_dip(0.1), HOLD, within_ms=20
+        "power_dip", "all devices are without power for 100 ms", in_device.power_dip(0.1), HOLD, within_ms=20
     ),
 )

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from hil.faults import in_device, on_bus
-from hil.faults.expected import DRIVE_MS, HOLD, NO_HEARTBEAT_MS, PRESSED, RIDE, Around, InjectedFault
-from rigctl.config.io_section import IoSettings
+from hil.faults.bus_devices import IO_NODE
+from hil.faults.expected import DRIVE_MS, PRESSED, RIDE, Around, InjectedFault
 from rigctl.config.settings import RailEncoderSettings
-from rigctl.devices.objects import EmcyCode
 
-FITTED = Around(change=(("io", IoSettings(e_stop_input=0)),))
-_SILENT_MS = 120.0
-"""100 ms without the I/O node's inputs, and a tick or two."""
-
+FITTED = IO_NODE.around
 RAIL = Around(change=(("rail_encoder", RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=500)),))
 RAIL_ENCODER = (
     InjectedFault(
         "rail_silent",
-        "bus",
         "the rail encoder's angle stops coming",
         on_bus.silent(on_bus.rail),
         RIDE,
@@ -26,9 +21,8 @@ RAIL_ENCODER = (
     ),
     InjectedFault(
         "rail_no_heartbeat",
-        "device",
         "the rail encoder sends no heartbeat any more, its angle goes on",
-        in_device.no_heartbeat(lambda s: s.rail),
+        in_device.no_heartbeat(on_bus.rail),
         RIDE,
         band_n=3,
         around=RAIL,
@@ -38,7 +32,6 @@ RAIL_ENCODER = (
 IO = (
     InjectedFault(
         "io_e_stop",
-        "device",
         "the emergency stop's contact opens at the I/O node alone",
         in_device.io_contact_opens(),
         PRESSED,
@@ -48,7 +41,6 @@ IO = (
     ),
     InjectedFault(
         "io_e_stop_bounces",
-        "device",
         "the same contact opens for 10 ms",
         in_device.io_contact_opens(0.01),
         PRESSED,
@@ -56,68 +48,11 @@ IO = (
         around=FITTED,
         why="longer than inhibit_ms, so that it is told; pressed is pressed",
     ),
-    InjectedFault(
-        "io_silent",
-        "bus",
-        "the I/O node's inputs stop coming",
-        on_bus.silent(on_bus.io),
-        HOLD,
-        within_ms=_SILENT_MS,
-        around=FITTED,
-    ),
-    InjectedFault(
-        "io_reboots",
-        "device",
-        "the I/O node starts anew",
-        in_device.reboots(lambda s: s.io),
-        HOLD,
-        within_ms=20,
-        around=FITTED,
-    ),
-    InjectedFault(
-        "io_nmt_stopped",
-        "bus",
-        "another master stops the I/O node",
-        on_bus.nmt(0x02, lambda s: s.io.id),
-        HOLD,
-        within_ms=_SILENT_MS,
-        around=FITTED,
-    ),
-    InjectedFault(
-        "io_nmt_preop",
-        "bus",
-        "another master takes the I/O node to pre-operational",
-        on_bus.nmt(0x80, lambda s: s.io.id),
-        HOLD,
-        within_ms=_SILENT_MS,
-        around=FITTED,
-    ),
-    InjectedFault(
-        "io_no_heartbeat",
-        "device",
-        "the I/O node sends no heartbeat any more, its inputs go on",
-        in_device.no_heartbeat(lambda s: s.io),
-        HOLD,
-        within_ms=NO_HEARTBEAT_MS,
-        around=FITTED,
-    ),
-    InjectedFault(
-        "io_emergency",
-        "bus",
-        "an emergency message of the I/O node, its inputs go on",
-        on_bus.emergency(lambda s: s.io.id, EmcyCode.SENSOR_INVALID),
-        HOLD,
-        within_ms=10,
-        around=FITTED,
-    ),
-    InjectedFault(
-        "io_length_wrong",
-        "bus",
-        "every frame of the I/O node has a byte too few",
-        on_bus.cut(on_bus.io, 1.0),
-        HOLD,
-        within_ms=_SILENT_MS,
-        counter="frames_refused",
-        around=FITTED,
-    ),
+    IO_NODE.silent("the I/O node's inputs stop coming"),
+    IO_NODE.reboots(),
+    IO_NODE.nmt_stopped(),
+    IO_NODE.nmt_preop(),
+    IO_NODE.no_heartbeat(),
+    IO_NODE.emergency("an emergency message of the I/O node, its inputs go on"),
+    IO_NODE.length_wrong("every frame of the I/O node has a byte too few"),
 )

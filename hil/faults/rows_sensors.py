@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from hil.faults import in_device, in_plant, on_bus
+from functools import partial
+
+from hil.faults import in_device, in_plant
+from hil.faults.bus_devices import AMPLIFIER, INCLINOMETER
 from hil.faults.expected import (
     EITHER,
     FROM_START,
     HOLD,
-    NO_HEARTBEAT_MS,
     PASSING,
     RIDE,
     WHEN_MOVING,
@@ -17,21 +19,22 @@ from hil.faults.expected import (
 )
 from hil.faults.in_device import CELL, CELL_STATUS, LATERAL, LONG, both, reads, says, stuck
 from rigctl.control.modes import Mode
-from rigctl.devices.objects import SLOPE_INVALID, AiStatus, EmcyCode
+from rigctl.devices.objects import SLOPE_INVALID, AiStatus
 
-VENDOR_ERROR, VENDOR_REGISTER, NO_ERROR_EITHER = 0xFF10, 0x81, 0x00FF
 G = 9.80665
 WAY_N = 90.0
 """15 mm of stroke: the payload of this rig moves by 10 mm, so a larger motion has another cause."""
 
+_while_turning = partial(InjectedFault, seconds=3.0, around=Around(motion=in_plant.rotating))
+"""Shows only on a rope that leans."""
+_from_start = partial(InjectedFault, expected=FROM_START, band_n=15.0, from_start=True)
+"""Detected in the first tensioning."""
+
 SENSOR_CELL = (
-    InjectedFault("cell_silent", "bus", "the cell's samples stop", on_bus.silent(on_bus.cell), HOLD, within_ms=20),
-    InjectedFault(
-        "cell_stuck", "device", "the cell repeats its last sample to the last bit", stuck(CELL), HOLD, within_ms=300
-    ),
+    AMPLIFIER.silent(),
+    InjectedFault("cell_stuck", "the cell repeats its last sample to the last bit", stuck(CELL), HOLD, within_ms=300),
     InjectedFault(
         "cell_frozen",
-        "device",
         "the cell's noise goes on about one value, 1 % too low",
         reads(CELL, times=0.99, noise=0.03, freezes=True),
         WHEN_MOVING,
@@ -42,7 +45,6 @@ SENSOR_CELL = (
     ),
     InjectedFault(
         "cell_drift_fast",
-        "device",
         "the cell drifts by 20 N/s",
         reads(CELL, drift_s=20.0),
         {
@@ -55,7 +57,6 @@ SENSOR_CELL = (
     ),
     InjectedFault(
         "cell_drift_slow",
-        "device",
         "the cell drifts by 0.5 N/s",
         reads(CELL, drift_s=0.5),
         RIDE,
@@ -63,32 +64,15 @@ SENSOR_CELL = (
         why="not to be told from a payload that moves: calibration's affair",
     ),
     InjectedFault(
-        "cell_jump_up",
-        "device",
-        "80 N more from one sample to the next",
-        reads(CELL, plus=80.0),
-        PASSING,
-        within_ms=60,
+        "cell_jump_up", "80 N more from one sample to the next", reads(CELL, plus=80.0), PASSING, within_ms=60
     ),
     InjectedFault(
-        "cell_jump_down",
-        "device",
-        "80 N less from one sample to the next",
-        reads(CELL, plus=-80.0),
-        PASSING,
-        within_ms=60,
+        "cell_jump_down", "80 N less from one sample to the next", reads(CELL, plus=-80.0), PASSING, within_ms=60
     ),
-    InjectedFault(
-        "cell_spike",
-        "device",
-        "one sample in 200 is 80 N too high",
-        reads(CELL, spikes=80.0),
-        RIDE,
-    ),
-    InjectedFault("cell_noisy", "device", "three times the noise", reads(CELL, noise=0.1), RIDE),
+    InjectedFault("cell_spike", "one sample in 200 is 80 N too high", reads(CELL, spikes=80.0), RIDE),
+    InjectedFault("cell_noisy", "three times the noise", reads(CELL, noise=0.1), RIDE),
     InjectedFault(
         "cell_noise_gross",
-        "device",
         "noise of 20 N rms",
         reads(CELL, noise=20.0),
         {**PASSING, Mode.HOLD: Reaction.EITHER},
@@ -96,146 +80,62 @@ SENSOR_CELL = (
         within_ms=300,
         why="a stroke that is held does not mind; it trips as soon as it is to move",
     ),
-    InjectedFault(
-        "cell_overload", "device", "the amplifier says it is overloaded", in_device.overloaded(), HOLD, within_ms=10
-    ),
+    InjectedFault("cell_overload", "the amplifier says it is overloaded", in_device.overloaded(), HOLD, within_ms=10),
     InjectedFault(
         "cell_pinned_high",
-        "device",
         "it reads the end of its range, 500 N, and says nothing",
         reads(CELL, times=0.0, plus=500.0),
         HOLD,
         within_ms=40,
     ),
     InjectedFault(
-        "cell_over_range",
-        "device",
-        "it reads 650 N, more than it can",
-        reads(CELL, times=0.0, plus=650.0),
-        HOLD,
-        within_ms=10,
+        "cell_over_range", "it reads 650 N, more than it can", reads(CELL, times=0.0, plus=650.0), HOLD, within_ms=10
     ),
     InjectedFault(
-        "cell_zero",
-        "device",
-        "a broken wire: it reads 0 N",
-        reads(CELL, times=0.0, noise=0.03),
-        PASSING,
-        within_ms=60,
+        "cell_zero", "a broken wire: it reads 0 N", reads(CELL, times=0.0, noise=0.03), PASSING, within_ms=60
     ),
     InjectedFault(
-        "cell_nan", "device", "the number that stands for none", says(CELL, in_device.NOT_A_NUMBER), HOLD, within_ms=10
+        "cell_nan", "the number that stands for none", says(CELL, in_device.NOT_A_NUMBER), HOLD, within_ms=10
     ),
     InjectedFault(
         "cell_not_valid",
-        "device",
         "its status says that the sample is not valid",
         says(CELL_STATUS, int(AiStatus.NOT_VALID)),
         HOLD,
         within_ms=10,
     ),
-    InjectedFault("cell_sign", "device", "its sign turns round", reads(CELL, times=-1.0), HOLD, within_ms=60),
-    InjectedFault("cell_unit", "device", "it reads kgf for N", reads(CELL, times=1 / G), PASSING, within_ms=60),
-    InjectedFault(
-        "cell_sign_from_start",
-        "device",
-        "mounted the wrong way round",
-        reads(CELL, times=-1.0),
-        FROM_START,
-        seconds=3.0,
-        band_n=15.0,
-        from_start=True,
-    ),
-    InjectedFault(
+    InjectedFault("cell_sign", "its sign turns round", reads(CELL, times=-1.0), HOLD, within_ms=60),
+    InjectedFault("cell_unit", "it reads kgf for N", reads(CELL, times=1 / G), PASSING, within_ms=60),
+    _from_start("cell_sign_from_start", "mounted the wrong way round", reads(CELL, times=-1.0), seconds=3.0),
+    _from_start(
         "cell_unit_from_start",
-        "device",
         "reads kgf for N since power-on",
         reads(CELL, times=1 / G),
-        FROM_START,
         seconds=4.0,
-        band_n=15.0,
-        from_start=True,
         latency_ms=170,
         why="caught while the tension is a fraction of the target",
     ),
-    InjectedFault(
-        "cell_emergency",
-        "bus",
-        "an emergency message, samples go on",
-        on_bus.emergency(lambda s: s.cell.id, EmcyCode.SENSOR_INVALID),
-        HOLD,
-        within_ms=10,
-    ),
-    InjectedFault(
-        "cell_reboots", "device", "the amplifier starts anew", in_device.reboots(lambda s: s.cell), HOLD, within_ms=20
-    ),
-    InjectedFault(
-        "cell_emergency_vendor",
-        "bus",
-        "an emergency message of its maker's own (0xFF10, register 0x81), samples go on",
-        on_bus.emergency(lambda s: s.cell.id, VENDOR_ERROR, VENDOR_REGISTER),
-        HOLD,
-        within_ms=10,
-    ),
-    InjectedFault(
-        "cell_emergency_none",
-        "bus",
-        "an emergency message that says no error (0x00FF, register 0)",
-        on_bus.emergency(lambda s: s.cell.id, NO_ERROR_EITHER, 0),
-        RIDE,
-    ),
-    InjectedFault(
-        "cell_nmt_stopped",
-        "bus",
-        "another master stops the amplifier",
-        on_bus.nmt(0x02, lambda s: s.cell.id),
-        HOLD,
-        within_ms=20,
-    ),
-    InjectedFault(
-        "cell_nmt_preop",
-        "bus",
-        "another master takes the cell to pre-operational",
-        on_bus.nmt(0x80, lambda s: s.cell.id),
-        HOLD,
-        within_ms=20,
-    ),
-    InjectedFault(
-        "cell_no_heartbeat",
-        "device",
-        "the cell sends no heartbeat any more, its samples go on",
-        in_device.no_heartbeat(lambda s: s.cell),
-        HOLD,
-        within_ms=NO_HEARTBEAT_MS,
-    ),
-    InjectedFault(
-        "cell_length_wrong",
-        "bus",
-        "every sample has a byte too few",
-        on_bus.cut(on_bus.cell, 1.0),
-        HOLD,
-        within_ms=20,
-        counter="frames_refused",
-    ),
+    AMPLIFIER.emergency("an emergency message, samples go on"),
+    AMPLIFIER.reboots("the amplifier"),
+    AMPLIFIER.emergency_vendor("samples go on"),
+    AMPLIFIER.emergency_none(),
+    AMPLIFIER.nmt_stopped("the amplifier"),
+    AMPLIFIER.nmt_preop(),
+    AMPLIFIER.no_heartbeat(),
+    AMPLIFIER.length_wrong("every sample has a byte too few"),
 )
 
 SENSOR_SLOPE = (
-    InjectedFault(
-        "slope_silent", "bus", "the inclinometer's samples stop", on_bus.silent(on_bus.slope), HOLD, within_ms=120
-    ),
-    InjectedFault(
+    INCLINOMETER.silent(),
+    _while_turning(
         "slope_stuck",
-        "device",
         "it repeats its last sample while the mechanism turns",
         both(stuck(LONG), stuck(LATERAL)),
         RIDE,
-        seconds=3.0,
-        around=Around(motion=in_plant.rotating),
         why="at rest it repeats itself anyhow; at 0.7 deg it is worth 0.0075 %",
     ),
     InjectedFault(
         "slope_drift_slow",
-        "device",
         "it drifts by 1 deg/s",
         reads(LONG, drift_s=1.0),
         RIDE,
@@ -244,104 +144,44 @@ SENSOR_SLOPE = (
     ),
     InjectedFault(
         "slope_drift_fast",
-        "device",
         "it drifts by 10 deg/s",
         reads(LONG, drift_s=10.0),
         HOLD,
         seconds=3.5,
         why="beyond 14 deg the set-point would be 3 % off",
     ),
-    InjectedFault(
-        "slope_jump",
-        "device",
-        "20 deg from one sample to the next",
-        reads(LONG, plus=20.0),
-        HOLD,
-        within_ms=300,
-    ),
-    InjectedFault("slope_noisy", "device", "ten times the noise, 0.03 deg rms", reads(LONG, noise=0.03), RIDE),
+    InjectedFault("slope_jump", "20 deg from one sample to the next", reads(LONG, plus=20.0), HOLD, within_ms=300),
+    InjectedFault("slope_noisy", "ten times the noise, 0.03 deg rms", reads(LONG, noise=0.03), RIDE),
     InjectedFault(
         "slope_invalid",
-        "device",
         "both axes say that they cannot measure",
         both(says(LONG, SLOPE_INVALID), says(LATERAL, SLOPE_INVALID)),
         HOLD,
         within_ms=30,
     ),
     InjectedFault(
-        "slope_axis_invalid",
-        "device",
-        "one axis says that it cannot measure",
-        says(LATERAL, SLOPE_INVALID),
-        HOLD,
-        within_ms=30,
+        "slope_axis_invalid", "one axis says that it cannot measure", says(LATERAL, SLOPE_INVALID), HOLD, within_ms=30
     ),
     InjectedFault(
-        "slope_over_range",
-        "device",
-        "it reads 60 deg, more than it can",
-        reads(LONG, times=0.0, plus=60.0),
-        HOLD,
-        within_ms=30,
+        "slope_over_range", "it reads 60 deg, more than it can", reads(LONG, times=0.0, plus=60.0), HOLD, within_ms=30
     ),
-    InjectedFault(
+    _while_turning(
         "slope_sign",
-        "device",
         "its sign turns round while the mechanism turns",
         reads(LONG, times=-1.0),
         RIDE,
-        seconds=3.0,
-        around=Around(motion=in_plant.rotating),
         why="the cosine does not care",
     ),
-    InjectedFault(
+    _while_turning(
         "slope_unit",
-        "device",
         "ten times the angle while the mechanism turns",
         reads(LONG, times=10.0),
         EITHER,
-        seconds=3.0,
-        around=Around(motion=in_plant.rotating),
         why="7 deg for 0.7 deg are worth 0.74 %, and beyond the limit of 5 deg",
     ),
-    InjectedFault(
-        "slope_emergency",
-        "bus",
-        "an emergency message, samples go on",
-        on_bus.emergency(lambda s: s.slope.id, EmcyCode.SENSOR_INVALID),
-        HOLD,
-        within_ms=10,
-    ),
-    InjectedFault(
-        "slope_reboots",
-        "device",
-        "the inclinometer starts anew",
-        in_device.reboots(lambda s: s.slope),
-        HOLD,
-        within_ms=20,
-    ),
-    InjectedFault(
-        "slope_nmt_stopped",
-        "bus",
-        "another master stops the inclinometer",
-        on_bus.nmt(0x02, lambda s: s.slope.id),
-        HOLD,
-        within_ms=120,
-    ),
-    InjectedFault(
-        "slope_nmt_preop",
-        "bus",
-        "another master takes the inclinometer to pre-operational",
-        on_bus.nmt(0x80, lambda s: s.slope.id),
-        HOLD,
-        within_ms=120,
-    ),
-    InjectedFault(
-        "slope_no_heartbeat",
-        "device",
-        "the inclinometer sends no heartbeat any more, its samples go on",
-        in_device.no_heartbeat(lambda s: s.slope),
-        HOLD,
-        within_ms=NO_HEARTBEAT_MS,
-    ),
+    INCLINOMETER.emergency("an emergency message, samples go on"),
+    INCLINOMETER.reboots(),
+    INCLINOMETER.nmt_stopped(),
+    INCLINOMETER.nmt_preop(),
+    INCLINOMETER.no_heartbeat(),
 )

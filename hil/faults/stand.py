@@ -34,6 +34,8 @@ _CLOSED = (Mode.COMPENSATING, Mode.FAULT)
 Step = Callable[[float], None]
 """Called before every tick with the seconds since the fault began."""
 Injector = Callable[["Stand"], "Step | None"]
+FindNode = Callable[["Stand"], Node]
+"""Finds one device of the rig."""
 
 
 class Stand:
@@ -81,10 +83,6 @@ class Stand:
         """The rail's encoder, in the rows whose rig has one."""
         assert self.rig.rig.rail_encoder is not None
         return self.rig.rig.rail_encoder
-
-    def data_id(self, node: Node) -> int:
-        """Identifier of a device's samples."""
-        return objects.TPDO1_BASE + node.id
 
     def ends_after(self, seconds: float, undo: Callable[[], None]) -> Step:
         """A step that calls ``undo`` once, ``seconds`` after the fault began."""

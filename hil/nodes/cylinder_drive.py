@@ -14,7 +14,7 @@ from hil.nodes.motor import Motor
 from hil.nodes.network import RigNetwork
 from hil.nodes.node import COMMUNICATION_ERROR, GENERIC_ERROR, Node
 from hil.nodes.pdo import ReceivePdo
-from hil.nodes.power_stage import Phase, PowerStage
+from hil.nodes.power_stage import PowerStage, StagePhase
 from hil.plant import Plant
 from rigctl.config.settings import RigSettings
 from rigctl.config.simulation_section import DriveSettings, SimulationSettings
@@ -166,7 +166,7 @@ class CylinderDrive(Node):
 
     def _drive(self) -> None:
         stage = self.control.stage
-        falling = stage.phase is Phase.FALLING
+        falling = stage.phase is StagePhase.FALLING
         speed_mm_s = -self.plant.truth.tension_n / self._creep_n_s_mm if falling else stage.velocity_mm_s
         if self.defect is None:
             self.plant.set_drive(speed_mm_s, stage.braked)
@@ -177,7 +177,7 @@ class CylinderDrive(Node):
         rpdo = self._rpdo
         if rpdo is None or self.nmt_state is not NmtState.OPERATIONAL or len(data) < rpdo.size:
             return
-        self._commands_due.heard()
+        self._commands_due.renew()
         if rpdo.synchronous:
             self._received = data
         else:
@@ -259,12 +259,12 @@ class CylinderDrive(Node):
 
     def _on_heartbeat(self, _: int, data: bytes, __: float) -> None:
         if data and data[0] != NmtState.BOOT_UP:
-            self._heartbeat.heard()
+            self._heartbeat.renew()
 
     @property
     def stopping(self) -> bool:
         """Whether the motor stops for good: it ramps down, or its brake closes or is closed."""
-        return self.control.stage.phase not in (Phase.OPENING, Phase.DRIVING)
+        return self.control.stage.phase not in (StagePhase.OPENING, StagePhase.DRIVING)
 
     def trip(self, code: int) -> None:
         """A fault of the drive itself: emergency, and the fault reaction (0x605E)."""

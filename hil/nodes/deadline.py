@@ -19,7 +19,7 @@ class Deadline:
         self._limit_ns = limit_ms * 1_000_000
         self.restart()
 
-    def heard(self) -> None:
+    def renew(self) -> None:
         """The awaited message has come."""
         self._silence_ns = 0
         self._armed = self._limit_ns > 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from hil.nodes.drive_states import WHEN_STOPPED, command_of, next_state
-from hil.nodes.power_stage import Phase, PowerStage
+from hil.nodes.power_stage import PowerStage, StagePhase
 from rigctl.devices import objects
 from rigctl.devices.objects import OFF_STATES, Controlword, DriveState
 
@@ -77,10 +77,10 @@ class DeviceControl:
     def advance(self, t_ns: int, speed_mm_s: float) -> None:
         """Advance ramp, brake and the states that wait for them to ``t_ns``."""
         self.stage.advance(t_ns, speed_mm_s)
-        if self._enabling and self.stage.phase is Phase.DRIVING:
+        if self._enabling and self.stage.phase is StagePhase.DRIVING:
             self._enabling = False
             self.state = DriveState.OPERATION_ENABLED
-        elif self.state in WHEN_STOPPED and self.stage.phase is Phase.BRAKED and not self._stays():
+        elif self.state in WHEN_STOPPED and self.stage.phase is StagePhase.BRAKED and not self._stays():
             self.state = WHEN_STOPPED[self.state]
 
     def restart(self, t_ns: int) -> None:

@@ -9,7 +9,7 @@ STANDSTILL_MM_S = 0.05
 """The brake closes below this speed."""
 
 
-class Phase(Enum):
+class StagePhase(Enum):
     """What carries the load."""
 
     BRAKED = auto()  # brake closed, motor off
@@ -34,63 +34,63 @@ class PowerStage:
         self._since_ns = 0
         self._start_velocity = 0.0
         self._deceleration = math.inf
-        self.phase = Phase.BRAKED
+        self.phase = StagePhase.BRAKED
         self.velocity_mm_s = 0.0
 
     @property
     def braked(self) -> bool:
         """Whether the brake alone holds the load, or still does."""
-        return self.phase in (Phase.BRAKED, Phase.OPENING)
+        return self.phase in (StagePhase.BRAKED, StagePhase.OPENING)
 
     @property
     def powered(self) -> bool:
         """Whether the motor has current."""
-        return self.phase not in (Phase.BRAKED, Phase.FALLING)
+        return self.phase not in (StagePhase.BRAKED, StagePhase.FALLING)
 
     def start(self, t_ns: int) -> None:
         """Switch the motor on; it drives once the brake is open."""
-        if self.phase in (Phase.BRAKED, Phase.CLOSING, Phase.FALLING):
-            self._change(Phase.OPENING, t_ns)
-        elif self.phase is Phase.STOPPING:
-            self._change(Phase.DRIVING, t_ns)
+        if self.phase in (StagePhase.BRAKED, StagePhase.CLOSING, StagePhase.FALLING):
+            self._change(StagePhase.OPENING, t_ns)
+        elif self.phase is StagePhase.STOPPING:
+            self._change(StagePhase.DRIVING, t_ns)
 
     def follow(self, velocity_mm_s: float) -> None:
         """Velocity command; counts while driving."""
-        if self.phase is Phase.DRIVING:
+        if self.phase is StagePhase.DRIVING:
             self.velocity_mm_s = velocity_mm_s
 
     def stop(self, t_ns: int, deceleration_mm_s2: float) -> None:
         """Ramp down, then close the brake, then take power off; again while stopping changes nothing."""
-        if self.phase is Phase.DRIVING:
+        if self.phase is StagePhase.DRIVING:
             self._start_velocity = self.velocity_mm_s
             self._deceleration = deceleration_mm_s2
-            self._change(Phase.STOPPING, t_ns)
-        elif self.phase is Phase.OPENING:
-            self._change(Phase.CLOSING, t_ns)
+            self._change(StagePhase.STOPPING, t_ns)
+        elif self.phase is StagePhase.OPENING:
+            self._change(StagePhase.CLOSING, t_ns)
 
     def cut(self, t_ns: int) -> None:
         """Take power off at once, even in motion; the brake closes meanwhile."""
-        if self.phase in (Phase.DRIVING, Phase.STOPPING, Phase.OPENING):
+        if self.phase in (StagePhase.DRIVING, StagePhase.STOPPING, StagePhase.OPENING):
             self.velocity_mm_s = 0.0
-            self._change(Phase.FALLING, t_ns)
-        elif self.phase is Phase.CLOSING:
-            self.phase = Phase.FALLING  # the brake goes on closing
+            self._change(StagePhase.FALLING, t_ns)
+        elif self.phase is StagePhase.CLOSING:
+            self.phase = StagePhase.FALLING  # the brake goes on closing
 
     def advance(self, t_ns: int, speed_mm_s: float) -> None:
         """Advance to ``t_ns``; ``speed_mm_s`` is the cylinder's actual speed."""
         passed_ns = t_ns - self._since_ns
-        if self.phase is Phase.STOPPING:
+        if self.phase is StagePhase.STOPPING:
             left = abs(self._start_velocity) - self._deceleration * passed_ns * 1e-9 if passed_ns > 0 else math.inf
             left = min(max(left, 0.0), abs(self._start_velocity))
             self.velocity_mm_s = math.copysign(left, self._start_velocity)
             if left == 0.0 and abs(speed_mm_s) < STANDSTILL_MM_S:
                 self.velocity_mm_s = 0.0
-                self._change(Phase.CLOSING, t_ns)
-        elif self.phase is Phase.OPENING and passed_ns >= self._brake_ns:
-            self._change(Phase.DRIVING, t_ns)
-        elif self.phase in (Phase.CLOSING, Phase.FALLING) and passed_ns >= self._brake_ns:
-            self._change(Phase.BRAKED, t_ns)
+                self._change(StagePhase.CLOSING, t_ns)
+        elif self.phase is StagePhase.OPENING and passed_ns >= self._brake_ns:
+            self._change(StagePhase.DRIVING, t_ns)
+        elif self.phase in (StagePhase.CLOSING, StagePhase.FALLING) and passed_ns >= self._brake_ns:
+            self._change(StagePhase.BRAKED, t_ns)
 
-    def _change(self, phase: Phase, t_ns: int) -> None:
+    def _change(self, phase: StagePhase, t_ns: int) -> None:
         self.phase = phase
         self._since_ns = t_ns

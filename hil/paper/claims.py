@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.paper.cases import FIGURE_9, NO_SPRING, SPEEDS_DEG_S, STIFFNESSES_N_MM, speed, stiffness
-from hil.paper.signals import Floats, Signals
+from hil.paper.cases import FIGURE_9, NO_SPRING, SPEEDS_DEG_S, speed, stiffness
+from hil.paper.run_truth import Floats, RunTruth
+from hil.study.planned_run import STIFFNESSES_N_MM
 
 TARGET_N = 300.0
 """The paper's F_d."""
-Runs = Mapping[str, Signals]
+Runs = Mapping[str, RunTruth]
 BROAD = 1e3
 """Upper bound of a trend whose size is not stated."""
 
@@ -35,7 +36,7 @@ class Claim(NamedTuple):
     """Why the model cannot agree, where known: such a row is reported as differing, with this reason."""
 
 
-class Row(NamedTuple):
+class ClaimResult(NamedTuple):
     """A claim and the model's value."""
 
     claim: Claim
@@ -52,9 +53,9 @@ class Row(NamedTuple):
         return self.ok or bool(self.claim.shortfall)
 
 
-def judge(runs: Runs) -> list[Row]:
+def judge(runs: Runs) -> list[ClaimResult]:
     """Every claim against the passive runs."""
-    return [Row(claim, float(claim.measure(runs))) for claim in CLAIMS]
+    return [ClaimResult(claim, float(claim.measure(runs))) for claim in CLAIMS]
 
 
 ETA_PCT = {6.0: 0.31, 13.0: 0.64, 20.0: 0.88, 27.0: 1.20, 34.0: 1.77}
@@ -204,11 +205,13 @@ def _figure_7() -> list[Claim]:
         return lambda runs: float(np.mean(runs[case].plateau(runs[case].vertical_n)))
 
     trend = "printed as a trend, without the speeds"
+
+    def grows(id_: str, what: str, measure: Callable[[str], Callable[[Runs], float]]) -> Claim:
+        quantity = f"{what} per step of speed, smallest ratio"
+        return Claim(id_, "7", quantity, "", None, 1.0, BROAD, lambda runs: _least_growth(each(measure, runs)), trend)
+
     return [
-        Claim(
-            "fig7_overshoot", "7", "peak eta per step of speed, smallest ratio", "", None, 1.0, BROAD,
-            lambda runs: _least_growth(each(_peak_eta, runs)), trend,
-        ),
+        grows("fig7_overshoot", "peak eta", _peak_eta),
         Claim(
             "fig7_rise_time", "7", "transition per step of speed, least shortening", "s", None, 0.0, BROAD,
             lambda runs: _least_step(each(rise, runs)), trend,
@@ -217,33 +220,19 @@ def _figure_7() -> list[Claim]:
             "fig7_mean", "7", "mean plateau Fz, largest over smallest", "", 1.0, 1.0, 1.005,
             lambda runs: _spread(each(mean, runs)), "printed: relatively constant; half a percent is 1.5 N",
         ),
-        Claim(
-            "fig7_fluctuation", "7", "plateau Fz peak to peak per step of speed, smallest ratio", "", None, 1.0, BROAD,
-            lambda runs: _least_growth(each(swing("vertical_n"), runs)), trend,
-        ),
-        Claim(
-            "fig7_normal", "7", "normal inclination peak to peak per step of speed, smallest ratio", "", None, 1.0,
-            BROAD, lambda runs: _least_growth(each(swing("normal_deg"), runs)), trend,
-        ),
-        Claim(
-            "fig7_travel", "7", "pulley travel per step of speed, smallest ratio", "", None, 1.0, BROAD,
-            lambda runs: _least_growth(each(_travel, runs)), trend,
-        ),
+        grows("fig7_fluctuation", "plateau Fz peak to peak", swing("vertical_n")),
+        grows("fig7_normal", "normal inclination peak to peak", swing("normal_deg")),
+        grows("fig7_travel", "pulley travel", _travel),
     ]  # fmt: skip
 
 
 def _figure_9() -> list[Claim]:
     soft = stiffness(6.0)
 
-    def accuracy(runs: Runs) -> float:
-        return 100.0 - _peak_eta(FIGURE_9)(runs)
-
-    def fluctuation(runs: Runs) -> float:
-        return _fluctuation(runs[FIGURE_9])
-
     return [
         Claim(
-            "fig9_accuracy", "9", "unloading accuracy", "%", 97.0, 96.0, 98.0, accuracy,
+            "fig9_accuracy", "9", "unloading accuracy", "%", 97.0, 96.0, 98.0,
+            lambda runs: 100.0 - _peak_eta(FIGURE_9)(runs),
             "with the declared 1.5 mm of level error: 9 N of 300; at least 95 is required",
         ),
         Claim(
@@ -252,7 +241,7 @@ def _figure_9() -> list[Claim]:
         ),
         Claim(
             "fig9_fluctuation", "9", "fluctuation of Fz, measured over simulated", "", None, 1.0, BROAD,
-            lambda runs: fluctuation(runs) / _fluctuation(runs[soft]), "printed: exceeds the simulation's",
+            lambda runs: _fluctuation(runs[FIGURE_9]) / _fluctuation(runs[soft]), "printed: exceeds the simulation's",
         ),
         Claim(
             "fig9_angle_lower", "9", "largest lag on the way out, simulated less measured", "deg", None, 0.0, BROAD,
@@ -262,12 +251,12 @@ def _figure_9() -> list[Claim]:
     ]  # fmt: skip
 
 
-def _way_out(run: Signals) -> Floats:
+def _way_out(run: RunTruth) -> Floats:
     out: Floats = run.tangential_deg[run.t_s < 0.5 * run.t_s[-1]]
     return out
 
 
-def _fluctuation(run: Signals) -> float:
+def _fluctuation(run: RunTruth) -> float:
     """Standard deviation of Fz within a second of the plateau, its trend taken out; the median second."""
     values = run.plateau(run.vertical_n)
     seconds = values[: len(values) // 1000 * 1000].reshape(-1, 1000)

@@ -6,7 +6,7 @@ import pathlib
 from dataclasses import dataclass
 
 from hil.plant.inputs import Track
-from hil.scenario import checks, disturbances, format, rig
+from hil.scenario import consistency, disturbances, format, layered_rig
 from hil.scenario.format import Scenario
 from rigctl.config.settings import RigSettings
 
@@ -33,8 +33,8 @@ def load(path: str | pathlib.Path) -> Case:
         ScenarioError: one line per finding, ``FILE:LINE: key: found X, expected Y``.
     """
     source = format.read(path)
-    settings = rig.settings_of(source)
-    checks.check(source, settings)
+    settings = layered_rig.settings_of(source)
+    consistency.check(source, settings)
     scenario = source.scenario
     prescribed = disturbances.tracks(scenario.disturbances, scenario.duration_s)
     return Case(scenario, settings, prescribed, source.file)

@@ -24,7 +24,7 @@ friction on the way up, below the fall in the paper's moves (11 % at 0.25 deg/s,
 
 
 @dataclass(frozen=True)
-class Span:
+class WindowRows:
     """One window's rows of the truth or of the loop's records."""
 
     rows: npt.NDArray[Any]
@@ -43,10 +43,10 @@ class Figure:
 
     name: str
     meaning: str
-    of: Callable[[Span], float]
+    of: Callable[[WindowRows], float]
 
 
-def _error(how: Callable[[Floats], float]) -> Callable[[Span], float]:
+def _error(how: Callable[[Floats], float]) -> Callable[[WindowRows], float]:
     return lambda span: how(span.eta_pct(span.rows["vertical_n"]))
 
 
@@ -54,7 +54,7 @@ def _rms(values: Floats) -> float:
     return math.sqrt(float(np.mean(values * values)))
 
 
-def _of(field: str, how: Callable[[Floats], float]) -> Callable[[Span], float]:
+def _of(field: str, how: Callable[[Floats], float]) -> Callable[[WindowRows], float]:
     return lambda span: how(span.rows[field])
 
 
@@ -62,15 +62,15 @@ def _largest(values: Floats) -> int:
     return int(np.argmax(np.abs(values)))
 
 
-def _peak_deg(field: str) -> Callable[[Span], float]:
+def _peak_deg(field: str) -> Callable[[WindowRows], float]:
     return lambda span: math.degrees(span.rows[field][_largest(span.rows[field])])
 
 
-def _peak_at(field: str) -> Callable[[Span], float]:
+def _peak_at(field: str) -> Callable[[WindowRows], float]:
     return lambda span: float(span.t_s[_largest(span.rows[field])])
 
 
-def _mean_deg(field: str) -> Callable[[Span], float]:
+def _mean_deg(field: str) -> Callable[[WindowRows], float]:
     return lambda span: math.degrees(float(np.mean(span.rows[field])))
 
 
@@ -93,12 +93,12 @@ def first_peak(values: Floats) -> int | None:
     return int(np.argmax(values[: fallen[0] + 1])) if rise > 0.0 and len(fallen) else None
 
 
-def _first_peak_n(span: Span) -> float:
+def _first_peak_n(span: WindowRows) -> float:
     at = first_peak(span.rows["vertical_n"])
     return math.nan if at is None else float(span.rows["vertical_n"][at])
 
 
-def _first_peak_s(span: Span) -> float:
+def _first_peak_s(span: WindowRows) -> float:
     at = first_peak(span.rows["vertical_n"])
     return math.nan if at is None else float(span.t_s[at])
 
@@ -134,8 +134,8 @@ TRUTH_FIGURES = (
 _LIMITED = int(Flag.LIMITED_SPEED | Flag.LIMITED_ACCELERATION | Flag.LIMITED_STROKE)
 
 
-def _estimated(how: Callable[[Floats], float]) -> Callable[[Span], float]:
-    def figure(span: Span) -> float:
+def _estimated(how: Callable[[Floats], float]) -> Callable[[WindowRows], float]:
+    def figure(span: WindowRows) -> float:
         rows = span.rows
         vertical_n = rows["estimate_n"] * np.cos(rows["tangential_rad"]) * np.cos(rows["normal_rad"])
         return how(span.eta_pct(vertical_n))
@@ -143,11 +143,11 @@ def _estimated(how: Callable[[Floats], float]) -> Callable[[Span], float]:
     return figure
 
 
-def _share(condition: Callable[[npt.NDArray[Any]], npt.NDArray[np.bool_]]) -> Callable[[Span], float]:
+def _share(condition: Callable[[npt.NDArray[Any]], npt.NDArray[np.bool_]]) -> Callable[[WindowRows], float]:
     return lambda span: 100.0 * float(np.mean(condition(span.rows)))
 
 
-def _growth(field: str) -> Callable[[Span], float]:
+def _growth(field: str) -> Callable[[WindowRows], float]:
     return lambda span: float(int(span.rows[field][-1]) - int(span.rows[field][0]))
 
 
@@ -192,7 +192,7 @@ def _over(
     table: tuple[Figure, ...], rows: npt.NDArray[Any], t_s: Floats, target_n: float, window: tuple[float, float]
 ) -> Values:
     inside = (t_s >= window[0] - _HALF_TICK_S) & (t_s <= window[1] + _HALF_TICK_S)
-    span = Span(rows[inside], t_s[inside], target_n)
+    span = WindowRows(rows[inside], t_s[inside], target_n)
     if not len(span.rows):
         return dict.fromkeys((figure.name for figure in table), None)
     found = {figure.name: float(figure.of(span)) for figure in table}

@@ -21,6 +21,10 @@ Duration = Annotated[
 Fade = Annotated[float, Field(gt=0, le=60, description="its amplitude rises, and falls before duration_s, over this")]
 Frequency = Annotated[float, Field(gt=0, le=HIGHEST_HZ, description="frequency")]
 Phase = Annotated[float, Field(ge=-360, le=360, description="phase of the sine when it begins")]
+FloorAxis = Annotated[
+    Literal["vertical", "radial", "tangential"],
+    Field(description="radial, tangential: the mechanism's at its start"),
+]
 Level = Annotated[float, Field(ge=-100, le=100, description="level of the rail, positive up")]
 
 
@@ -130,9 +134,7 @@ class FloorTone(_Passing):
     """The gantry shakes against the mechanism's base, one frequency."""
 
     kind: Literal["tone"]
-    axis: Literal["vertical", "radial", "tangential"] = Field(
-        description="radial, tangential: the mechanism's at its start"
-    )
+    axis: FloorAxis
     amplitude_mm: float = Field(gt=0, le=100, description="amplitude, half of peak to peak")
     frequency_hz: Frequency
     phase_deg: Phase = 0.0
@@ -142,9 +144,7 @@ class FloorNoise(_Passing):
     """The gantry shakes against the mechanism's base, a band of frequencies: 60 tones of random phase."""
 
     kind: Literal["noise"]
-    axis: Literal["vertical", "radial", "tangential"] = Field(
-        description="radial, tangential: the mechanism's at its start"
-    )
+    axis: FloorAxis
     rms_mm: float = Field(gt=0, le=100, description="root mean square of the whole band")
     from_hz: float = Field(gt=0, le=HIGHEST_HZ, description="lower end of the band")
     to_hz: float = Field(gt=0, le=HIGHEST_HZ, description="upper end of the band")
@@ -199,5 +199,5 @@ class Disturbances(Settings):
     vertical: list[Vertical] = Field(default_factory=list, description="vertical motion of the mechanism")
     run_out: list[RunOut] = Field(default_factory=list, description="level of the rail against its angle")
     floor: list[Floor] = Field(default_factory=list, description="vibration of the gantry against the mechanism's base")
-    impacts: list[Impact] = Field(default_factory=list, description="blows and jolts")
+    impacts: list[Impact] = Field(default_factory=list, description="impulses and jolts")
     mass: list[MassChange] = Field(default_factory=list, description="changes of the payload's mass")

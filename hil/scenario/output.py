@@ -37,26 +37,27 @@ def as_dict(case: Case, played: Played) -> dict[str, Any]:
     }
 
 
-def show(said: dict[str, Any], console: Console) -> None:
+def show(results: dict[str, Any], console: Console) -> None:
     """Print the results of ``as_dict``."""
-    how = "the loop at work" if said["controller"] == "loop" else "cylinder locked"
+    how = "the loop at work" if results["controller"] == "loop" else "cylinder locked"
+    seconds, target_n = results["duration_s"], results["target_n"]
     console.print(
-        f"[bold]{said['scenario']}[/] on {said['rig']}: {said['duration_s']:g} s, {how}, target {said['target_n']:g} N",
+        f"[bold]{results['scenario']}[/] on {results['rig']}: {seconds:g} s, {how}, target {target_n:g} N",
         highlight=False,
     )
-    for bound in said["waived_bounds"]:
+    for bound in results["waived_bounds"]:
         console.print(f"note: a rig with a load could not run so: {bound}", highlight=False, markup=False)
-    names = list(said["windows"])
+    names = list(results["windows"])
     for first in range(0, len(names), COLUMNS):
         part = names[first : first + COLUMNS]
-        _table("the plant's truth", TRUTH_FIGURES, said["truth"], said["windows"], part, console)
-        if said["loop"] is not None:
-            _table("the loop's view", LOOP_FIGURES, said["loop"], said["windows"], part, console)
-    ended = said["ended"]
+        _table("the plant's truth", TRUTH_FIGURES, results["truth"], results["windows"], part, console)
+        if results["loop"] is not None:
+            _table("the loop's view", LOOP_FIGURES, results["loop"], results["windows"], part, console)
+    ended = results["ended"]
     if ended["tripped"]:
         words = f"TRIPPED at {ended['tripped_at_s']:.3f} s: {ended['fault']}, ended in {ended['mode']}"
         console.print(f"[bold red]{words}[/]", highlight=False)
-    elif said["controller"] == "loop":
+    elif results["controller"] == "loop":
         console.print(f"no trip, ended in {ended['mode']}", highlight=False)
 
 

@@ -92,19 +92,19 @@ def play(
         ScenarioError: the rig cannot be simulated or its design is refused (2), or it does not get as far as
             COMPENSATING (1). A trip during the run is a result, not an error.
     """
-    tell = progress or _nothing
+    advance = progress or _nothing
     if controller == "locked":
-        return _play_locked(settings, tracks, seconds, target_n, tell)
-    tell(0.0, "designing the law")
+        return _play_locked(settings, tracks, seconds, target_n, advance)
+    advance(0.0, "designing the law")
     designed = gains or design(settings)
     with contextlib.ExitStack() as stack:
-        tell(0.0, PREPARING)
+        advance(0.0, PREPARING)
         try:
             rig = stack.enter_context(lockstep(settings, designed, law=law))
         except (ValueError, OSError) as error:
             raise ScenarioError([f"{settings.rig}: {error}"]) from None
-        _bring_to_target(rig, target_n, settle_s, tell)
-        return _play_loop(rig, tracks, seconds, target_n, tell)
+        _bring_to_target(rig, target_n, settle_s, advance)
+        return _play_loop(rig, tracks, seconds, target_n, advance)
 
 
 def design(settings: RigSettings) -> Gains:
@@ -130,9 +130,9 @@ def design(settings: RigSettings) -> Gains:
 
 
 def _play_locked(
-    settings: RigSettings, tracks: Mapping[int, Track], seconds: float, target_n: float, tell: Advance
+    settings: RigSettings, tracks: Mapping[int, Track], seconds: float, target_n: float, advance: Advance
 ) -> Played:
-    tell(0.0, PREPARING)
+    advance(0.0, PREPARING)
     try:
         plant = Plant(settings, 0)
     except ValueError as error:
@@ -146,16 +146,16 @@ def _play_locked(
         for i in range(first + 1, after + 1):
             plant.advance(i * LOCKED_PERIOD_NS)
             truth[i] = plant.truth
-        tell((after - first) * LOCKED_PERIOD_NS * 1e-9, "running")
+        advance((after - first) * LOCKED_PERIOD_NS * 1e-9, "running")
     ended = Ended("LOCKED", Fault.NONE.name, tripped=False, tripped_at_s=None)
     return Played("locked", target_n, truth, truth["t_ns"] * 1e-9, None, None, ended)
 
 
-def _bring_to_target(rig: Lockstep, target_n: float, settle_s: float, tell: Advance) -> None:
+def _bring_to_target(rig: Lockstep, target_n: float, settle_s: float, advance: Advance) -> None:
     """Arm, set the target, tension, settle."""
     tension, simulation = rig.settings.tension, rig.settings.simulation
     assert simulation is not None  # the rig is simulated
-    tell(0.0, "tensioning")
+    advance(0.0, "tensioning")
     rig.run(WAKE_S)
     _command(rig, Verb.ARM)
     if target_n != tension.target_n:
@@ -169,7 +169,7 @@ def _bring_to_target(rig: Lockstep, target_n: float, settle_s: float, tell: Adva
     while rig.loop.machine.mode is Mode.TENSIONING and waited_s < limit_s:
         rig.run(WAKE_S)
         waited_s += WAKE_S
-    tell(0.0, "settling")
+    advance(0.0, "settling")
     if rig.loop.machine.mode is Mode.COMPENSATING:
         rig.run(settle_s)
     machine = rig.loop.machine
@@ -187,7 +187,7 @@ def _command(rig: Lockstep, verb: Verb, value: float = 0.0) -> None:
         raise ScenarioError([f"{rig.settings.rig}: {verb.name} was refused: {refusal.name}"], exit_code=1)
 
 
-def _play_loop(rig: Lockstep, tracks: Mapping[int, Track], seconds: float, target_n: float, tell: Advance) -> Played:
+def _play_loop(rig: Lockstep, tracks: Mapping[int, Track], seconds: float, target_n: float, advance: Advance) -> Played:
     plant, period_ns = rig.rig.plant, rig.settings.loop.period_ns
     origin_ns = plant.t_ns
     rig.read_records()
@@ -201,7 +201,7 @@ def _play_loop(rig: Lockstep, tracks: Mapping[int, Track], seconds: float, targe
             rig.loop.tick()
             truth[i] = plant.truth
         parts.append(rig.read_records())
-        tell((after - first) * period_ns * 1e-9, "running")
+        advance((after - first) * period_ns * 1e-9, "running")
     records = np.concatenate(parts)
     t_s, records_t_s = (truth["t_ns"] - origin_ns) * 1e-9, (records["t_ns"] - origin_ns) * 1e-9
     return Played("loop", target_n, truth, t_s, records, records_t_s, _ending(records, records_t_s))

@@ -55,9 +55,9 @@ def tune(
     _write(file, settings, found, advice, json, plot, gains)
     if json != STANDARD_OUTPUT:
         from rigctl.config.bounds import STUDY, findings
-        from rigctl.design import table
+        from rigctl.design import design_text
 
-        for line in table.lines(settings, found):
+        for line in design_text.lines(settings, found):
             say(line)
         for line in _advice_lines(advice, file):
             say(line)
@@ -166,10 +166,10 @@ def _write(
         if json is not None and json != STANDARD_OUTPUT:
             output_file.write(json, text + "\n")
         if plot is not None:
-            from rigctl.design import picture
+            from rigctl.design import margin_plot
 
             with output_file.writing(plot):
-                picture.draw(settings, found, plot)
+                margin_plot.draw(settings, found, plot)
         if gains is not None:
             with output_file.writing(gains):
                 gain_file.write(gains, found, made)

@@ -23,13 +23,14 @@ from pydantic import Field, ValidationError
 
 from rigctl import __version__
 from rigctl.config import strict_yaml
+from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
 from rigctl.config.wording import Wording
 from rigctl.control.tension import Gains
 from rigctl.design.gains import DesignError, design
 from rigctl.design.margins import design_and_check, judge
-from rigctl.design.verdict import Design, Source
+from rigctl.design.verdict import Design, GainSource
 
 # Keys that determine gains, margins and performance.
 INPUTS: dict[str, tuple[str, ...]] = {
@@ -227,7 +228,7 @@ def design_while_running(settings: RigSettings, text: str, name: str) -> Design:
     weights = then.get("design", {})
     if weights.keys() != set(INPUTS["design"]) or any(value is None or value <= 0.0 for value in weights.values()):
         raise GainFileError(f"{name}: its inputs hold no weights of the design: run `rigctl tune` again")
-    made_for = settings.model_copy(update={"design": settings.design.model_copy(update=dict(weights))})
+    made_for = changed(settings, {f"design.{key}": value for key, value in weights.items()})
     if sha256(inputs(made_for)) != found.provenance.inputs_sha256:
         difference = _difference(then, inputs(made_for))
         raise GainFileError(f"{name}: made for other settings ({difference}): run `rigctl tune` on the file that runs")
@@ -238,7 +239,7 @@ def _judged(settings: RigSettings, gains: Gains, made: Provenance, name: str) ->
     own = design(settings)
     edited = not all(math.isclose(asdict(gains)[k], g, rel_tol=SAME_GAIN) for k, g in asdict(own).items())
     try:
-        return judge(settings, gains, Source(name, made.model_dump(), edited))
+        return judge(settings, gains, GainSource(name, made.model_dump(), edited))
     except (ArithmeticError, ValueError) as error:  # numbers that no law has
         raise GainFileError(f"{settings.file(name)}: no margins for its gains: {error}") from None
 

@@ -26,7 +26,7 @@ from rigctl.design.closed_loop import Controller, closed_loop, controller
 from rigctl.design.gains import design, filter_gain
 from rigctl.design.performance import performance
 from rigctl.design.plant_family import Array, ComplexArray, Member
-from rigctl.design.verdict import Design, MemberMargins, Source
+from rigctl.design.verdict import Design, GainSource, MemberMargins
 
 MIN_HZ = 0.01
 POINTS_PER_DECADE = 150
@@ -43,7 +43,7 @@ def design_and_check(settings: RigSettings) -> Design:
     return judge(settings, design(settings))
 
 
-def judge(settings: RigSettings, gains: Gains, source: Source | None = None) -> Design:
+def judge(settings: RigSettings, gains: Gains, source: GainSource | None = None) -> Design:
     """Close the loop with these gains around every member of the family, against the limit in the settings.
 
     Raises:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rigctl.config.bounds import findings
+from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.design.margins import design_and_check
 from rigctl.design.verdict import Design
@@ -95,10 +96,10 @@ def auto(settings: RigSettings) -> Found:
     alone = (_alone(settings, key) for key in KNOBS)
     one = next((hint.weight for hint in alone if hint is not None and hint.meets), None)
     weights = (one,) if one is not None else _together(settings, now)
-    changed = _with(settings, weights)
-    design = design_and_check(changed)
+    settings = _with(settings, weights)
+    design = design_and_check(settings)
     meets = _meets(design)
-    return Found(weights, changed, design, meets, () if meets else tuple(_against(changed, design)))
+    return Found(weights, settings, design, meets, () if meets else tuple(_against(settings, design)))
 
 
 def _alone(settings: RigSettings, key: str) -> Hint | None:
@@ -170,7 +171,7 @@ def _against(settings: RigSettings, design: Design) -> Iterator[str]:
         if value is None:
             yield "there is no spring (plant.spring_n_mm): the rope alone is too stiff for delay and lag"
             continue
-        relieved = _design(_changed(settings, key, value * factor))
+        relieved = _design(changed(settings, {key: value * factor}))
         if relieved is not None and _score(relieved) < _score(design):
             yield f"{words} would come to {relieved.ms_in_words()}{', which meets it' if _meets(relieved) else ''}"
 
@@ -180,15 +181,8 @@ def _value(settings: RigSettings, key: str) -> Any:
     return getattr(getattr(settings, section), name)
 
 
-def _changed(settings: RigSettings, key: str, value: float) -> RigSettings:
-    section, name = key.split(".")
-    return settings.model_copy(update={section: getattr(settings, section).model_copy(update={name: value})})
-
-
 def _with(settings: RigSettings, weights: Sequence[Weight]) -> RigSettings:
-    for weight in weights:
-        settings = _changed(settings, weight.key, weight.value)
-    return settings
+    return changed(settings, {weight.key: weight.value for weight in weights})
 
 
 def _design(settings: RigSettings) -> Design | None:

@@ -35,7 +35,7 @@ class MemberMargins:
 
 
 @dataclass(frozen=True)
-class Source:
+class GainSource:
     """The gain file that gave the gains."""
 
     file: str  # as the rig file names it
@@ -60,7 +60,7 @@ class Design:
     accepted: bool
     waiver: str | None  # the words, only if they were needed
     performance: Performance | None  # None where the loop is unstable with the plant in the file
-    source: Source | None = None  # None = designed from the settings
+    source: GainSource | None = None  # None = designed from the settings
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON values; an infinite figure becomes null."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
-from hil.nodes.power_stage import Phase
+from hil.nodes.power_stage import StagePhase
 from rigctl.config.settings import RigSettings
 from rigctl.control import arming
 from rigctl.control.checks import Check
@@ -30,8 +30,8 @@ def quick_stopped_at_speed(rig: Lockstep, enter: Enter) -> None:
     rig.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), rig.clock.now())
 
 
-def watched(rig: Lockstep, seconds: float) -> Iterator[tuple[Phase, int, bool]]:
-    """Phase of the motor, controlword and whether the stroke moves, tick by tick."""
+def watched(rig: Lockstep, seconds: float) -> Iterator[tuple[StagePhase, int, bool]]:
+    """StagePhase of the motor, controlword and whether the stroke moves, tick by tick."""
     for _ in range(round(seconds / TICK_S)):
         rig.loop.tick()
         moving = abs(rig.rig.truth.speed_mm_s) > arming.STILL_MM_S
@@ -49,9 +49,9 @@ def test_reset_and_arm_during_a_quick_stop_cut_nothing_short(rig: Lockstep, ente
     for phase, word, moving in watched(rig, 0.6):
         assert not (moving and word == Controlword.DISABLE_VOLTAGE), "no power off for a drive that obeys"
         phases.append(phase)
-    assert Phase.FALLING not in phases
-    closing = phases.index(Phase.CLOSING) if Phase.CLOSING in phases else 0
-    assert Phase.OPENING not in phases[closing : closing + 50], "the brake closes before it opens again"
+    assert StagePhase.FALLING not in phases
+    closing = phases.index(StagePhase.CLOSING) if StagePhase.CLOSING in phases else 0
+    assert StagePhase.OPENING not in phases[closing : closing + 50], "the brake closes before it opens again"
     assert rig.loop.machine.mode is Mode.FAULT
 
 
@@ -63,7 +63,7 @@ def test_reset_is_refused_until_the_stop_has_ended_and_says_so(rig: Lockstep, en
     until_ns = rig.clock.now() + 1_000 * MS
     while rig.command(Verb.RESET) is not Refusal.NONE:
         assert rig.clock.now() < until_ns
-    assert rig.rig.drive.control.stage.phase is Phase.BRAKED
+    assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED
     assert rig.loop.observer.snapshot.off_ns >= rig.settings.cylinder.brake_delay_ms * MS
     assert rig.command(Verb.ARM) is Refusal.NONE
 
@@ -77,7 +77,7 @@ def test_a_reset_cannot_take_back_the_power_off_of_a_drive_that_does_not_stop(ri
     assert rig.loop.machine.action is Action.POWER_OFF
     assert rig.command(Verb.RESET) is Refusal.STOP_RUNNING
     rig.run(0.2)
-    assert drive.control.stage.phase is Phase.BRAKED
+    assert drive.control.stage.phase is StagePhase.BRAKED
 
 
 def test_arm_right_after_disarm_waits_for_the_brake_to_close(rig: Lockstep, enter: Enter) -> None:
@@ -85,7 +85,7 @@ def test_arm_right_after_disarm_waits_for_the_brake_to_close(rig: Lockstep, ente
     assert rig.command(Verb.DISARM) is Refusal.NONE
     id_ = rig.give(Verb.ARM)
     phases = [phase for phase, _, _ in watched(rig, 0.6)]
-    assert phases.index(Phase.BRAKED) < phases.index(Phase.OPENING), "closed before it opens again"
+    assert phases.index(StagePhase.BRAKED) < phases.index(StagePhase.OPENING), "closed before it opens again"
     assert [reply["reason"] for reply in rig._replies.read() if reply["id"] == id_] == [Refusal.NONE]
     assert rig.loop.machine.mode is Mode.HOLD
 
@@ -209,7 +209,7 @@ def test_the_daemon_ends_after_the_brake_has_had_its_time(rig: Lockstep, enter: 
     rig.loop.stop_requested = True
     while not rig.loop.finished:
         rig.loop.tick()
-    assert rig.rig.drive.control.stage.phase is Phase.BRAKED
+    assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED
 
 
 def test_both_checks_are_said_in_words() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
-from hil.nodes.power_stage import Phase
+from hil.nodes.power_stage import StagePhase
 from rigctl.config.limits_section import OF_STATUS
 from rigctl.config.settings import RigSettings
 from rigctl.control.checks import HOST_CHECKS, Check
@@ -28,7 +28,7 @@ def status_period_s(rig: Lockstep) -> float:
 
 
 def braked(rig: Lockstep) -> bool:
-    return rig.rig.drive.control.stage.phase is Phase.BRAKED
+    return rig.rig.drive.control.stage.phase is StagePhase.BRAKED
 
 
 def carried(rig: Lockstep, seconds: float = 1.0) -> bool:

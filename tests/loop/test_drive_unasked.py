@@ -8,7 +8,7 @@ import pytest
 
 from hil.lockstep import Lockstep
 from hil.nodes.cylinder_drive import ServiceTool
-from hil.nodes.power_stage import Phase
+from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded
@@ -43,7 +43,7 @@ def test_a_service_tool_that_drives_while_disarmed_trips_and_is_stopped(rig: Loc
     rig.run(0.3)
     machine = rig.loop.machine
     assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.DRIVE_UNASKED, Action.POWER_OFF)
-    assert rig.rig.drive.control.stage.phase is Phase.BRAKED
+    assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED
     assert abs(rig.rig.truth.stroke_mm - before_mm) < 0.3  # 20 ms of persistence at 5 mm/s, the lag and the ramp
     (said,) = trips(rig)
     assert "the drive has been enabled by somebody else" in said

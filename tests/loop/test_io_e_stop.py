@@ -9,7 +9,7 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes import io_node
 from hil.nodes.io_node import IoNode
-from hil.nodes.power_stage import Phase
+from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import OF_STATUS
@@ -79,7 +79,7 @@ def test_pressed_at_the_io_node_alone_the_loop_stops_the_drive_and_latches(
     assert not rig.loop.inbox.e_stop  # the drive's own input, which is not open
     assert rig.rig.drive.errors == ()
     rig.run(0.5)
-    assert rig.rig.drive.control.stage.phase is Phase.BRAKED
+    assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED
     stands = rig.rig.truth
     rig.run(1.0)
     assert rig.rig.truth.stroke_mm == stands.stroke_mm
@@ -122,7 +122,7 @@ def test_in_fault_under_power_a_press_still_takes_the_drive_to_its_brake(rig: Lo
     node(rig).press_e_stop(True)
     rig.run(0.5)
     assert (rig.loop.machine.fault, rig.loop.machine.action) == (Fault.CELL_STALE, Action.QUICK_STOP)
-    assert rig.rig.drive.control.stage.phase is Phase.BRAKED
+    assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
     assert rig.reply["value"] == Fault.E_STOP
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from hil.lockstep import Lockstep
-from hil.nodes.power_stage import Phase
+from hil.nodes.power_stage import StagePhase
 from rigctl.config.bounds import Stop
 from rigctl.control.modes import Mode, Refusal, Verb
 
@@ -27,7 +27,7 @@ def test_a_dead_loops_stroke_stops_within_the_distance_the_check_prints(
     rig.clock.skip = DEAD_TICKS
     rig.clock.next_tick()  # the rig goes on without commands
     stop, tension = Stop.of(rig.settings), rig.settings.tension
-    assert rig.rig.drive.control.stage.phase is Phase.BRAKED
+    assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED
     moved_mm = abs(rig.rig.truth.stroke_mm - stroke_mm)
     assert 0.1 < moved_mm <= stop.distance_mm * abs(speed) / tension.speed_max_mm_s * 1.05  # ripple of the screw
     assert abs(rig.rig.truth.tension_n - tension_n) <= stop.newtons * 1.05

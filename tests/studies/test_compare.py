@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.compare import study
-from hil.compare.rivals import CONTROLLERS
-from hil.compare.scenarios import QUICK, scenarios
-from hil.compare.study import settling_s
+from hil.compare.compared_runs import QUICK, compared_runs
+from hil.compare.comparison import compare as compare_laws
+from hil.compare.comparison import pieces, settling_s
+from hil.compare.rivals import LAWS
 from rigctl.config import rig_file as config
 from tests.builders.paths import ROOT
 
@@ -50,17 +50,17 @@ def said(done: subprocess.CompletedProcess[str], folder: pathlib.Path) -> dict[s
 def test_every_law_has_every_figure_in_every_scenario(said: dict[str, Any]) -> None:
     assert list(said["scenarios"]) == ["shake_3hz", "jolt"]  # the table's order, not that of the options
     for laws in said["scenarios"].values():
-        assert list(laws) == [controller.name for controller in CONTROLLERS]
+        assert list(laws) == list(LAWS)
         assert all(set(figures) == FIGURES for figures in laws.values())
         assert all(figures["eta_true_rms_pct"] <= figures["eta_true_max_pct"] for figures in laws.values())
 
 
 def test_every_active_law_is_better_than_none_and_none_is_sandbagged(said: dict[str, Any]) -> None:
     shake, jolt = said["scenarios"]["shake_3hz"], said["scenarios"]["jolt"]
-    for controller in CONTROLLERS[1:]:
-        assert shake[controller.name]["eta_true_max_pct"] < shake["passive"]["eta_true_max_pct"]
-        assert jolt[controller.name]["settle_s"] < 1.0  # at 10 mm/s the millimetre alone takes 0.1 s
-        assert jolt[controller.name]["speed_max_mm_s"] <= RIG.tension.speed_max_mm_s * 1.01
+    for law in list(LAWS)[1:]:
+        assert shake[law]["eta_true_max_pct"] < shake["passive"]["eta_true_max_pct"]
+        assert jolt[law]["settle_s"] < 1.0  # at 10 mm/s the millimetre alone takes 0.1 s
+        assert jolt[law]["speed_max_mm_s"] <= RIG.tension.speed_max_mm_s * 1.01
     assert jolt["passive"]["settle_s"] is None
     assert {laws[name]["ended"] for laws in (shake, jolt) for name in laws} == {"COMPENSATING", "LOCKED"}
 
@@ -90,7 +90,7 @@ def test_what_the_cell_is_wrong_by_the_load_is_wrong_by(said: dict[str, Any]) ->
 
 def test_the_json_says_by_which_rule_and_at_what_price(said: dict[str, Any]) -> None:
     laws = said["controllers"]
-    assert set(laws) == {controller.name for controller in CONTROLLERS}
+    assert set(laws) == set(LAWS)
     assert all(laws[name]["rule"] for name in laws)
     assert laws["passive"]["ms"] is None
     assert min((laws[name]["ms_family"], name) for name in laws if laws[name]["ms_family"] is not None)[1] == "ours"
@@ -131,17 +131,19 @@ def test_wrong_usage_is_one_line(arguments: list[str], words: str, in_process: C
     assert len(result.stderr.splitlines()) == 1
 
 
-def test_a_scenario_changes_what_it_says_and_nothing_else() -> None:
-    for scenario in scenarios(RIG):
-        settings = scenario.settings(RIG, "because")
+def test_a_run_changes_what_it_says_and_nothing_else() -> None:
+    for run in compared_runs(RIG):
+        settings = run.settings(RIG, "because")
         same = settings.model_copy(update={"plant": RIG.plant, "simulation": RIG.simulation, "design": RIG.design})
         assert same == RIG
         assert settings.simulation is not None
         assert RIG.simulation is not None
         assert settings.simulation.seed == RIG.simulation.seed
-        assert settings.plant == RIG.plant.model_copy(update=dict(scenario.plant))
-        assert (settings.simulation == RIG.simulation) is (not scenario.simulation)
-    rubbing = next(s for s in scenarios(RIG) if s.name == "friction_x2").settings(RIG, "because").simulation
+        plant = {key.removeprefix("plant."): value for key, value in run.changes.items() if key.startswith("plant.")}
+        assert settings.plant == RIG.plant.model_copy(update=plant)
+        only_known = not any(key.startswith("simulation.") for key in run.changes)
+        assert (settings.simulation == RIG.simulation) is only_known
+    rubbing = next(s for s in compared_runs(RIG) if s.name == "friction_x2").settings(RIG, "because").simulation
     assert rubbing is not None
     assert rubbing.rail.friction_static == pytest.approx(2.0 * 0.012)
     assert rubbing.pulley.friction_dynamic == pytest.approx(2.0 * 0.0008)
@@ -158,16 +160,19 @@ def test_settling_is_over_when_the_error_stays_small() -> None:
 
 
 def test_the_bar_moves_until_the_last_piece_of_work_is_done() -> None:
-    chosen = [scenario for scenario in scenarios(RIG) if scenario.name == "jolt"]
-    laws = [law for law in CONTROLLERS if law.name in ("passive", "ours")]
-    told: list[tuple[float, str]] = []
-    study.run(RIG, chosen, laws, lambda seconds, what: told.append((seconds, what)))
-    assert sum(seconds for seconds, _ in told) == pytest.approx(study.length_s(chosen, laws))
-    assert {what for _, what in told if what.startswith("robustness")} == {f"robustness: {law.title}" for law in laws}
-    assert any("with the cell's errors" in what for _, what in told)
+    chosen = [run for run in compared_runs(RIG) if run.name == "jolt"]
+    laws = [LAWS[name] for name in ("passive", "ours")]
+    done: list[tuple[float, str]] = []
+    compare_laws(RIG, chosen, laws, lambda seconds, title: done.append((seconds, title)))
+    total = sum(piece.cost for piece in pieces(RIG, chosen, laws).values())
+    assert sum(seconds for seconds, _ in done) == pytest.approx(total)
+    assert {title for _, title in done if title.startswith("robustness")} == {
+        f"robustness: {law.title}" for law in laws
+    }
+    assert any("with the cell's errors" in title for _, title in done)
 
 
 def test_the_quick_comparison_is_a_part_of_the_whole_one() -> None:
-    whole = {scenario.name: scenario.seconds for scenario in scenarios(RIG)}
+    whole = {run.name: run.seconds for run in compared_runs(RIG)}
     assert set(QUICK) < set(whole)
     assert sum(whole[name] for name in QUICK) < 0.3 * sum(whole.values())

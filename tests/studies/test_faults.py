@@ -8,16 +8,15 @@ import pathlib
 import pytest
 
 from hil.cli import faults as command
+from hil.faults import fault_tables as output
 from hil.faults import lockstep_rows as study
-from hil.faults import printing as output
 from hil.faults import processes
 from hil.faults.catalogue import BY_ID, CATALOGUE
 from hil.faults.expected import ARMED, InjectedFault, Reaction
-from hil.faults.judge import Row
+from hil.faults.judge import FaultResult
 from hil.faults.lockstep_run import Bench
 from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file as config
-from rigctl.config.settings import RigSettings
 from rigctl.control import modes, safety
 from rigctl.control.escalation import Escalator
 from rigctl.control.faults import Fault
@@ -32,17 +31,13 @@ WHOLE: list[InjectedFault | processes.ProcessFault] = [*CATALOGUE, *processes.CA
 
 
 @pytest.fixture(scope="module")
-def settings() -> RigSettings:
-    return config.load(RIG)
-
-
-@pytest.fixture(scope="module")
-def bench(settings: RigSettings) -> Bench:
+def bench() -> Bench:
+    settings = config.load(RIG)
     return Bench(settings, design_and_check(settings).gains)
 
 
-def row(bench: Bench, settings: RigSettings, name: str, mode: Mode) -> Row:
-    return study.row_of(bench, settings, BY_ID[name], mode)
+def row(bench: Bench, name: str, mode: Mode) -> FaultResult:
+    return study.row_of(bench, BY_ID[name], mode)
 
 
 # -- the table ------------------------------------------------------------------------------------------------------
@@ -115,15 +110,15 @@ def test_the_page_has_every_fault_as_the_table_has_it() -> None:
         ("controller_hangs", Mode.COMPENSATING),
     ],
 )
-def test_it_comes_to_what_is_expected(bench: Bench, settings: RigSettings, name: str, mode: Mode) -> None:
-    found = row(bench, settings, name, mode)
+def test_it_comes_to_what_is_expected(bench: Bench, name: str, mode: Mode) -> None:
+    found = row(bench, name, mode)
     assert found.findings == ()
 
 
-def test_a_rigs_row_says_what_was_so(bench: Bench, settings: RigSettings) -> None:
-    found = row(bench, settings, "cell_silent", Mode.COMPENSATING)
+def test_a_rigs_row_says_what_was_so(bench: Bench) -> None:
+    found = row(bench, "cell_silent", Mode.COMPENSATING)
     assert (found.reaction, found.fault, found.load_carried) == ("held", "CELL_STALE", True)
-    assert found.detection_ms == pytest.approx(settings.safety.stale_ms, abs=3.0)  # and the ticks on the way
+    assert found.detection_ms == pytest.approx(bench.settings.safety.stale_ms, abs=3.0)  # and the ticks on the way
     assert found.latency_ms == 0.0
     assert found.stroke_mm < 0.1
     assert found.tension_min_n == pytest.approx(300.0, abs=1.0)
@@ -142,7 +137,6 @@ def test_a_rigs_row_says_what_was_so(bench: Bench, settings: RigSettings) -> Non
 )
 def test_a_safety_table_without_a_row_makes_rows_fail(
     bench: Bench,
-    settings: RigSettings,
     monkeypatch: pytest.MonkeyPatch,
     fault: InjectedFault,
     name: str,
@@ -150,24 +144,24 @@ def test_a_safety_table_without_a_row_makes_rows_fail(
 ) -> None:
     whole = safety.table
     monkeypatch.setattr(safety, "table", lambda s: tuple(r for r in whole(s) if r.fault is not fault))
-    assert row(bench, settings, name, mode).findings
+    assert row(bench, name, mode).findings
 
 
 @pytest.mark.parametrize(("escalates", "reaction"), [(True, Reaction.DRIVE_OFF), (False, Reaction.LEFT)])
 def test_a_rig_that_releases_the_load_after_a_trip_is_found_out(
-    bench: Bench, settings: RigSettings, monkeypatch: pytest.MonkeyPatch, escalates: bool, reaction: Reaction
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, escalates: bool, reaction: Reaction
 ) -> None:
     """The escalation ends such a release by taking the drive's power away: too late for the row, which reports it."""
     monkeypatch.setitem(modes.TRANSITIONS, (Mode.COMPENSATING, modes.Event.TRIP), modes.Transition(Mode.RELEASING))
     if not escalates:
         monkeypatch.setattr(Escalator, "look", lambda *_: None)
-    found = row(bench, settings, "payload_caught", Mode.COMPENSATING)
+    found = row(bench, "payload_caught", Mode.COMPENSATING)
     assert found.reaction == reaction
     assert found.findings
 
 
-def test_rows_are_the_same_every_time(bench: Bench, settings: RigSettings) -> None:
-    first, again = (row(bench, settings, "frames_lost_10pct", Mode.HOLD) for _ in range(2))
+def test_rows_are_the_same_every_time(bench: Bench) -> None:
+    first, again = (row(bench, "frames_lost_10pct", Mode.HOLD) for _ in range(2))
     assert first == again
 
 

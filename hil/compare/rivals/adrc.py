@@ -52,8 +52,8 @@ class Adrc(Feedback):
         missed = sample.tension_n - z1
         z1, z2, z3 = self._z = z1 + l1 * missed, z2 + l2 * missed, z3 + l3 * missed
         w = self.bandwidth_rad_s
-        asked = w * w * (sample.setpoint_n - z1) + 2.0 * w * (sample.slope_n_s - z2)
-        return (asked - z3) / self._b0 - sample.slope_n_s / self._stiffness
+        desired = w * w * (sample.setpoint_n - z1) + 2.0 * w * (sample.slope_n_s - z2)
+        return (desired - z3) / self._b0 - sample.slope_n_s / self._stiffness
 
     def sent(self, command_mm_s: float) -> None:
         """See `Feedback`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.compare.rivals.feedback import Feedback, Sample
+from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import Array, filter_model
 from rigctl.control.tension import Gains
@@ -69,7 +70,7 @@ def bryson(settings: RigSettings) -> Gains:
     """Gains by Bryson's rule; our weights apply to stretch, with a weight of 1 on the command."""
     weight = (settings.tension.speed_max_mm_s / STRETCH_MM) ** 2
     weights = {"stretch_weight": weight, "integral_weight": weight / HELD_S**2, "command_weight": 1.0}
-    return design(settings.model_copy(update={"design": settings.design.model_copy(update=weights)}))
+    return design(changed(settings, {f"design.{key}": value for key, value in weights.items()}))
 
 
 def kalman_gain(settings: RigSettings) -> Array:

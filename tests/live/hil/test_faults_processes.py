@@ -11,10 +11,10 @@ from hil.faults import gateway_kills as gateway
 from hil.faults import kills, processes
 from hil.faults.expected import Reaction
 from hil.faults.live_rows_rig import live
-from hil.faults.lockstep_run import changed
 from hil.faults.processes import Seen, judged
 from hil.truth import TRUTH_DTYPE
 from rigctl.config import rig_file as config
+from rigctl.config.changed_settings import changed
 from rigctl.control.modes import Mode
 from rigctl.ipc.record import RECORD
 from tests.builders.paths import ROOT
@@ -104,7 +104,7 @@ def test_kills_are_counted_and_the_largest_figures_found() -> None:
 # -- the real daemon ------------------------------------------------------------------------------------------------
 def test_the_load_does_not_notice_what_happens_to_the_daemons_processes() -> None:
     rows = {fault.id: fault for fault in processes.CATALOGUE}
-    with live(changed(config.load(RIG), PATIENT)) as rig:
+    with live(changed(config.load(RIG), dict(PATIENT))) as rig:
         for name, mode in (
             ("gateway_killed", Mode.COMPENSATING),
             ("disk_full", Mode.HOLD),

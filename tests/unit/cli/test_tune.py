@@ -11,7 +11,7 @@ from collections.abc import Callable
 import pytest
 
 from rigctl.config.settings import RigSettings
-from rigctl.design import picture, table
+from rigctl.design import design_text, margin_plot
 from rigctl.design.margins import design_and_check
 from tests.builders import daemons
 from tests.builders.paths import ROOT
@@ -117,7 +117,7 @@ def test_a_closed_pipe_is_no_error() -> None:
 def test_table_fits_80_columns_and_shows_every_plant(rig: Rig, plant: dict[str, float | None]) -> None:
     settings = rig(plant=plant)
     found = design_and_check(settings)
-    shown = list(table.lines(settings, found))
+    shown = list(design_text.lines(settings, found))
     assert sum(" x 0.8 " in line or " x 1 " in line or " x 1.2 " in line for line in shown) == 36
     assert sum("UNSTABLE" in line for line in shown) == sum(not m.stable for m in (*found.margins, *found.reported)) + (
         found.performance is None
@@ -127,7 +127,7 @@ def test_table_fits_80_columns_and_shows_every_plant(rig: Rig, plant: dict[str, 
 
 def test_a_waiver_is_shown_with_its_words_on_one_line(rig: Rig) -> None:
     settings = rig(plant=NO_SPRING, design={"waiver": WAIVER})
-    *_, verdict, warning = table.lines(settings, design_and_check(settings))
+    *_, verdict, warning = design_text.lines(settings, design_and_check(settings))
     assert verdict == "accepted: unstable with 6 of 30 plants (limit 1.6, waived)"
     assert warning.endswith("waived: rigid mechanism, checked by hand")
 
@@ -148,5 +148,5 @@ def test_picture_of_any_design_in_every_format(
     rig: Rig, tmp_path: pathlib.Path, suffix: str, start: bytes, plant: dict[str, float | None]
 ) -> None:
     settings = rig(plant=plant)
-    picture.draw(settings, design_and_check(settings), tmp_path / f"x{suffix}")
+    margin_plot.draw(settings, design_and_check(settings), tmp_path / f"x{suffix}")
     assert (tmp_path / f"x{suffix}").read_bytes().startswith(start)

@@ -9,29 +9,30 @@ import numpy as np
 import pytest
 
 from hil.paper import claims
-from hil.paper.cases import FIGURE_9, NO_SPRING, SPEEDS_DEG_S, STIFFNESSES_N_MM, cases, speed, stiffness
-from hil.paper.claims import CLAIMS, Claim, Row
-from hil.paper.signals import Signals
-from hil.paper.tables import remark
+from hil.paper.cases import FIGURE_9, NO_SPRING, SPEEDS_DEG_S, cases, speed, stiffness
+from hil.paper.claim_tables import remark
+from hil.paper.claims import CLAIMS, Claim, ClaimResult
+from hil.paper.run_truth import RunTruth
 from hil.plant.inputs import pack
 from hil.plant.kernel import profile
 from hil.plant.layout import HEIGHT, MECHANISM, RUN_OUT
+from hil.study.planned_run import STIFFNESSES_N_MM
 from rigctl.config.settings import RigSettings
 from tests.builders.rig_bench import SETTINGS
 
 T_S = np.arange(0.0, 30.0, 0.001)
 
 
-def signals(peak_n: float = 301.0, plateau_n: float = 300.5, lag_deg: float = 0.7, peak_s: float = 4.0) -> Signals:
+def signals(peak_n: float = 301.0, plateau_n: float = 300.5, lag_deg: float = 0.7, peak_s: float = 4.0) -> RunTruth:
     """A rise to a peak, then a plateau; the lag does the same, the pulley goes 0.25 mm, the normal angle to 0.07."""
     shape = np.where(peak_s > T_S, T_S / peak_s, np.maximum(0.5, 1.0 - (T_S - peak_s)))
     vertical = 300.0 + np.where(peak_s + 0.5 > T_S, (peak_n - 300.0) * shape, plateau_n - 300.0)
     lag = np.where(peak_s + 0.5 > T_S, lag_deg * shape, 0.6)
     ones = np.ones_like(T_S)
-    return Signals(T_S, vertical, vertical, lag, -0.07 * shape, 0.25 * shape, 50.0 * ones, 0.0 * ones)
+    return RunTruth(T_S, vertical, vertical, lag, -0.07 * shape, 0.25 * shape, 50.0 * ones, 0.0 * ones)
 
 
-def as_printed() -> dict[str, Signals]:
+def as_printed() -> dict[str, RunTruth]:
     """Runs that have the paper's own figures."""
     runs = {stiffness(k): signals(300.0 + 3.0 * eta, peak_s=5.0 - 0.02 * k) for k, eta in claims.ETA_PCT.items()}
     runs[NO_SPRING] = signals(455.0, 435.0, 0.8, 4.5)
@@ -91,15 +92,15 @@ def test_every_required_figure_of_the_issue_is_a_claim() -> None:
 
 def test_a_quantity_that_does_not_exist_differs() -> None:
     claim = Claim("x", "4", "peak", "s", 4.0, 3.5, 5.0, lambda _runs: math.nan)
-    assert not Row(claim, math.nan).ok
+    assert not ClaimResult(claim, math.nan).ok
 
 
 def test_a_known_shortfall_is_told_only_where_it_differs() -> None:
     claim = Claim("x", "4", "peak", "s", 4.0, 3.5, 5.0, lambda _runs: 0.0, "printed", "because")
-    assert remark(Row(claim, 4.0)) == "printed"
-    assert remark(Row(claim, 6.0)) == "printed; ours differs: because"
-    assert Row(claim, 6.0).explained
-    assert not Row(claim._replace(shortfall=""), 6.0).explained
+    assert remark(ClaimResult(claim, 4.0)) == "printed"
+    assert remark(ClaimResult(claim, 6.0)) == "printed; ours differs: because"
+    assert ClaimResult(claim, 6.0).explained
+    assert not ClaimResult(claim._replace(shortfall=""), 6.0).explained
 
 
 def test_the_first_peak_is_the_first_one_that_matters() -> None:

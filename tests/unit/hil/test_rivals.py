@@ -10,12 +10,12 @@ import control
 import numpy as np
 import pytest
 
-from hil.compare.margins import REST, Robustness, response, robustness, sensitivity, swing
-from hil.compare.rivals import CONTROLLERS, OURS, PASSIVE
+from hil.compare.law_robustness import REST, Robustness, response, robustness, sensitivity, swing
+from hil.compare.rivals import LAWS, OURS, PASSIVE
 from hil.compare.rivals.adrc import Adrc
+from hil.compare.rivals.disturbance_observer import DisturbanceObserver
 from hil.compare.rivals.feedback import Feedback, Model, Rival
 from hil.compare.rivals.lqi import Lqi, bryson, kalman_gain
-from hil.compare.rivals.observer import DisturbanceObserver
 from hil.compare.rivals.pid import STRETCH_LAG_S, PidFeedForward
 from hil.compare.rivals.proportional import Proportional, ProportionalIntegral, ultimate
 from rigctl.control.estimator import filter_model
@@ -169,7 +169,7 @@ def test_the_linear_response_foretells_a_swing(name: str) -> None:
 
 
 def test_robustness_is_that_of_the_published_rules_and_ours_is_the_most_robust() -> None:
-    found: dict[str, Robustness | None] = {c.name: robustness(SETTINGS, c) for c in CONTROLLERS}
+    found: dict[str, Robustness | None] = {name: robustness(SETTINGS, law) for name, law in LAWS.items()}
     assert found.pop(PASSIVE) is None
     family = {name: r.ms_family for name, r in found.items() if r is not None}
     assert min(family, key=family.__getitem__) == OURS

@@ -18,7 +18,7 @@ from hil.scenario.errors import ScenarioError
 from hil.scenario.figures import LOOP_FIGURES, TRUTH_FIGURES
 from hil.scenario.format import Scenario, Window, read
 from hil.scenario.kinds import Disturbances, LevelPoint
-from hil.scenario.rig import settings_of
+from hil.scenario.layered_rig import settings_of
 from rigctl.config.wording import Slot, unit_of
 from tests.builders.paths import ROOT
 

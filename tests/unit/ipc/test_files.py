@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from hil.cli.scenario import check_outputs
+from hil.cli.files import check_outputs
 from hil.scenario.errors import ScenarioError
 from rigctl.config import strict_yaml
 from rigctl.config.strict_yaml import FileError

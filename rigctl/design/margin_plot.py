@@ -16,10 +16,10 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import Array, filter_model
 from rigctl.design import plant_family
 from rigctl.design.closed_loop import controller
+from rigctl.design.design_text import GAINS
 from rigctl.design.gains import filter_gain
 from rigctl.design.margins import Responses, frequency_grid, responses
 from rigctl.design.plant_family import ComplexArray, Member
-from rigctl.design.table import GAINS
 from rigctl.design.verdict import Design, MemberMargins
 
 SIZE_INCHES, DOTS_PER_INCH = (12.0, 13.0), 110

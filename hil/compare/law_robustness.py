@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.compare.rivals import PASSIVE, Controller
+from hil.compare.rivals import PASSIVE, ComparedLaw
 from hil.compare.rivals.feedback import Feedback, Sample
 from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import filter_model
@@ -41,20 +41,20 @@ class Robustness(NamedTuple):
     """Root mean square of the command from the cell's noise alone."""
 
 
-def robustness(rig: RigSettings, controller: Controller) -> Robustness | None:
+def robustness(rig: RigSettings, compared: ComparedLaw) -> Robustness | None:
     """Robustness of one law tuned for the rig; None for the locked cylinder."""
-    if controller.name == PASSIVE:
+    if compared.name == PASSIVE:
         return None
     plants = family(rig)
     grid = _grid(plants, 0.5 * rig.loop.rate_hz)
     z = np.exp(2j * np.pi * grid / rig.loop.rate_hz)
-    if controller.make is None:
+    if compared.make is None:
         model = filter_model(rig)
         ours = closed_loop.controller(model, design(rig), filter_gain(model))
         law = ours.response(z)
         steady = [closed_loop.closed_loop(plant, ours).spectral_radius < 1.0 for plant in plants]
     else:
-        feedback = controller.make(rig)
+        feedback = compared.make(rig)
         law = response(feedback, z)
         steady = [_dies_out(plant, feedback, round(LOOK_S * rig.loop.rate_hz)) for plant in plants]
     own = sensitivity(member(rig, rig.plant.mechanism_n_mm), law, z)

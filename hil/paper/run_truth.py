@@ -1,14 +1,15 @@
-"""Signals of a run of the study: the plant's truth as arrays, and the figures calculated from them."""
+"""The truth of a run of the study as arrays, and the figures calculated from them."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hil.scenario.figures import first_peak
+from hil.scenario.play import Played
 from rigctl.metrics.tension_error import error_pct
 
 Floats = npt.NDArray[np.float64]
@@ -17,7 +18,7 @@ PLATEAU_S = 10.0
 """The continuous following stage is evaluated from here to the end."""
 
 
-class Signals(NamedTuple):
+class RunTruth(NamedTuple):
     """Truth of one run, 1 kHz from the start of the mechanism; each of shape (n,)."""
 
     t_s: Floats
@@ -30,11 +31,12 @@ class Signals(NamedTuple):
     speed_mm_s: Floats
 
     @classmethod
-    def of(cls, t_s: Floats, truth: npt.NDArray[Any]) -> Signals:
-        """From a truth log and its time base; records before the start are left out."""
-        log = truth[t_s >= 0.0]
+    def of(cls, played: Played) -> RunTruth:
+        """Of a run, from its start on."""
+        begun = played.t_s >= 0.0
+        log = played.truth[begun]
         return cls(
-            t_s[t_s >= 0.0],
+            played.t_s[begun],
             log["tension_n"],
             log["vertical_n"],
             np.degrees(log["tangential_rad"]),

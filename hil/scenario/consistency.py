@@ -12,7 +12,7 @@ from rigctl.config.wording import Path
 
 STEPS_PER_PERIOD = 10
 """Fewest integration steps in the shortest prescribed period."""
-STEPS_PER_BLOW = 5
+STEPS_PER_IMPULSE = 5
 
 _Finding = tuple[Path, object, str]
 
@@ -67,7 +67,7 @@ def _resolution(source: ScenarioFile, settings: RigSettings) -> Iterator[_Findin
     assert settings.simulation is not None  # settings_of raises without it
     step_s = settings.simulation.step_us * 1e-6
     highest_hz = 1.0 / (STEPS_PER_PERIOD * step_s)
-    shortest_s = STEPS_PER_BLOW * step_s
+    shortest_s = STEPS_PER_IMPULSE * step_s
     disturbances = source.scenario.disturbances
     for name in ("vertical", "floor"):
         for i, item in enumerate(getattr(disturbances, name)):
@@ -78,5 +78,5 @@ def _resolution(source: ScenarioFile, settings: RigSettings) -> Iterator[_Findin
                     yield ("disturbances", name, i, key), frequency, words
     for i, impact in enumerate(disturbances.impacts):
         if isinstance(impact, kinds.Impulse) and impact.duration_s < shortest_s:
-            words = f"at least {shortest_s:g}, {STEPS_PER_BLOW} steps of simulation.step_us"
+            words = f"at least {shortest_s:g}, {STEPS_PER_IMPULSE} steps of simulation.step_us"
             yield ("disturbances", "impacts", i, "duration_s"), impact.duration_s, words

@@ -10,46 +10,43 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from hil.faults.expected import ACCURACY_N, Expected, InjectedFault, Reaction
-from hil.faults.judge import Row
+from hil.faults.expected import Expected, InjectedFault, Reaction
+from hil.faults.judge import FaultResult
 from hil.faults.processes import ProcessFault
+from hil.study.result_table import console
 from rigctl.config.quantity import count
 from rigctl.control.modes import Mode
 
 WIDTH = 150
 
 
-def show(rows: Sequence[Row]) -> None:
+def show(rows: Sequence[FaultResult]) -> None:
     """Print all rows and a line with their counts."""
-    terminal = Console()
-    console = Console(width=WIDTH) if not terminal.is_terminal or terminal.width > WIDTH else terminal
+    terminal = console(WIDTH)
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name, justify in _COLUMNS:
         table.add_column(name, justify=justify, overflow="fold")
     for row in sorted(rows, key=lambda row: row.ok):
         table.add_row(*_cells(row), style="" if row.ok else "red")
-    console.print(table)
+    terminal.print(table)
     bad = sum(not row.ok for row in rows)
     faults = len({row.id for row in rows})
     verdict = "all as expected" if not bad else f"{bad} not as expected"
-    console.print(f"{count(len(rows), 'row')} of {count(faults, 'fault')}: {verdict}")
+    terminal.print(f"{count(len(rows), 'row')} of {count(faults, 'fault')}: {verdict}")
 
 
 def show_kills(found: Mapping[str, object]) -> None:
-    """Print the kills with findings, and the largest figures."""
-    kills = found["kills"]
-    assert isinstance(kills, list)
-    console = Console(soft_wrap=True)
-    for kill in kills:
-        if kill["findings"]:
-            console.print(f"{kill['signal']} {kill['victim']} in {kill['mode']}: {'; '.join(kill['findings'])}")
-    show_figures({name: value for name, value in found.items() if name != "kills"})
-
-
-def show_figures(found: Mapping[str, object]) -> None:
-    """Print figures by name."""
+    """Print kills with findings, and the figures by name."""
+    terminal = Console(soft_wrap=True)
     for name, value in found.items():
-        Console(soft_wrap=True).print(f"{name}: {value:.3g}" if isinstance(value, float) else f"{name}: {value}")
+        if isinstance(value, list):
+            for kill in value:
+                if kill["findings"]:
+                    terminal.print(
+                        f"{kill['signal']} {kill['victim']} in {kill['mode']}: {'; '.join(kill['findings'])}"
+                    )
+        else:
+            terminal.print(f"{name}: {value:.3g}" if isinstance(value, float) else f"{name}: {value}")
 
 
 def show_list(faults: Sequence[InjectedFault | ProcessFault]) -> None:
@@ -64,11 +61,9 @@ def show_list(faults: Sequence[InjectedFault | ProcessFault]) -> None:
 
 def page_row(fault: InjectedFault | ProcessFault) -> str:
     """The fault's row in docs/faults.md."""
-    what = f"{fault.what}; {fault.why}" if isinstance(fault, InjectedFault) and fault.why else fault.what
-    place = fault.place if isinstance(fault, InjectedFault) else "process"
-    band_n = fault.band_n if isinstance(fault, InjectedFault) else ACCURACY_N
-    bound = f"{band_n:g}" if not isinstance(fault, InjectedFault) or fault.carried else "-"
-    return f"| `{fault.id}` | {place} | {what} | {worded(fault.expected)} | {bound} |"
+    what = f"{fault.what}; {fault.why}" if fault.why else fault.what
+    bound = f"{fault.band_n:g}" if fault.carried else "-"
+    return f"| `{fault.id}` | {fault.place} | {what} | {worded(fault.expected)} | {bound} |"
 
 
 def worded(expected: Expected) -> str:
@@ -87,7 +82,7 @@ _COLUMNS: tuple[tuple[str, Literal["left", "right"]], ...] = (
 )  # fmt: skip
 
 
-def _cells(row: Row) -> list[Text]:
+def _cells(row: FaultResult) -> list[Text]:
     words = [
         row.id,
         row.mode,

@@ -1,0 +1,75 @@
+"""What the commands read and write: rig files, figures, pictures."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+from collections.abc import Collection, Mapping, Sequence
+
+from hil.scenario.errors import ScenarioError
+from rigctl.config import rig_file as config
+from rigctl.config.settings import RigSettings
+from rigctl.ipc import output_file
+
+
+def simulated_rig(rig_file: pathlib.Path) -> RigSettings:
+    """A rig file with a ``simulation`` section."""
+    try:
+        rig = config.load(rig_file)
+    except config.ConfigError as error:
+        raise ScenarioError(error.findings) from None
+    if rig.simulation is None:
+        raise ScenarioError(
+            [f"{rig_file}: simulation: found nothing, expected a section (it says what rig to simulate)"]
+        )
+    return rig
+
+
+def check_names(option: str, names: Collection[str], allowed: Sequence[str]) -> None:
+    """Refuse a name that does not exist."""
+    for name in names:
+        if name not in allowed:
+            raise ScenarioError([f"{option}: found {name!r}, expected {', '.join(allowed)}"])
+
+
+def check_outputs(outputs: Mapping[str, pathlib.Path | None], inputs: list[pathlib.Path]) -> None:
+    """Refuse, before a long run, outputs that could not be written after it or would overwrite an input.
+
+    Args:
+        outputs: files by option.
+        inputs: files that were read.
+
+    Raises:
+        ScenarioError: two outputs are one file, or one is an input.
+        OutputError: one cannot be written.
+    """
+    taken = {file.resolve() for file in inputs}
+    for option, file in outputs.items():
+        if file is None:
+            continue
+        if file.resolve() in taken:
+            raise ScenarioError([f"{option}: {file} is in use already, expected a file of its own"])
+        taken.add(file.resolve())
+        output_file.check(option, file)
+
+
+def check_folder(option: str, folder: pathlib.Path | None, first: str) -> None:
+    """Make a folder for pictures, and refuse one that the picture ``first`` could not be written to."""
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ScenarioError([f"{option}: {folder} cannot be made: {error.strerror}"]) from None
+    output_file.check(option, folder / first)
+
+
+def json_text(found: Mapping[str, object]) -> str:
+    """Figures as the text of a JSON file."""
+    return json.dumps(found, indent=2, allow_nan=False) + "\n"
+
+
+def write_json(file: pathlib.Path | None, found: Mapping[str, object]) -> None:
+    """Write figures to the file, if one was requested."""
+    if file is not None:
+        output_file.write(file, json_text(found))

@@ -1,0 +1,1 @@
+"""The frame of the studies: planned runs, their pieces in parallel processes, tables and pictures."""
