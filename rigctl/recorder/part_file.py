@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl import __version__
+from rigctl.config.signals import RECORDED
 from rigctl.ipc.record import COMMAND, HOLD, RECORD
 from rigctl.recorder import frame_block
 from rigctl.recorder.appender import Appender
@@ -21,7 +22,7 @@ from rigctl.recorder.protobuf import Encoding, numbers_of
 
 FORMAT = "1"
 SLOTS = {
-    "records": Encoding(RECORD, exact={"command_mm_s"}),
+    "records": Encoding(RECORD, exact={row.name for row in RECORDED if row.exact}),
     "commands": Encoding(COMMAND),
     "holds": Encoding(numbers_of(HOLD)),
 }
