@@ -20,12 +20,11 @@ from rigctl.control.faults import Fault
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Mode
 from rigctl.ipc.notes import RequestLog
-from rigctl.ipc.record import FRAME, RECORD, FrameFlag, Slot
+from rigctl.ipc.record import RECORD, Slot
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.ipc.supervision import Doing, Supervision
 from rigctl.recorder import chain, protobuf
-from rigctl.recorder.layout import Layout
-from rigctl.recorder.protobuf import Encoding
+from rigctl.recorder.protobuf import Decoding, Encoding
 from rigctl.recorder.recorder_process import Recorder
 from rigctl.recorder.sources import SOURCES, Rings
 from rigctl.wire.state_message import RECORDER_SILENT_NS, kept_of
@@ -95,20 +94,9 @@ def test_a_recording_from_before_there_were_enumerations_is_read_the_same(monkey
     monkeypatch.setattr(protobuf, "enum_of", lambda _slot, _field: None)
     for encoding in (new, Encoding(RECORD)):
         messages = encoding.encode(slots)
-        starts = np.cumsum([0, *map(len, messages)])[:-1].tolist()
-        layout = Layout(encoding.descriptor(), encoding.name, RECORD)
-        found = layout.decode(b"".join(messages), starts, [len(message) for message in messages])
+        found = Decoding(encoding.descriptor(), encoding.name, RECORD).decode(messages)
         assert found.dtype == RECORD.dtype
         assert np.array_equal(found, slots)
-
-
-def test_frames_keep_their_bytes_their_length_and_what_kind_they_are() -> None:
-    given_ = [(0x182, 8, b"\1\2\3\4\5\6\0\0"), (0x80, 0, b""), (0x701, 1, b"\0"), (FrameFlag.REMOTE | 0x123, 4, b"")]
-    slots = np.zeros(len(given_), FRAME.dtype)
-    for slot, (can_id, dlc, data) in zip(slots, given_, strict=True):
-        slot["can_id"], slot["dlc"], slot["data"] = can_id, dlc, data
-    found = decoded(FRAME, slots)
-    assert [(f.can_id, f.dlc, f.data) for f in found] == given_  # type: ignore[attr-defined]
 
 
 def test_the_inbox_keeps_every_frame_with_its_flags(runtime: Runtime, settings: RigSettings) -> None:
