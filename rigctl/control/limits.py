@@ -26,7 +26,7 @@ def value_of(watch: Watch) -> Callable[[Snapshot], float]:
     return read if factor == 1.0 else lambda x: read(x) * factor
 
 
-class Rate:
+class SignalRate:
     """Rate of change of a signal, per second, absolute; it starts again after a pause."""
 
     def __init__(self, value: Callable[[Snapshot], float]) -> None:
@@ -99,5 +99,5 @@ def _rows_of(limit: LimitSettings) -> list[Row]:
     if limit.low is not None:
         found.append(row(lambda x: -value(x), limit.low, "below", -1.0))
     if limit.rate is not None:
-        found.append(row(Rate(value), limit.rate, "changing by more per second than"))
+        found.append(row(SignalRate(value), limit.rate, "changing by more per second than"))
     return found

@@ -29,7 +29,7 @@ from rigctl.recorder.chain import ChainError, read_line
 from rigctl.recorder.file_reader import RecordingError, progress_of
 from rigctl.recorder.mcap_file import ATTACHED, slot_readers
 from rigctl.recorder.part_file import PartFile
-from rigctl.recorder.sources import Rings
+from rigctl.recorder.sources import AuditedRings
 from rigctl.wire.schema import schema
 
 BATCH_NS = 400_000_000  # a chunk: 200 KB before compression at 1 kHz
@@ -74,7 +74,7 @@ class Continuous:
         self.deleted: list[str] = []
         """Old parts that were deleted, for the audit log."""
         self._number, self._safe = self._left_off(settings.audit_log)
-        self._words = Rings(runtime, self._safe)
+        self._words = AuditedRings(runtime, self._safe)
         self._go_back(self._safe)
 
     # -- resumption ---------------------------------------------------------------------------------------------

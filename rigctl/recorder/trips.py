@@ -27,7 +27,7 @@ from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder.audit_log import moment
 from rigctl.recorder.mcap_file import ATTACHED, McapFile, slot_readers
-from rigctl.recorder.sources import Rings
+from rigctl.recorder.sources import AuditedRings
 from rigctl.wire.schema import schema
 
 BEFORE_NS, AFTER_NS = 10_000_000_000, 2_000_000_000
@@ -155,7 +155,7 @@ class Trips:
         slots = {topic: _window(reader, group) for topic, reader in slot_readers(runtime).items()}
         said = [
             item
-            for item in Rings(runtime, {}).take_all(offset_ns)
+            for item in AuditedRings(runtime, {}).take_all(offset_ns)
             if item.seq and item.source not in ("commands", "holds") and group.start_ns <= item.t_ns <= group.end_ns
         ]
         active = runtime.known(ACTIVE)

@@ -60,7 +60,7 @@ class Kept:
     def files(self) -> list[pathlib.Path]:
         return sorted(self.folder.glob("*"))
 
-    def log(self) -> list[chain.Entry]:
+    def log(self) -> list[chain.AuditEntry]:
         lines = self.settings.audit_log.read_bytes().splitlines(keepends=True)
         assert chain.verify(lines).good
         return [chain.read_line(line)[0] for line in lines]

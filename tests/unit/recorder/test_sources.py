@@ -26,7 +26,7 @@ from rigctl.ipc.supervision import Doing, Supervision
 from rigctl.recorder import chain, protobuf
 from rigctl.recorder.protobuf import Decoding, Encoding
 from rigctl.recorder.recorder_process import Recorder
-from rigctl.recorder.sources import SOURCES, Rings
+from rigctl.recorder.sources import SOURCES, AuditedRings
 from rigctl.wire.state_message import RECORDER_SILENT_NS, kept_of
 
 
@@ -46,7 +46,7 @@ def runtime(tmp_path: pathlib.Path, settings: RigSettings) -> Runtime:
     return found
 
 
-def entries(settings: RigSettings) -> list[chain.Entry]:
+def entries(settings: RigSettings) -> list[chain.AuditEntry]:
     lines = settings.audit_log.read_bytes().splitlines(keepends=True)
     assert chain.verify(lines).good
     return [chain.read_line(line)[0] for line in lines]
@@ -129,9 +129,9 @@ def test_the_inbox_keeps_every_frame_with_its_flags(runtime: Runtime, settings: 
 @given(data=st.data())
 def test_a_slot_of_any_bits_makes_an_entry(source: object, data: st.DataObject) -> None:
     from rigctl.ipc import record
-    from rigctl.recorder.sources import Source
+    from rigctl.recorder.sources import AuditedRing
 
-    assert isinstance(source, Source)
+    assert isinstance(source, AuditedRing)
     dtype = {
         "events": record.EVENT, "commands": record.COMMAND, "replies": record.REPLY, "notes": record.NOTE,
         "desk": record.REQUEST, "holds": record.HOLD, "supervision": record.NOTE,
@@ -142,7 +142,7 @@ def test_a_slot_of_any_bits_makes_an_entry(source: object, data: st.DataObject) 
     if "kind" in (dtype.names or ()):
         slot["kind"] = data.draw(st.integers(0, 40))
     item = source.item(slot, 0)
-    entry = chain.Entry(
+    entry = chain.AuditEntry(
         1, "rig", "", item.t_ns, item.what, item.who, item.text, item.details, item.source, item.seq, {}, chain.ORIGIN
     )
     assert chain.verify([chain.line_of(entry)[0]]).good
@@ -150,7 +150,7 @@ def test_a_slot_of_any_bits_makes_an_entry(source: object, data: st.DataObject) 
 
 def test_what_was_overwritten_before_it_was_read_is_said(runtime: Runtime) -> None:
     events = runtime.event_writer()
-    rings = Rings(runtime, {})
+    rings = AuditedRings(runtime, {})
     for number in range(6000):
         events.write(number, 9, 0, 0, 0.0, 0.0, b"")
     items = rings.take_all(0)
