@@ -17,7 +17,7 @@ from rigctl.cli.options import BAD, DONE, USAGE, Json, end, say, say_json
 from rigctl.config.quantity import count
 
 if TYPE_CHECKING:
-    from rigctl.recorder.chain import Entry, Report
+    from rigctl.recorder.chain import AuditEntry, Verification
 
 LINE_BYTES = 1 << 17  # the recorder writes no longer line
 _RIG_FILES = (".yaml", ".yml")
@@ -127,13 +127,13 @@ def _verify(path: pathlib.Path, head: str | None, json: bool) -> None:
     end(DONE if report.good else BAD, None if report.good or json else f"{path}:{report.line}: {report.why}")
 
 
-def _figures(report: Report) -> str:
+def _figures(report: Verification) -> str:
     if not report.entries:
         return "intact: no entries"
     return f"intact: {count(report.entries, 'entry', 'entries')}, {report.first} to {report.last}, head {report.head}"
 
 
-def _since_head(report: Report, head: str | None) -> str:
+def _since_head(report: Verification, head: str | None) -> str:
     if head is None:
         return ""
     return f"; {count(report.entries - report.head_line, 'entry', 'entries')} since the head given"
@@ -172,13 +172,13 @@ def _show(
     end(BAD if broken else DONE, broken or None)
 
 
-def _as_dict(entry: Entry, own: str) -> dict[str, object]:
+def _as_dict(entry: AuditEntry, own: str) -> dict[str, object]:
     import msgspec
 
     return {**msgspec.structs.asdict(entry), "hash": own}
 
 
-def _words(entry: Entry) -> str:
+def _words(entry: AuditEntry) -> str:
     by = f"{entry.who}: " if entry.who else ""
     line = f"{entry.wall}  {entry.what:<18} {by}{entry.text}"
     return "".join(letter if letter.isprintable() else "?" for letter in line)

@@ -9,10 +9,10 @@ from rich.table import Table
 
 from rigctl.config import wording as config_wording
 from rigctl.config.bounds import Stop, findings
-from rigctl.config.limits_section import SIGNALS
 from rigctl.config.quantity import count, significant
 from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
+from rigctl.config.signals import WATCHED
 from rigctl.control import limits, safety
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
@@ -83,7 +83,7 @@ def show(settings: RigSettings, console: Console) -> None:
             console.print(f"  {signal}", highlight=False)
     console.print(_watched(settings))
     console.print(
-        "limits may watch: " + ", ".join(f"{name} ({signal.meaning})" for name, signal in SIGNALS.items()),
+        "limits may watch: " + ", ".join(f"{name} ({watch.meaning})" for name, watch in WATCHED.items()),
         highlight=False,
     )
     frames = Table(title="bus", title_justify="left", box=None)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rigctl.control.tension import Gains
     from rigctl.recorder.recording import Recording
     from rigctl.replay.compare import Against, Divergence
-    from rigctl.replay.play import Span
+    from rigctl.replay.play import ProcessSpan
 
 _COLUMNS = ("ticks", "then_rms_mm_s", "now_rms_mm_s", "apart_rms_mm_s", "apart_max_mm_s")
 
@@ -49,7 +49,7 @@ def replay(
         _again(file, recording, spans, json=json)
 
 
-def _read(file: pathlib.Path) -> tuple[Recording, list[Span]]:
+def _read(file: pathlib.Path) -> tuple[Recording, list[ProcessSpan]]:
     from rigctl.recorder.recording import RecordingError, parts_of, read
     from rigctl.replay.play import ReplayError, spans
 
@@ -63,7 +63,7 @@ def _read(file: pathlib.Path) -> tuple[Recording, list[Span]]:
         end(USAGE, f"{file}: {error}")
 
 
-def _again(file: pathlib.Path, recording: Recording, spans: list[Span], *, json: bool) -> None:
+def _again(file: pathlib.Path, recording: Recording, spans: list[ProcessSpan], *, json: bool) -> None:
     from rigctl.cli.progress import progress
     from rigctl.replay.compare import first_difference
     from rigctl.replay.play import play
@@ -121,7 +121,7 @@ def _say_row(row: dict[str, Any], *, many: bool) -> None:
 
 
 def _against(
-    recording: Recording, spans: list[Span], file: pathlib.Path, plot: pathlib.Path | None, *, json: bool
+    recording: Recording, spans: list[ProcessSpan], file: pathlib.Path, plot: pathlib.Path | None, *, json: bool
 ) -> None:
     from rigctl.cli.progress import progress
     from rigctl.replay.compare import Against
@@ -147,7 +147,7 @@ def _against(
     end(DONE)
 
 
-def _other(file: pathlib.Path, span: Span) -> tuple[RigSettings, Gains]:
+def _other(file: pathlib.Path, span: ProcessSpan) -> tuple[RigSettings, Gains]:
     from rigctl.config import rig_file as config
     from rigctl.design.gain_file import design_in_use
     from rigctl.design.gains import DesignError
@@ -185,7 +185,7 @@ def _fault(number: int) -> str:
     return Fault(number).name
 
 
-def _say_against(found: Against, file: pathlib.Path, span: Span, gains: Gains, offset_ns: int) -> None:
+def _say_against(found: Against, file: pathlib.Path, span: ProcessSpan, gains: Gains, offset_ns: int) -> None:
     from rigctl.ipc import ledger
 
     say(f"what {file} would have commanded, had the rig done what it did then (nothing of it moved anything):")

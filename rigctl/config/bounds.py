@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rigctl.config.signals import WATCHED
 from rigctl.config.wording import unit_of
 
 if TYPE_CHECKING:
@@ -28,10 +29,6 @@ SAMPLES = 20  # for limits that count samples in a slow loop: fewer would trip b
 GRAVITY_MM_S2 = 9806.65
 SWING_SHARE = 0.1
 SLOPE_DEG = 5.0  # 0.4 % of the vertical
-FAST_SIGNALS = frozenset(
-    {"tension_n", "tension_rate_n_s", "vertical_error_n", "tangential_deg", "normal_deg", "travel_mm", "speed_mm_s",
-     "disturbance_mm_s", "stroke_mm"}
-)  # fmt: skip
 FAST_MS, SLOW_MS = 1000, 60_000
 
 
@@ -303,7 +300,7 @@ def _of_limits(settings: RigSettings) -> Iterator[Finding]:
     for i, row in enumerate(settings.limits):
         if row.action == "log":
             continue
-        most_ms = FAST_MS if row.signal in FAST_SIGNALS else SLOW_MS
+        most_ms = FAST_MS if WATCHED[row.signal].fast else SLOW_MS
         if row.persistence_ms > most_ms:
             why = f"at most {most_ms} for {row.signal} with action {row.action}: later it protects nothing"
             yield Finding(f"limits.{i}.persistence_ms", row.persistence_ms, why)

@@ -14,11 +14,12 @@ from pydantic import Field, model_validator
 from rigctl.config.bounds import findings
 from rigctl.config.canopen import SIMULATOR_NODE, VELOCITY_ACTUAL, VELOCITY_ACTUAL_16
 from rigctl.config.io_section import IoSettings
-from rigctl.config.limits_section import OF_STATUS, LimitSettings
+from rigctl.config.limits_section import LimitSettings
 from rigctl.config.page_section import PageSettings
 from rigctl.config.plain import PlainMessage
 from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.settings_base import CanopenDevice, Hexadecimal, Settings, require
+from rigctl.config.signals import STATUS, WATCHED
 from rigctl.config.simulation_section import SimulationSettings
 
 ADDED = frozenset({"directory", "plain"})  # settings that ``load`` adds to those of the file
@@ -433,7 +434,7 @@ class RigSettings(Settings):
         drive = self.cylinder
         for place, watched in enumerate(self.limits):
             key, signal = f"limits.{place}.signal", watched.signal
-            comes = drive.status_rate_hz is not None or signal not in OF_STATUS
+            comes = drive.status_rate_hz is not None or WATCHED[signal].age != STATUS
             require(comes, key, signal, "none of the drive's status without its status_rate_hz")
             told = drive.temperature_object is not None or signal != "drive_temperature_c"
             require(told, key, signal, "none of it: cylinder.temperature_object is null")

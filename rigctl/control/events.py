@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
 
-from rigctl.config.limits_section import SIGNALS
 from rigctl.config.quantity import Number, count, significant
+from rigctl.config.signals import WATCHED
 from rigctl.control.checks import Check
 from rigctl.control.escalation import Symptom
 from rigctl.control.faults import Fault, Trait
@@ -121,7 +121,7 @@ def _node_words(value: float, limit: float) -> str:
 def _unit_of(limit: str) -> str:
     """Unit of a limit of the rig file, from its text such as ``tension_n above``."""
     signal, _, words = limit.partition(" ")
-    unit = SIGNALS[signal].unit if signal in SIGNALS else ""
+    unit = WATCHED[signal].unit if signal in WATCHED else ""
     return f" {unit}{'/s' if 'per second' in words else ''}" if unit else ""
 
 

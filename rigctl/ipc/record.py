@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from rigctl.config.signals import RECORDED
+
 
 @dataclass(frozen=True)
 class Field:
@@ -77,84 +79,7 @@ class Flag(IntFlag):
     STROKE_UNCONFIRMED = 4096  # the drive's position is not confirmed as the stroke, see control.homed
 
 
-_AGE = "age of that sample; null before the first one (in a record: above 2^60)"
-
-RECORD = Slot(
-    "record",
-    (
-        Field("t_ns", "q", "ns", "grid point of the tick, CLOCK_MONOTONIC"),
-        Field("tick", "Q", "", "ticks on the grid since the loop started, skipped ones included"),
-        Field("skipped", "Q", "", "ticks skipped so far because the one before ran over"),
-        Field("lateness_ns", "q", "ns", "wake-up after the grid point"),
-        Field("work_ns", "q", "ns", "of the tick before, from its wake-up to its end"),
-        Field("mode", "B", "", "mode, see modes"),
-        Field("fault", "H", "", "latched fault, see faults; 0 none"),
-        Field("flags", "H", "", "bits, see flags"),
-        Field("tension_n", "d", "N", "tension cell, along the rope"),
-        Field("reading_n", "d", "N", "the same as the cell sends it, before zero and scale"),
-        Field("tension_age_ns", "q", "ns", _AGE),
-        Field("tension_quality", "B", "", "bits, see quality; 0 good"),
-        Field("tangential_rad", "d", "rad", "rope inclination along the move"),
-        Field("normal_rad", "d", "rad", "rope inclination along the rail"),
-        Field("inclination_age_ns", "q", "ns", _AGE),
-        Field("inclination_quality", "B", "", "bits, see quality; 0 good"),
-        Field("stroke_mm", "d", "mm", "cylinder stroke, positive shortens the rope"),
-        Field("speed_mm_s", "d", "mm/s", "cylinder speed"),
-        Field("drive_age_ns", "q", "ns", _AGE),
-        Field("drive_quality", "B", "", "bits, see quality; 0 good"),
-        Field("statusword", "H", "", "CiA 402 statusword 0x6041"),
-        Field("controlword", "H", "", "CiA 402 controlword 0x6040 sent"),
-        Field("command_mm_s", "d", "mm/s", "speed sent to the drive"),
-        Field("target_n", "d", "N", "vertical tension the operator wants"),
-        Field("setpoint_n", "d", "N", "rope tension the law holds now"),
-        Field("vertical_n", "d", "N", "vertical component of the measured tension"),
-        Field("estimate_n", "d", "N", "estimated tension"),
-        Field("estimate_mm_s", "d", "mm/s", "estimated cylinder speed"),
-        Field("disturbance_mm_s", "d", "mm/s", "estimated disturbance speed"),
-        Field("integral_mm_s", "d", "mm/s", "integral action"),
-        Field("innovation_n", "d", "N", "innovation of the tension"),
-        Field("innovation_n2", "d", "N^2", "its variance"),
-        Field("tension_verdict", "B", "", "what became of the sample, see verdicts"),
-        Field("tension_nis", "d", "", "running mean of the squared innovation over its variance; 1 fits the model"),
-        Field("speed_innovation_mm_s", "d", "mm/s", "innovation of the cylinder speed"),
-        Field("speed_innovation_mm2_s2", "d", "mm^2/s^2", "its variance"),
-        Field("speed_verdict", "B", "", "what became of the sample, see verdicts"),
-        Field("speed_nis", "d", "", "running mean, as of the tension"),
-        Field("tangential_estimate_rad", "d", "rad", "estimated inclination along the move"),
-        Field("tangential_rate_rad_s", "d", "rad/s", "its rate"),
-        Field("normal_estimate_rad", "d", "rad", "estimated inclination along the rail"),
-        Field("normal_rate_rad_s", "d", "rad/s", "its rate"),
-        Field("tangential_innovation_rad", "d", "rad", "innovation of the inclination along the move"),
-        Field("tangential_innovation_rad2", "d", "rad^2", "its variance"),
-        Field("tangential_verdict", "B", "", "what became of the sample, see verdicts"),
-        Field("tangential_nis", "d", "", "running mean, as of the tension"),
-        Field("normal_innovation_rad", "d", "rad", "innovation of the inclination along the rail"),
-        Field("normal_innovation_rad2", "d", "rad^2", "its variance"),
-        Field("normal_verdict", "B", "", "what became of the sample, see verdicts"),
-        Field("normal_nis", "d", "", "running mean, as of the tension"),
-        Field("stretch_mm_s", "d", "mm/s", "disturbance speed known from the inclination"),
-        Field("frames_sent", "Q", "", "frames sent so far"),
-        Field("frames_received", "Q", "", "frames received so far"),
-        Field("frames_lost", "Q", "", "device frames that did not come, so far"),
-        Field("frames_refused", "Q", "", "frames with a wrong length or a non-finite value, so far"),
-        Field("send_failures", "Q", "", "unsent frames, so far: the bus did not take them"),
-        Field("error_frames", "Q", "", "CAN error frames seen so far"),
-        Field("rail_rad", "d", "rad", "angle of the rail's shaft, -pi up to pi"),
-        Field("rail_quality", "B", "", "bits, see quality; 0 good; NEVER where no encoder is fitted"),
-        Field("run_out_mm_s", "d", "mm/s", "disturbance speed known from the run-out table"),
-        Field("drive_current_a", "d", "A", "motor current; NaN while it is not known"),
-        Field("drive_temperature_c", "d", "deg C", "of the drive; NaN while it is not known"),
-        Field("checks", "Q", "", "preflight checks that fail, bits, see checks; not looked at while armed"),
-        Field("command_seq", "Q", "", "sequence number of the last slot the loop has taken from the command ring"),
-        Field("hold_seq", "Q", "", "sequence number of the last slot the loop has taken from the ring of holds"),
-        Field(
-            "cause_bits",
-            "Q",
-            "",
-            "causes of a fault that stand now, bits 1 << number, see faults; the state words them",
-        ),
-    ),
-)
+RECORD = Slot("record", tuple(Field(row.name, row.code, row.unit, row.meaning) for row in RECORDED))
 
 EVENT = Slot(
     "event",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.metrics.phases import Phase
+from rigctl.metrics.phases import JudgedPhase
 from rigctl.metrics.tension_error import largest_and_rms_pct
 
 Array = npt.NDArray[Any]
@@ -38,12 +38,12 @@ class ErrorStatistics:
     """Records missing from the file."""
 
 
-def error_n(records: Array, phase: Phase) -> Floats:
+def error_n(records: Array, phase: JudgedPhase) -> Floats:
     """Vertical tension less the target over the judged part of a phase, in N; NaN for no value."""
     return np.asarray(records["vertical_n"][phase.judged], np.float64) - phase.target_n
 
 
-def statistics(records: Array, judged: list[Phase], rate_hz: float) -> ErrorStatistics | None:
+def statistics(records: Array, judged: list[JudgedPhase], rate_hz: float) -> ErrorStatistics | None:
     """Statistics over all of ``judged`` together, each against its own target; None without a sample."""
     errors = [error_n(records, phase) for phase in judged]
     whole = np.concatenate(errors) if errors else np.empty(0)

@@ -20,7 +20,7 @@ Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
-class Phase:
+class JudgedPhase:
     """A stay in COMPENSATING on one target; the records ``first`` to ``after`` (exclusive) are judged."""
 
     number: int
@@ -38,7 +38,7 @@ class Phase:
         return slice(self.first, self.after)
 
 
-def phases(records: Array, settle_s: float = SETTLE_S) -> list[Phase]:
+def phases(records: Array, settle_s: float = SETTLE_S) -> list[JudgedPhase]:
     """Every phase long enough to be judged, in order.
 
     A change of target ends one phase and begins another, which is judged after the end of the set-point's ramp.
@@ -49,7 +49,7 @@ def phases(records: Array, settle_s: float = SETTLE_S) -> list[Phase]:
     """
     inside = records["mode"] == Mode.COMPENSATING
     edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
-    found: list[Phase] = []
+    found: list[JudgedPhase] = []
     for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         targets = records["target_n"][begin:end]
         cuts = [begin, *(np.flatnonzero(np.diff(targets)) + begin + 1).tolist(), end]
@@ -61,7 +61,7 @@ def phases(records: Array, settle_s: float = SETTLE_S) -> list[Phase]:
                 continue
             ended, faulted = _end(records, after, end)
             entered_ns, target_n = int(records["t_ns"][start]), float(records["target_n"][start])
-            found.append(Phase(len(found) + 1, entered_ns, first, after, target_n, ended, faulted))
+            found.append(JudgedPhase(len(found) + 1, entered_ns, first, after, target_n, ended, faulted))
     return found
 
 

@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from rigctl.config import input_file
-from rigctl.recorder.chain import ORIGIN, ChainError, Entry, line_of, read_line
+from rigctl.recorder.chain import ORIGIN, AuditEntry, ChainError, line_of, read_line
 
 TAIL_BYTES = 1 << 16  # no line is longer
 KEPT_OF_TORN = 400
@@ -133,7 +133,7 @@ class AuditLog:
         for item, state in zip([*said, *items], [*([self.read] * len(said)), *read], strict=True):
             n += 1
             line, head = line_of(
-                Entry(n, self._rig, moment(item.wall_ns), item.t_ns, item.what, item.who, item.text, item.details,
+                AuditEntry(n, self._rig, moment(item.wall_ns), item.t_ns, item.what, item.who, item.text, item.details,
                       item.source, item.seq, state, head)
             )  # fmt: skip
             lines.append(line)
@@ -171,7 +171,7 @@ def _write(fd: int, data: bytes) -> None:
         view = view[os.write(fd, view) :]
 
 
-def last_line(fd: int, path: pathlib.Path, rig: str) -> tuple[Entry | None, str, int, bytes]:
+def last_line(fd: int, path: pathlib.Path, rig: str) -> tuple[AuditEntry | None, str, int, bytes]:
     """The last whole entry (None in an empty log), its hash, the offset of its end, and an incomplete line after it.
 
     Raises:

@@ -25,7 +25,7 @@ class ChainError(ValueError):
     """A line that breaks the chain; ``str()`` says why."""
 
 
-class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class AuditEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One line without its hash.
 
     ``n`` counts from 1. ``wall`` is ISO 8601 UTC, ``t_ns`` the same moment on the daemon's CLOCK_MONOTONIC. ``seq`` is
@@ -51,14 +51,14 @@ def canonical(value: Any) -> bytes:
     return msgspec.json.encode(value, order="sorted")
 
 
-def line_of(entry: Entry) -> tuple[bytes, str]:
+def line_of(entry: AuditEntry) -> tuple[bytes, str]:
     """The line with its line end, and its hash."""
     body = canonical(entry)
     own = hashlib.sha256(body).hexdigest()
     return body[:-1] + b',"hash":"' + own.encode() + b'"}\n', own
 
 
-def read_line(line: bytes) -> tuple[Entry, str]:
+def read_line(line: bytes) -> tuple[AuditEntry, str]:
     """The entry of a line, with its hash.
 
     Raises:
@@ -74,7 +74,7 @@ def read_line(line: bytes) -> tuple[Entry, str]:
     if hashlib.sha256(body).hexdigest() != own:
         raise ChainError("edited: its content is not what its hash says")
     try:
-        entry = msgspec.json.decode(body, type=Entry)
+        entry = msgspec.json.decode(body, type=AuditEntry)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ChainError(f"edited: {' '.join(str(error).split())}") from None
     if canonical(entry) != body:
@@ -83,7 +83,7 @@ def read_line(line: bytes) -> tuple[Entry, str]:
 
 
 @dataclass(frozen=True)
-class Report:
+class Verification:
     """Result of a verification: figures of the intact entries and, if the chain breaks, where and why."""
 
     entries: int
@@ -101,7 +101,7 @@ class Report:
         return not self.why
 
 
-def _misplaced(entry: Entry, due: int, previous: str) -> str:
+def _misplaced(entry: AuditEntry, due: int, previous: str) -> str:
     """Why an entry does not follow the one before; empty if it does."""
     if entry.n > due:
         gone = f"entry {due} is" if entry.n == due + 1 else f"entries {due} to {entry.n - 1} are"
@@ -113,9 +113,9 @@ def _misplaced(entry: Entry, due: int, previous: str) -> str:
     return ""
 
 
-def verify(lines: Iterable[bytes], head: str | None = None) -> Report:
+def verify(lines: Iterable[bytes], head: str | None = None) -> Verification:
     """Follow the chain from the first line; ``head``: a hash that was once at its end."""
-    report = Report(0)
+    report = Verification(0)
     for number, line in enumerate(lines, 1):
         try:
             entry, own = read_line(line)
@@ -127,11 +127,11 @@ def verify(lines: Iterable[bytes], head: str | None = None) -> Report:
         if why:
             return _broken(report, number, why)
         head_line = number if own == head else report.head_line
-        report = Report(number, entry.rig, report.first or entry.wall, entry.wall, own, head_line=head_line)
+        report = Verification(number, entry.rig, report.first or entry.wall, entry.wall, own, head_line=head_line)
     if head is not None and not report.head_line and head != ORIGIN:
         return _broken(report, report.entries + 1, f"truncated: the head {head[:16]}... is not in it")
     return report
 
 
-def _broken(report: Report, line: int, why: str) -> Report:
-    return Report(report.entries, report.rig, report.first, report.last, report.head, line, why, report.head_line)
+def _broken(report: Verification, line: int, why: str) -> Verification:
+    return Verification(report.entries, report.rig, report.first, report.last, report.head, line, why, report.head_line)

@@ -10,7 +10,8 @@ import numpy as np
 
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.recorder.recording import RECORDER, Recording
+from rigctl.recorder.file_reader import RECORDER
+from rigctl.recorder.recording import Recording
 
 _NOT_METADATA = ("versions",)
 

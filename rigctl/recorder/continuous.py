@@ -21,15 +21,15 @@ import msgspec
 from rigctl import __version__
 from rigctl.config import input_file
 from rigctl.config.settings import RigSettings
-from rigctl.ipc.ring import RingReader
-from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.ipc.runtime_folder import Runtime
 from rigctl.recorder import parts
 from rigctl.recorder.appender import Appender
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.chain import ChainError, read_line
+from rigctl.recorder.file_reader import RecordingError, progress_of
+from rigctl.recorder.mcap_file import ATTACHED, slot_readers
 from rigctl.recorder.part_file import PartFile
-from rigctl.recorder.part_reader import RecordingError, progress_of
-from rigctl.recorder.sources import Rings
+from rigctl.recorder.sources import AuditedRings
 from rigctl.wire.schema import schema
 
 BATCH_NS = 400_000_000  # a chunk: 200 KB before compression at 1 kHz
@@ -39,7 +39,8 @@ STALLED_S = 5.0
 END_LIMIT_S = 4.0
 ROOM_AGAIN = 32 << 20  # additional free space needed before recording resumes
 WRITTEN = "written"
-ATTACHED = (ACTIVE, "control.json", "calibration.json")  # of the runtime folder; not lease.json, which has the id
+PLACES = {"records": "records", "frames": "frames", "commands": "slots", "holds": "hold_slots"}
+"""Names of the positions of the slots in a file; ``commands`` and ``holds`` are those of the same rings' texts."""
 _AUDIT_TAIL = 1 << 20
 
 
@@ -59,10 +60,7 @@ class Continuous:
         self._runtime, self._settings = runtime, settings
         self._run = run or wall_ns
         self.folder = settings.file(settings.recording.folder)
-        self._records = runtime.record_reader(from_start=True)
-        self._frames = runtime.frame_reader()
-        self._commands = runtime.command_reader(from_start=True)
-        self._holds = runtime.hold_reader(from_start=True)
+        self._slots = slot_readers(runtime)
         self._audit: list[tuple[int, int, bytes]] = []
         self._audit_written = 0
         self._part: PartFile | None = None
@@ -76,7 +74,7 @@ class Continuous:
         self.deleted: list[str] = []
         """Old parts that were deleted, for the audit log."""
         self._number, self._safe = self._left_off(settings.audit_log)
-        self._words = Rings(runtime, self._safe)
+        self._words = AuditedRings(runtime, self._safe)
         self._go_back(self._safe)
 
     # -- resumption ---------------------------------------------------------------------------------------------
@@ -94,18 +92,13 @@ class Continuous:
             self.audit(_lines_after(audit_log, read["audit"]))
         return (mine[-1].number if mine else 0), read
 
-    @property
-    def _slots(self) -> dict[str, RingReader]:
-        """Readers of the rings recorded as slots, by the name of their position in a part."""
-        return {"records": self._records, "frames": self._frames, "slots": self._commands, "hold_slots": self._holds}
-
     def _go_back(self, read: dict[str, int]) -> None:
-        for name, reader in self._slots.items():
-            reader.cursor = min(read.get(name, 0), reader.head)
+        for topic, reader in self._slots.items():
+            reader.cursor = min(read.get(PLACES[topic], 0), reader.head)
         self._words.go_back(read)
 
     def _position(self, audit: int) -> dict[str, int]:
-        cursors = {name: reader.cursor for name, reader in self._slots.items()}
+        cursors = {PLACES[topic]: reader.cursor for topic, reader in self._slots.items()}
         return {**cursors, "audit": audit, **self._words.position}
 
     # -- input --------------------------------------------------------------------------------------------------
@@ -225,18 +218,17 @@ class Continuous:
     # -- content -----------------------------------------------------------------------------------------------
     def _write(self, part: PartFile, now_ns: int) -> None:
         self._attach(part, now_ns)
-        records, frames = self._records.read(), self._frames.read()
-        commands, holds = self._commands.read(), self._holds.read()
+        slots = {topic: reader.read() for topic, reader in self._slots.items()}
         said = [item for item in self._words.take_all(part.offset_ns) if item.source not in ("commands", "holds")]
         audit, self._audit = self._audit, []
         place = self._position(audit[-1][0] if audit else self._audit_written)
         self._audit_written = place["audit"]
-        lost = {name: reader.lost for name, reader in self._slots.items()}
+        lost = {PLACES[topic]: reader.lost for topic, reader in self._slots.items()}
         said.append(Item(now_ns, now_ns + part.offset_ns, WRITTEN, "", details={"read": place, "lost": lost}))
-        part.write(records, frames, commands, holds, said, audit)
+        part.write(slots, said, audit)
         self._places.append(Place(part.size, place))
-        self.records += len(records)
-        self.frames += len(frames)
+        self.records += len(slots["records"])
+        self.frames += len(slots["frames"])
 
     def _attach(self, part: PartFile, now_ns: int) -> None:
         """Attach the documents that have changed since they were last attached."""
@@ -267,8 +259,8 @@ class Continuous:
             "pending_bytes": part.disk.pending if part is not None else 0,
             "records": self.records,
             "frames": self.frames,
-            "records_lost": self._records.lost,
-            "frames_lost": self._frames.lost,
+            "records_lost": self._slots["records"].lost,
+            "frames_lost": self._slots["frames"].lost,
             "failures": self.failures,
         }
 

@@ -6,7 +6,7 @@ With one message for each frame, headers and index would take more space than th
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,7 @@ _COLUMNS = (("later_ns", "<i4"), ("can_id", "<u4"), ("sent", "u1"), ("dlc", "u1"
 _LONGEST_NS = 2**31 - 1
 
 
-class BlockError(ValueError):
+class FrameBlockError(ValueError):
     """Bytes that are not a block."""
 
 
@@ -70,30 +70,39 @@ def _message(block: npt.NDArray[np.void]) -> bytes:
     return b"".join(parts)
 
 
-def decode(message: memoryview) -> npt.NDArray[np.void]:
+def decode(messages: Sequence[bytes]) -> npt.NDArray[np.void]:
+    """The frames of blocks, one after the other.
+
+    Raises:
+        FrameBlockError: the bytes are not a block.
+    """
+    return np.concatenate([_frames(memoryview(message)) for message in messages])
+
+
+def _frames(message: memoryview) -> npt.NDArray[np.void]:
     """A block's frames.
 
     Raises:
-        BlockError: the bytes are not a block.
+        FrameBlockError: the bytes are not a block.
     """
     try:
         first, seq, second, t_ns = _HEAD.unpack_from(message)
     except struct.error:
-        raise BlockError("too short") from None
+        raise FrameBlockError("too short") from None
     if (first, second) != (tag(1, WIRE_64), tag(2, WIRE_64)):
-        raise BlockError("not laid out as a block")
+        raise FrameBlockError("not laid out as a block")
     at, columns = _HEAD.size, {}
     for number, (name, kind) in enumerate(_COLUMNS, 3):
         if bytes(message[at : at + 1]) != tag(number, WIRE_BYTES):
-            raise BlockError("not laid out as a block")
+            raise FrameBlockError("not laid out as a block")
         size, at = _read_varint(message, at + 1)
         raw, at = message[at : at + size], at + size
         if len(raw) != size or size % np.dtype(kind).itemsize:
-            raise BlockError("a column is cut")
+            raise FrameBlockError("a column is cut")
         columns[name] = np.frombuffer(raw, kind)
     count = len(columns["later_ns"])
     if at != len(message) or any(len(column) != count for column in columns.values()):
-        raise BlockError("columns of unequal length")
+        raise FrameBlockError("columns of unequal length")
     frames = np.zeros(count, FRAME.dtype)
     with np.errstate(over="ignore"):
         frames["seq"] = np.uint64(seq) + np.arange(count, dtype=np.uint64)
@@ -120,4 +129,4 @@ def _read_varint(message: memoryview, at: int) -> tuple[int, int]:
         if byte < 0x80:
             return value, at
         shift += 7
-    raise BlockError("not laid out as a block")
+    raise FrameBlockError("not laid out as a block")

@@ -6,8 +6,7 @@ Times are those of the wall clock; every message has CLOCK_MONOTONIC as ``t_ns``
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Container, Iterable
 from typing import IO, Any, NamedTuple
 
 import msgspec
@@ -16,15 +15,16 @@ import numpy.typing as npt
 from mcap.writer import CompressionType, Writer
 
 from rigctl import __version__
-from rigctl.ipc.record import COMMAND, FRAME, HOLD, RECORD
+from rigctl.ipc.record import COMMAND, HOLD, RECORD
+from rigctl.ipc.ring import RingReader
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.recorder import frame_block
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.protobuf import Encoding, numbers_of
 
 CHUNK_BYTES = 1 << 18
-DUMPED = MappingProxyType({
-    "records": Encoding(RECORD), "frames": Encoding(FRAME), "commands": Encoding(COMMAND),
-    "holds": Encoding(numbers_of(HOLD)),
-})  # fmt: skip
+ATTACHED = (ACTIVE, "control.json", "calibration.json")
+"""Documents of the runtime folder that go into every file; not lease.json, which has the id."""
 _LATEST_NS = 2**63 - 1
 SAID_SCHEMA = {
     "title": "rigctl.Said",
@@ -49,37 +49,50 @@ class Message(NamedTuple):
     data: bytes
 
 
+def slot_readers(runtime: Runtime) -> dict[str, RingReader]:
+    """Readers of the rings that are recorded as slots, by topic."""
+    return {
+        "records": runtime.record_reader(from_start=True),
+        "frames": runtime.frame_reader(),
+        "commands": runtime.command_reader(from_start=True),
+        "holds": runtime.hold_reader(from_start=True),
+    }
+
+
 class McapFile:
     """An MCAP file being written: channels for slots of the rings and for texts."""
 
-    def __init__(self, stream: IO[bytes], wall_offset_ns: int, slots: Mapping[str, Encoding] = DUMPED) -> None:
-        """``wall_offset_ns``: wall clock less CLOCK_MONOTONIC, the same for the whole file; ``slots``: by topic."""
+    def __init__(self, stream: IO[bytes], wall_offset_ns: int, exact: Container[str] | None = None) -> None:
+        """``wall_offset_ns``: wall clock less CLOCK_MONOTONIC, for the whole file; ``exact``: see `Encoding`."""
         self._offset_ns = wall_offset_ns
         self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library=f"rigctl {__version__}")
-        self._slots = slots
-        self._channels = {
-            topic: self._channel(topic, "protobuf", encoding.name, "protobuf", encoding.descriptor())
-            for topic, encoding in self._slots.items()
-        }
+        self._encodings = {
+            "records": Encoding(RECORD, exact), "commands": Encoding(COMMAND), "holds": Encoding(numbers_of(HOLD)),
+        }  # fmt: skip
+        self._channels: dict[str, int] = {}
+        for topic, encoding in self._encodings.items():
+            self._protobuf(topic, encoding.name, encoding.descriptor())
         schema = msgspec.json.encode(SAID_SCHEMA)
         self._said = self._writer.register_schema("rigctl.Said", "jsonschema", schema)
+        self._protobuf("frames", frame_block.NAME, frame_block.descriptor())
 
-    def _channel(self, topic: str, message: str, name: str, encoding: str, schema: bytes) -> int:
-        schema_id = self._writer.register_schema(name, encoding, schema)
-        return self._writer.register_channel(f"/{topic}", message, schema_id)
+    def _protobuf(self, topic: str, name: str, schema: bytes) -> None:
+        number = self._writer.register_schema(name, "protobuf", schema)
+        self._channels[topic] = self._writer.register_channel(f"/{topic}", "protobuf", number)
 
-    def channel(self, topic: str, message: str, name: str, encoding: str, schema: bytes) -> int:
-        """Add a channel; returns its number."""
-        self._channels[topic] = self._channel(topic, message, name, encoding, schema)
-        return self._channels[topic]
+    def json_channel(self, topic: str, schema: dict[str, Any]) -> int:
+        """Add a channel for JSON; returns its number."""
+        number = self._writer.register_schema(schema["title"], "jsonschema", msgspec.json.encode(schema))
+        return self._writer.register_channel(f"/{topic}", "json", number)
 
     def slots(self, topic: str, slots: npt.NDArray[np.void]) -> list[Message]:
-        """Slots of a topic as messages."""
-        channel = self._channels[topic]
-        walls = (slots["t_ns"] + self._offset_ns).tolist()
-        numbers = slots["seq"].tolist()
-        encoded = self._slots[topic].encode(slots)
+        """Slots of a topic as messages: one for each slot, frames in blocks."""
+        channel, offset_ns = self._channels[topic], self._offset_ns
+        if topic == "frames":
+            return [Message(t_ns + offset_ns, channel, seq, data) for seq, t_ns, data in frame_block.encode(slots)]
+        walls, numbers = (slots["t_ns"] + offset_ns).tolist(), slots["seq"].tolist()
+        encoded = self._encodings[topic].encode(slots)
         return [Message(*found) for found in zip(walls, [channel] * len(slots), numbers, encoded, strict=True)]
 
     def said(self, items: Iterable[Item]) -> list[Message]:
@@ -95,10 +108,6 @@ class McapFile:
             )  # fmt: skip
             found.append(Message(item.t_ns + self._offset_ns, self._channels[item.source], item.seq, data))
         return found
-
-    def write(self, messages: Sequence[Message]) -> None:
-        """Write messages in order of time."""
-        self.add(sorted(messages, key=lambda message: message.wall_ns))
 
     def add(self, messages: Iterable[Message]) -> None:
         """Write messages in the order given."""

@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib import metadata
 from typing import IO, Any, cast
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from rigctl import __version__
-from rigctl.ipc.record import COMMAND, HOLD, RECORD
-from rigctl.recorder import frame_block
+from rigctl.config.signals import RECORDED
 from rigctl.recorder.appender import Appender
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.mcap_file import McapFile, Message
-from rigctl.recorder.protobuf import Encoding, numbers_of
 
 FORMAT = "1"
-SLOTS = {
-    "records": Encoding(RECORD, exact={"command_mm_s"}),
-    "commands": Encoding(COMMAND),
-    "holds": Encoding(numbers_of(HOLD)),
-}
 AUDIT_SCHEMA = {"title": "rigctl.AuditEntry", "type": "object", "description": "a line of the audit log, see its chain"}
 _LIBRARIES = (
     "numpy", "python-can", "canopen", "cantools", "control", "scipy", "eclipse-zenoh", "msgspec",
@@ -74,13 +66,9 @@ class PartFile:
         """``words``: metadata of this part."""
         self.disk, self.opened_ns, self.offset_ns = disk, opened_ns, wall_offset_ns
         self._stream = _Taken()
-        self._file = McapFile(cast("IO[bytes]", self._stream), wall_offset_ns, SLOTS)
-        self._blocks = self._file.channel(
-            "frames", "protobuf", frame_block.NAME, "protobuf", frame_block.descriptor()
-        )  # fmt: skip
-        self._audit = self._file.channel(
-            "audit", "json", "rigctl.AuditEntry", "jsonschema", msgspec.json.encode(AUDIT_SCHEMA)
-        )
+        exact = {row.name for row in RECORDED if row.exact}
+        self._file = McapFile(cast("IO[bytes]", self._stream), wall_offset_ns, exact)
+        self._audit = self._file.json_channel("audit", AUDIT_SCHEMA)
         self._file.describe("rigctl", {**words, "format": FORMAT, "wall_offset_ns": wall_offset_ns})
         self._file.describe("versions", dict(versions()))
 
@@ -95,20 +83,20 @@ class PartFile:
         self._file.attach(name, data, wall_ns, wall_ns - age_ns)
 
     def write(
-        self, records: npt.NDArray[np.void], frames: npt.NDArray[np.void], commands: npt.NDArray[np.void],
-        holds: npt.NDArray[np.void], said: Iterable[Item], audit: Iterable[tuple[int, int, bytes]],
-    ) -> None:  # fmt: skip
-        """Write new content as one chunk and pass it to the disk. ``audit``: number, time and line of each entry."""
-        file, offset = self._file, self.offset_ns
-        for topic, slots in (("records", records), ("commands", commands), ("holds", holds)):
-            if len(slots):
-                file.add(file.slots(topic, slots))
-        file.add(
-            Message(t_ns + offset, self._blocks, seq, data) for seq, t_ns, data in frame_block.encode(frames)
-        )  # fmt: skip
-        file.add(Message(t_ns + offset, self._audit, n, line) for n, t_ns, line in audit)
-        file.add(file.said(said))
-        file.flush()
+        self, slots: Mapping[str, npt.NDArray[np.void]], said: Iterable[Item], audit: Iterable[tuple[int, int, bytes]]
+    ) -> None:
+        """Write new content as one chunk and pass it to the disk.
+
+        Args:
+            slots: new slots by topic.
+            said: new items of the other rings.
+            audit: number, time and line of each new entry of the audit log.
+        """
+        for topic in ("records", "commands", "holds", "frames"):
+            self._file.add(self._file.slots(topic, slots[topic]))
+        self._file.add(Message(t_ns + self.offset_ns, self._audit, n, line) for n, t_ns, line in audit)
+        self._file.add(self._file.said(said))
+        self._file.flush()
         self.disk.append(self._stream.take())
 
     def finish(self) -> None:

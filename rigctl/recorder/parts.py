@@ -14,7 +14,7 @@ _NAME = re.compile(r"(?P<rig>[a-z][a-z0-9_]*)-(?P<start>\d{8}T\d{6}\.\d{3}Z)-(?P
 
 
 @dataclass(frozen=True, order=True)
-class Part:
+class RecordingPart:
     """One file; sorts by the start of its run, then by its number."""
 
     start: str
@@ -28,14 +28,14 @@ def path_of(folder: pathlib.Path, rig: str, run_wall_ns: int, number: int) -> pa
     return folder / f"{rig}-{stamp}-{number:04d}.mcap"
 
 
-def parts(folder: pathlib.Path, rig: str) -> list[Part]:
+def parts(folder: pathlib.Path, rig: str) -> list[RecordingPart]:
     """Parts of one rig in a folder, oldest first; empty without the folder."""
     found = []
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
             name = _NAME.fullmatch(path.name)
             if name and name["rig"] == rig:
-                found.append(Part(name["start"], int(name["number"]), path))
+                found.append(RecordingPart(name["start"], int(name["number"]), path))
     return sorted(found)
 
 

@@ -31,7 +31,7 @@ from rigctl.ipc.supervision import OVER, Doing
 from rigctl.ipc.termination import Termination
 from rigctl.recorder.audit_log import AuditError, AuditLog, Item
 from rigctl.recorder.continuous import Continuous
-from rigctl.recorder.sources import Rings, sourced
+from rigctl.recorder.sources import AuditedRings, sourced
 from rigctl.recorder.thinning import Thinning
 from rigctl.recorder.trips import Trips
 
@@ -104,7 +104,7 @@ class Recorder:
             self.trouble.begins("audit log", why, now_ns)
         read = self.log.read if self.log.read.get("run") == self._run else {"run": self._run}
         self._read = read  # positions of the rings once all that waits is written
-        self._rings = Rings(runtime, read)
+        self._rings = AuditedRings(runtime, read)
         self._trips = Trips(runtime, settings, read.get("dumped", 0))
         self._trips.sweep()
         self._recording = Continuous(runtime, settings, self._run, wall_ns) if settings.recording.enabled else None

@@ -15,20 +15,9 @@ import numpy.typing as npt
 
 from rigctl.ipc.record import Slot
 from rigctl.recorder import parts
-from rigctl.recorder.part_reader import RECORDER, SLOTS, Attachment, File, Part, RecordingError, Said
+from rigctl.recorder.file_reader import RECORDER, SLOTS, AttachedDocument, FileReader, ReadFile, RecordingError, Said
 
-__all__ = [
-    "RECORDER",
-    "SLOTS",
-    "Attachment",
-    "File",
-    "Gap",
-    "Recording",
-    "RecordingError",
-    "Said",
-    "parts_of",
-    "read",
-]
+__all__ = ["SLOTS", "Gap", "Recording", "RecordingError", "Said", "parts_of", "read"]
 
 
 @dataclass(frozen=True)
@@ -56,7 +45,7 @@ class Recording:
     several the hash of their hashes, one a line.
     """
 
-    files: tuple[File, ...]
+    files: tuple[ReadFile, ...]
     rig: str
     run: str
     sha256: str
@@ -67,7 +56,7 @@ class Recording:
     commands: npt.NDArray[np.void]
     holds: npt.NDArray[np.void]
     said: dict[str, list[Said]]
-    generations: list[Attachment]
+    generations: list[AttachedDocument]
     gaps: list[Gap]
 
     @property
@@ -138,7 +127,7 @@ def read(*paths: str | pathlib.Path, frames: bool = True) -> Recording:
     """
     if not paths:
         raise RecordingError("found no file, expected one or more")
-    found = [Part(pathlib.Path(path), frames) for path in paths]
+    found = [FileReader(pathlib.Path(path), frames) for path in paths]
     first = found[0]
     for other in found[1:]:
         if (other.rig, other.run) != (first.rig, first.run):
@@ -180,7 +169,7 @@ def _gaps(ring: str, numbers: npt.NDArray[Any], times: npt.NDArray[Any]) -> list
     return [Gap(ring, int(numbers[at]), int(numbers[at + 1]) - 1, int(times[at])) for at in breaks.tolist()]
 
 
-def _said(found: list[Part]) -> tuple[dict[str, list[Said]], list[Gap]]:
+def _said(found: list[FileReader]) -> tuple[dict[str, list[Said]], list[Gap]]:
     said: dict[str, dict[tuple[int, int, str], Said]] = {}
     for part in found:
         for topic, items in part.said.items():
@@ -196,9 +185,9 @@ def _said(found: list[Part]) -> tuple[dict[str, list[Said]], list[Gap]]:
     return ordered, gaps
 
 
-def _generations(found: list[Part]) -> list[Attachment]:
+def _generations(found: list[FileReader]) -> list[AttachedDocument]:
     """Each content once, with the time it came into force; a part begins with a copy of the content before it."""
-    everything = sorted((item for part in found for item in part.attachments), key=lambda item: item.t_ns)
+    everything = sorted((item for part in found for item in part.documents), key=lambda item: item.t_ns)
     last: dict[str, bytes] = {}
     generations = []
     for item in everything:

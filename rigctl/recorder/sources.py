@@ -110,7 +110,7 @@ def _doing(slot: np.void) -> Words:
 
 
 @dataclass(frozen=True)
-class Source:
+class AuditedRing:
     """A ring of the audit log."""
 
     name: str
@@ -130,17 +130,17 @@ class Source:
 
 
 SOURCES = (
-    Source("supervision", lambda runtime: runtime.supervision_reader(), _doing),
-    Source("commands", lambda runtime: runtime.command_reader(from_start=True), _order),
-    Source("holds", lambda runtime: runtime.hold_reader(from_start=True), _hold),
-    Source("events", lambda runtime: runtime.event_reader(from_start=True), _event),
-    Source("replies", lambda runtime: runtime.reply_reader(from_start=True), _reply),
-    Source("notes", lambda runtime: runtime.note_reader(from_start=True), _note),
-    Source("desk", lambda runtime: runtime.request_reader(), _request),
+    AuditedRing("supervision", lambda runtime: runtime.supervision_reader(), _doing),
+    AuditedRing("commands", lambda runtime: runtime.command_reader(from_start=True), _order),
+    AuditedRing("holds", lambda runtime: runtime.hold_reader(from_start=True), _hold),
+    AuditedRing("events", lambda runtime: runtime.event_reader(from_start=True), _event),
+    AuditedRing("replies", lambda runtime: runtime.reply_reader(from_start=True), _reply),
+    AuditedRing("notes", lambda runtime: runtime.note_reader(from_start=True), _note),
+    AuditedRing("desk", lambda runtime: runtime.request_reader(), _request),
 )
 
 
-class Rings:
+class AuditedRings:
     """Every source with its read position. Slots overwritten before they were read become an item too."""
 
     def __init__(self, runtime: Runtime, read: dict[str, int]) -> None:
@@ -171,7 +171,7 @@ class Rings:
             items += new
         return items
 
-    def _new(self, source: Source, reader: RingReader, wall_offset_ns: int) -> list[Item]:
+    def _new(self, source: AuditedRing, reader: RingReader, wall_offset_ns: int) -> list[Item]:
         before = reader.cursor
         items = [source.item(slot, wall_offset_ns) for slot in reader.read(BATCH)]
         count, self._lost[source.name] = reader.lost - self._lost[source.name], reader.lost

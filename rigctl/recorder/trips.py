@@ -26,12 +26,11 @@ from rigctl.ipc import ledger
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder.audit_log import moment
-from rigctl.recorder.mcap_file import McapFile
-from rigctl.recorder.sources import Rings
+from rigctl.recorder.mcap_file import ATTACHED, McapFile, slot_readers
+from rigctl.recorder.sources import AuditedRings
 from rigctl.wire.schema import schema
 
 BEFORE_NS, AFTER_NS = 10_000_000_000, 2_000_000_000
-_ATTACHED = (ACTIVE, "control.json", "calibration.json")  # of the runtime folder; not lease.json, which has the id
 
 
 @dataclass(frozen=True)
@@ -153,14 +152,10 @@ class Trips:
     def _fill(self, stream: IO[bytes], group: Group, offset_ns: int, audit: dict[str, Any]) -> tuple[int, int]:
         runtime, wall_ns = self._runtime, group.triggers[0].t_ns + offset_ns
         file = McapFile(stream, offset_ns)
-        records = _window(runtime.record_reader(from_start=True), group)
-        frames = _window(runtime.frame_reader(), group)
-        # Slots rather than texts, because a replay needs them.
-        commands = _window(runtime.command_reader(from_start=True), group)
-        holds = _window(runtime.hold_reader(from_start=True), group)
+        slots = {topic: _window(reader, group) for topic, reader in slot_readers(runtime).items()}
         said = [
             item
-            for item in Rings(runtime, {}).take_all(offset_ns)
+            for item in AuditedRings(runtime, {}).take_all(offset_ns)
             if item.seq and item.source not in ("commands", "holds") and group.start_ns <= item.t_ns <= group.end_ns
         ]
         active = runtime.known(ACTIVE)
@@ -173,23 +168,26 @@ class Trips:
                 "t_ns": group.triggers[0].t_ns,
                 "trips": " ".join(trigger.fault for trigger in group.triggers if trigger.fault),
                 "wall_offset_ns": offset_ns,
-                "records": len(records),
-                "frames": len(frames),
+                "records": len(slots["records"]),
+                "frames": len(slots["frames"]),
                 "started_wall_ns": active.get("started_wall_ns", 0),
                 "host": os.uname().nodename,
                 "kernel": os.uname().release,
             },
         )
         file.describe("audit", audit)
-        for name in _ATTACHED:
+        for name in ATTACHED:
             file.attach(name, msgspec.json.encode(runtime.known(name)), wall_ns)
         file.attach("schema.json", msgspec.json.encode(schema(self._settings.rig)), wall_ns)
         if (ledger_file := self._settings.ledger) is not None and ledger_file.is_file():
             file.attach("calibration_ledger.json", ledger_file.read_bytes(), wall_ns)
-        slots = (("records", records), ("frames", frames), ("commands", commands), ("holds", holds))
-        file.write([*(message for topic, found in slots for message in file.slots(topic, found)), *file.said(said)])
+        messages = [
+            *(message for topic, found in slots.items() for message in file.slots(topic, found)),
+            *file.said(said),
+        ]
+        file.add(sorted(messages, key=lambda message: message.wall_ns))
         file.finish()
-        return len(records), len(frames)
+        return len(slots["records"]), len(slots["frames"])
 
     def names(self) -> list[str]:
         """Dumps of this rig in the folder, oldest first."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from rigctl.config.signals import RECORDED
 from rigctl.control.modes import Mode
 from rigctl.ipc.record import RECORD
 from rigctl.replay.feed import Slots
@@ -18,7 +19,7 @@ Advance = Callable[[float, str], None]
 """Called with the amount compared since the last call, and its name."""
 NOT_COMPARED = ("seq", "command_seq", "hold_seq")
 """Numbers of slots, which differ because the replay has rings of its own."""
-EXACT = frozenset({"command_mm_s"} | {row.name for row in RECORD.fields if row.code != "d"})
+EXACT = frozenset(row.name for row in RECORDED if row.exact or row.code != "d")
 """Fields with full precision in a recording; the others have that of a float32."""
 FRAMES = "frames sent"
 

@@ -36,7 +36,7 @@ class ReplayError(ValueError):
 
 
 @dataclass(frozen=True)
-class Span:
+class ProcessSpan:
     """One control process: its records without a gap, and its inputs at the start."""
 
     records: Slots
@@ -62,7 +62,7 @@ class Batch:
     sent: list[tuple[list[tuple[int, bytes]], list[tuple[int, bytes]]]]
 
 
-def spans(recording: Recording) -> list[Span]:
+def spans(recording: Recording) -> list[ProcessSpan]:
     """The control processes that the recording holds from their start.
 
     Raises:
@@ -80,7 +80,7 @@ def spans(recording: Recording) -> list[Span]:
     ]
 
 
-def _span(recording: Recording, records: Slots) -> Span:
+def _span(recording: Recording, records: Slots) -> ProcessSpan:
     first_ns = int(records["t_ns"][0])
     started = [event for event in recording.events if event.what == Kind.STARTED.name.lower()]
     started = [event for event in started if event.t_ns <= first_ns]
@@ -106,7 +106,7 @@ def _span(recording: Recording, records: Slots) -> Span:
     supervised = all(bool(stop.get("ok")) for stop in control.get("supervision", []))
     taken = int(started[-1].details.get("a", 0)), int(started[-1].details.get("b", 0))
     host = int(control.get("host_checks", Check.HOST))
-    return Span(
+    return ProcessSpan(
         whole, started[-1].t_ns, taken, settings, gains, correction, supervised, watched, last, host, process_data,
         cut_short,
     )  # fmt: skip
@@ -138,7 +138,7 @@ def _without_gap(recording: Recording, records: Slots) -> tuple[Slots, str]:
 
 
 def play(
-    recording: Recording, span: Span, settings: RigSettings | None = None, gains: Gains | None = None
+    recording: Recording, span: ProcessSpan, settings: RigSettings | None = None, gains: Gains | None = None
 ) -> Iterator[Batch]:
     """Run the loop over a span, ``BATCH_TICKS`` at a time.
 

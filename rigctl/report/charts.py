@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from rigctl.metrics.phases import Phase
+from rigctl.metrics.phases import JudgedPhase
 from rigctl.report.drawing import (
     BAND,
     BLUE,
@@ -108,7 +108,7 @@ def _missing(found: Findings, all_axes: tuple[Axes, ...], start_ns: int, per: fl
                 axes.axvspan(begin, end, facecolor="none", edgecolor=RED, hatch="////", linewidth=0.0, alpha=0.5)
 
 
-def figure_9(found: Findings, phase: Phase) -> Chart:
+def figure_9(found: Findings, phase: JudgedPhase) -> Chart:
     """The paper's Fig. 9: tension in the rope, its vertical component, tangential and normal inclination."""
     t_s, part = _drawn(found, phase)
     drawn = figure(4.6)
@@ -139,7 +139,7 @@ def figure_9(found: Findings, phase: Phase) -> Chart:
                     "vertical component, tangential and normal inclination.")  # fmt: skip
 
 
-def inclination(found: Findings, phase: Phase) -> Chart:
+def inclination(found: Findings, phase: JudgedPhase) -> Chart:
     """Both inclinations against time, and against each other."""
     t_s, part = _drawn(found, phase)
     tangential, normal = (np.degrees(part[name]) for name in ("tangential_rad", "normal_rad"))
@@ -170,7 +170,7 @@ def _few() -> Any:
     return MaxNLocator(4)
 
 
-def motion(found: Findings, phase: Phase) -> Chart:
+def motion(found: Findings, phase: JudgedPhase) -> Chart:
     """Stroke, and speed with command."""
     t_s, part = _drawn(found, phase)
     drawn = figure(3.2)
@@ -185,7 +185,7 @@ def motion(found: Findings, phase: Phase) -> Chart:
     return finished(drawn, f"Stroke of the cylinder, its speed and the command in phase {phase.number}.")
 
 
-def _drawn(found: Findings, phase: Phase) -> tuple[Floats, npt.NDArray[np.void]]:
+def _drawn(found: Findings, phase: JudgedPhase) -> tuple[Floats, npt.NDArray[np.void]]:
     """Records of a phase with its lead-in, and their times since the start of the lead-in."""
     records = found.recording.records
     judged_ns = int(records["t_ns"][phase.first])

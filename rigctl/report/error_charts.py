@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.stats import norm
 
 from rigctl.metrics.error_statistics import error_n
-from rigctl.metrics.phases import Phase
+from rigctl.metrics.phases import JudgedPhase
 from rigctl.metrics.tension_error import error_pct
 from rigctl.report import sensor_budget
 from rigctl.report.drawing import (
@@ -34,7 +34,7 @@ LEAST_US = 0.5
 Floats = npt.NDArray[np.float64]
 
 
-def error(found: Findings, phase: Phase) -> Chart:
+def error(found: Findings, phase: JudgedPhase) -> Chart:
     """The error against time, with the cell's sensor budget as a band."""
     eta_pct = error_pct(found.recording.records["vertical_n"][phase.judged], phase.target_n)
     t_ns = found.recording.records["t_ns"][phase.judged]

@@ -19,7 +19,7 @@ from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.metrics import timing
 from rigctl.metrics.error_statistics import ErrorStatistics, error_n, statistics
-from rigctl.metrics.phases import SETTLE_S, Phase, phases
+from rigctl.metrics.phases import SETTLE_S, JudgedPhase, phases
 from rigctl.recorder.recording import Recording
 from rigctl.report import bus, happenings, sensor_budget, spectrum, verdict
 
@@ -52,7 +52,7 @@ class Findings:
     """Calibrations in force during the recording, each with its start (CLOCK_MONOTONIC, ns), the oldest first."""
     ledger: list[dict[str, Any]]
     gains: Gains | None
-    phases: list[Phase]
+    phases: list[JudgedPhase]
     by_phase: list[ErrorStatistics]
     whole: ErrorStatistics | None
     spectrum: spectrum.Spectrum | None
@@ -60,16 +60,16 @@ class Findings:
     timing: timing.Timing
     bus: bus.Bus
     events: list[happenings.Happening]
-    trips: list[happenings.Trip]
+    trips: list[happenings.RecordedTrip]
     modes: list[happenings.ModeSpan]
     operators: list[str]
     budget: list[sensor_budget.Error]
-    verdict: verdict.Verdict
+    verdict: verdict.ReportVerdict
     remarks: list[str]
     """Remarks that limit the value of the other figures."""
 
     @property
-    def shown(self) -> Phase | None:
+    def shown(self) -> JudgedPhase | None:
         """The longest phase, which is drawn in detail."""
         return max(self.phases, key=lambda phase: (phase.after - phase.first, -phase.number), default=None)
 
@@ -130,7 +130,7 @@ def find(recording: Recording) -> Findings:
     )
 
 
-def _seconds(records: npt.NDArray[np.void], phase: Phase) -> npt.NDArray[np.float64]:
+def _seconds(records: npt.NDArray[np.void], phase: JudgedPhase) -> npt.NDArray[np.float64]:
     t_ns = records["t_ns"][phase.judged]
     return np.asarray(t_ns - t_ns[0], np.float64) * 1e-9
 

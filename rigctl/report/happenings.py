@@ -33,7 +33,7 @@ class Happening:
 
 
 @dataclass(frozen=True)
-class Trip:
+class RecordedTrip:
     """A limit that tripped, or an exception: the reason, and its trip dump."""
 
     t_ns: int
@@ -73,7 +73,7 @@ def operators(recording: Recording) -> list[str]:
     return sorted(name for name in names if name)
 
 
-def trips(recording: Recording) -> list[Trip]:
+def trips(recording: Recording) -> list[RecordedTrip]:
     """Every trip and every exception in the loop, each with its dump."""
     dumps = [(item.t_ns, str(item.details.get("file", ""))) for item in recording.audit if item.what == "trip_dump"]
     found = []
@@ -81,7 +81,7 @@ def trips(recording: Recording) -> list[Trip]:
         if item.what in ("trip", "exception"):
             dump = next((name for t_ns, name in dumps if item.t_ns <= t_ns <= item.t_ns + _DUMP_OF_NS), "")
             name = _TRIPPED.match(item.text)
-            found.append(Trip(item.t_ns, name[1] if name else item.what, item.text, dump))
+            found.append(RecordedTrip(item.t_ns, name[1] if name else item.what, item.text, dump))
     return found
 
 

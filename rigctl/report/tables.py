@@ -25,7 +25,7 @@ LEDGER_SHOWN = 8
 _GAIN_UNITS = {"k_tension": "mm/s per N", "k_speed": "", "k_integral": "mm/s per N s"}
 
 
-class Row(NamedTuple):
+class TableRow(NamedTuple):
     """A quantity with its value and unit."""
 
     name: str
@@ -68,19 +68,19 @@ def duration(seconds: float) -> str:
     return (f"{hours} h " if hours else "") + f"{rest // 60} min {rest % 60:02d} s"
 
 
-def error_rows(figures: ErrorStatistics) -> list[Row]:
+def error_rows(figures: ErrorStatistics) -> list[TableRow]:
     """Statistics of the error."""
     return [
-        Row("judged time", f"{figures.seconds:.1f}", "s"),
-        Row("samples", number(figures.samples)),
-        Row("largest error", f"{figures.eta_max_pct:.4f}", "%"),
-        Row("99 % of samples within", f"{figures.eta_p99_pct:.4f}", "%"),
-        Row("rms error", f"{figures.eta_rms_pct:.4f}", "%"),
-        Row("mean error", f"{figures.mean_n:+.4f}", "N"),
-        Row("spread (standard deviation)", f"{figures.spread_n:.4f}", "N"),
-        Row("vertical tension, least", f"{figures.vertical_min_n:.2f}", "N"),
-        Row("vertical tension, largest", f"{figures.vertical_max_n:.2f}", "N"),
-        Row("samples of a sensor not good", number(figures.not_good)),
+        TableRow("judged time", f"{figures.seconds:.1f}", "s"),
+        TableRow("samples", number(figures.samples)),
+        TableRow("largest error", f"{figures.eta_max_pct:.4f}", "%"),
+        TableRow("99 % of samples within", f"{figures.eta_p99_pct:.4f}", "%"),
+        TableRow("rms error", f"{figures.eta_rms_pct:.4f}", "%"),
+        TableRow("mean error", f"{figures.mean_n:+.4f}", "N"),
+        TableRow("spread (standard deviation)", f"{figures.spread_n:.4f}", "N"),
+        TableRow("vertical tension, least", f"{figures.vertical_min_n:.2f}", "N"),
+        TableRow("vertical tension, largest", f"{figures.vertical_max_n:.2f}", "N"),
+        TableRow("samples of a sensor not good", number(figures.not_good)),
     ]
 
 
@@ -155,7 +155,7 @@ def ledger_rows(found: Findings) -> list[tuple[str, ...]]:
     return rows
 
 
-def settings_rows(found: Findings) -> list[Row]:
+def settings_rows(found: Findings) -> list[TableRow]:
     """The most important settings."""
     settings = mapping(found.active.get("settings"))
     rows = []
@@ -163,7 +163,7 @@ def settings_rows(found: Findings) -> list[Row]:
         section, key = path.split(".")
         values = mapping(settings.get(section))
         if key in values:
-            rows.append(Row(path, number(values[key], 6), unit_of(key)))
+            rows.append(TableRow(path, number(values[key], 6), unit_of(key)))
     return rows
 
 
@@ -173,10 +173,10 @@ def settings_yaml(found: Findings) -> str:
     return yaml.safe_dump(settings, sort_keys=False, allow_unicode=True, width=100)
 
 
-def gain_rows(found: Findings) -> list[Row]:
+def gain_rows(found: Findings) -> list[TableRow]:
     """Gains in force at the first phase."""
     gains = mapping(mapping(found.active.get("design")).get("gains"))
-    return [Row(name, number(value, 6), _GAIN_UNITS.get(name, "")) for name, value in gains.items()]
+    return [TableRow(name, number(value, 6), _GAIN_UNITS.get(name, "")) for name, value in gains.items()]
 
 
 def margin_rows(found: Findings) -> list[tuple[str, ...]]:
@@ -219,16 +219,16 @@ def device_rows(found: Findings) -> list[tuple[str, str, str]]:
     ]
 
 
-def bus_rows(found: Findings) -> list[Row]:
+def bus_rows(found: Findings) -> list[TableRow]:
     """Frames, and the worst-case load."""
     figures = found.bus
     load = "not known" if figures.load is None else f"{100 * figures.load:.1f}"
     return [
-        Row("frames sent", number(figures.sent)),
-        Row("frames received", number(figures.received)),
-        Row("frames lost", number(figures.lost)),
-        Row("frames refused (length, value)", number(figures.refused)),
-        Row("unsent frames", number(figures.unsent)),
-        Row("CAN error frames", number(figures.error_frames)),
-        Row(f"load at worst (limit {100 * figures.load_limit:.0f} %)", load, "" if figures.load is None else "%"),
+        TableRow("frames sent", number(figures.sent)),
+        TableRow("frames received", number(figures.received)),
+        TableRow("frames lost", number(figures.lost)),
+        TableRow("frames refused (length, value)", number(figures.refused)),
+        TableRow("unsent frames", number(figures.unsent)),
+        TableRow("CAN error frames", number(figures.error_frames)),
+        TableRow(f"load at worst (limit {100 * figures.load_limit:.0f} %)", load, "" if figures.load is None else "%"),
     ]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from rigctl.config.limits_section import LimitSettings
 from rigctl.config.settings import RigSettings
 from rigctl.metrics.error_statistics import ErrorStatistics, error_n, longest_beyond_s
-from rigctl.metrics.phases import Phase
+from rigctl.metrics.phases import JudgedPhase
 
 REQUIREMENT_PCT = 5.0
 """Unloading accuracy of 95 % or better, section 2.3 of the paper."""
@@ -30,7 +30,7 @@ class Criterion:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ReportVerdict:
     """``word`` is PASSED, FAILED or NOTHING."""
 
     word: str
@@ -43,11 +43,15 @@ class Verdict:
 
 
 def judge(
-    records: Array, phases: list[Phase], whole: ErrorStatistics | None, settings: RigSettings | None, rate_hz: float
-) -> Verdict:
+    records: Array,
+    phases: list[JudgedPhase],
+    whole: ErrorStatistics | None,
+    settings: RigSettings | None,
+    rate_hz: float,
+) -> ReportVerdict:  # fmt: skip
     """Judge every phase by its limits."""
     if whole is None:
-        return Verdict(NOTHING, [])
+        return ReportVerdict(NOTHING, [])
     rows = [
         Criterion(
             "largest error, requirement", f"{whole.eta_max_pct:.3g} %", f"{REQUIREMENT_PCT:g} %",
@@ -64,7 +68,7 @@ def judge(
                           not faulted, "a trip ends the test"))  # fmt: skip
     gone = whole.missing + whole.without_value
     rows.append(Criterion("records missing, without value", str(gone), "0", gone == 0, "within the judged time"))
-    return Verdict(PASSED if all(row.met is not False for row in rows) else FAILED, rows)
+    return ReportVerdict(PASSED if all(row.met is not False for row in rows) else FAILED, rows)
 
 
 def own_limits(settings: RigSettings | None) -> list[LimitSettings]:
@@ -78,7 +82,7 @@ def own_limits(settings: RigSettings | None) -> list[LimitSettings]:
     return sorted(found, key=lambda limit: limit.high or 0.0)
 
 
-def _own(records: Array, phases: list[Phase], limit: LimitSettings, rate_hz: float) -> Criterion:
+def _own(records: Array, phases: list[JudgedPhase], limit: LimitSettings, rate_hz: float) -> Criterion:
     high_n = limit.high or 0.0
     for_s = limit.persistence_ms / 1000.0
     beyond_s = max(longest_beyond_s(error_n(records, phase), high_n, rate_hz) for phase in phases)

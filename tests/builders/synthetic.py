@@ -109,12 +109,13 @@ def write(
     for name, content, t_ns in attached:
         part.attach(name, msgspec.json.encode(content), t_ns, 0)
     waiting = mode_events(records) if said is None else list(said)
-    none, sent = np.empty(0, COMMAND.dtype), 1
+    sent = 1
     for at in range(0, max(len(records), 1), _BATCH):
         batch = records[at : at + _BATCH]
         shown = frames(batch, sent) if with_frames else np.empty(0, FRAME.dtype)
         sent += len(shown)
-        part.write(batch, shown, none, np.empty(0, HOLD.dtype), waiting, [])
+        slots = {"records": batch, "frames": shown, "commands": np.empty(0, COMMAND.dtype)}
+        part.write({**slots, "holds": np.empty(0, HOLD.dtype)}, waiting, [])
         waiting = []
     part.finish()
     assert disk.join(60.0), disk.error

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
+from rigctl.config.signals import RECORDED
 from rigctl.ipc.record import COMMAND, FRAME, RECORD
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder.continuous import BATCH_NS, Continuous
@@ -109,8 +110,8 @@ class Tape:
 def as_recorded(records: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
     """Records as a recording keeps them: doubles with the precision of 32 bits, except for the command."""
     kept = records.copy()
-    for field in RECORD.fields:
-        if field.code == "d" and field.name != "command_mm_s":
+    for field in RECORDED:
+        if field.code == "d" and not field.exact:
             with np.errstate(over="ignore"):
                 kept[field.name] = records[field.name].astype(np.float32)
     return kept

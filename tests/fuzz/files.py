@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import io
 import json
 import math
 import pathlib
@@ -20,6 +21,10 @@ from typing import Any
 import msgspec
 import numpy as np
 import yaml
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Chunk
+from mcap.stream_reader import get_chunk_data_stream
 
 from hil.lockstep import lockstep
 from hil.scenario import case
@@ -288,12 +293,14 @@ def recorded(folder: pathlib.Path, rig: RigSettings) -> bytes:
 
 
 def _as_pieces(text: bytes) -> list[list[Any]]:
-    """The records of an MCAP file, chunks unpacked."""
-    return [
-        [piece.opcode, (mcap_scan.unpacked(piece.content) if piece.opcode == mcap_scan.CHUNK else bytes(piece.content))
-         .decode("latin-1")]
-        for piece in mcap_scan.Scan(memoryview(text)).pieces()
-    ]  # fmt: skip
+    """The records of an MCAP file without their heads, chunks unpacked."""
+    found = []
+    for piece in mcap_scan.Scan(text).pieces():
+        content = text[piece.offset + 9 : piece.end]
+        if piece.opcode == Opcode.CHUNK:
+            content = get_chunk_data_stream(Chunk.read(ReadDataStream(io.BytesIO(content))))[0].read(len(text) << 8)
+        found.append([piece.opcode, content.decode("latin-1")])
+    return found
 
 
 def _as_mcap(found: Any) -> bytes:
@@ -302,7 +309,7 @@ def _as_mcap(found: Any) -> bytes:
         opcode, content = row if isinstance(row, list) and len(row) == 2 else (0, row)
         code = opcode % 256 if isinstance(opcode, int) else 0
         data = str(content).encode("latin-1", "replace")
-        if code == mcap_scan.CHUNK:
+        if code == Opcode.CHUNK:
             head = struct.pack("<QQQI", 0, 0, len(data), zlib.crc32(data))
             data = head + struct.pack("<IQ", 0, len(data)) + data
         parts.append(struct.pack("<BQ", code, len(data)) + data)

@@ -43,7 +43,7 @@ from rigctl.ipc.ledger import Standing, in_force
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, Runtime, daemons
 from rigctl.recorder import audit_log
-from rigctl.recorder.part_reader import RecordingError, progress_of
+from rigctl.recorder.file_reader import RecordingError, progress_of
 from rigctl.recorder.recorder_process import Recorder
 from rigctl.supervisor.daemon import Supervisor
 from rigctl.wire.state_message import design_of, kept_of, warnings_of

@@ -9,8 +9,8 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
-from rigctl.config.limits_section import OF_STATUS
 from rigctl.config.settings import RigSettings
+from rigctl.config.signals import STATUS, WATCHED
 from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
@@ -111,7 +111,7 @@ def test_current_and_temperature_are_the_drives(rig: Lockstep, enter: Enter) -> 
 
 def test_a_drive_that_is_not_asked_for_its_status_has_no_emergency_stop(settings: RigSettings, gains: Gains) -> None:
     without = {"status_rate_hz": None, "rated_current_a": None, "e_stop_input": None}
-    limits = [limit for limit in settings.limits if limit.signal not in OF_STATUS]
+    limits = [limit for limit in settings.limits if WATCHED[limit.signal].age != STATUS]
     cylinder = settings.cylinder.model_copy(update=without)
     plain = settings.model_copy(update={"cylinder": cylinder, "limits": limits})
     with lockstep(plain, gains, log=True) as rig:

@@ -12,8 +12,8 @@ from hil.nodes.io_node import IoNode
 from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
 from rigctl.config.io_section import IoSettings
-from rigctl.config.limits_section import OF_STATUS
 from rigctl.config.settings import RigSettings
+from rigctl.config.signals import STATUS, WATCHED
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
@@ -220,7 +220,7 @@ def test_lost_frames_are_ridden_through(rig: Lockstep, enter: Enter) -> None:
 
 def test_without_the_drives_input_the_io_node_is_the_only_eye(settings: RigSettings, gains: Gains) -> None:
     without = {"status_rate_hz": None, "rated_current_a": None, "e_stop_input": None}
-    limits = [limit for limit in settings.limits if limit.signal not in OF_STATUS]
+    limits = [limit for limit in settings.limits if WATCHED[limit.signal].age != STATUS]
     cylinder = settings.cylinder.model_copy(update=without)
     blind = settings.model_copy(update={"cylinder": cylinder, "limits": limits})
     with lockstep(fitted(blind), gains) as rig:

@@ -24,7 +24,7 @@ from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.recorder.continuous import Continuous
 from rigctl.recorder.recording import Recording, parts_of, read
 from rigctl.replay.compare import Against, first_difference
-from rigctl.replay.play import ReplayError, Span, play, spans
+from rigctl.replay.play import ProcessSpan, ReplayError, play, spans
 
 STOP_S = 3.0
 
@@ -93,17 +93,19 @@ def frame(can_id: int, data: bytes) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def paper(settings: RigSettings, gains: Gains, tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, Span]:
+def paper(
+    settings: RigSettings, gains: Gains, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Recording, ProcessSpan]:
     found = recorded(settings, gains, tmp_path_factory.mktemp("replay"), drill)
     (span,) = spans(found)
     return found, span
 
 
-def replayed(recording: Recording, span: Span) -> Any:
+def replayed(recording: Recording, span: ProcessSpan) -> Any:
     return first_difference(play(recording, span), lambda _done, _doing: None)
 
 
-def test_a_recording_comes_out_bit_identical(paper: tuple[Recording, Span]) -> None:
+def test_a_recording_comes_out_bit_identical(paper: tuple[Recording, ProcessSpan]) -> None:
     recording, span = paper
     assert set(np.unique(span.records["mode"])) >= {Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.FAULT}
     assert span.records["skipped"][-1] == 3
@@ -113,7 +115,7 @@ def test_a_recording_comes_out_bit_identical(paper: tuple[Recording, Span]) -> N
     assert replayed(recording, span) == (len(span.records), None)
 
 
-def test_a_command_that_was_another_is_found_in_its_tick(paper: tuple[Recording, Span]) -> None:
+def test_a_command_that_was_another_is_found_in_its_tick(paper: tuple[Recording, ProcessSpan]) -> None:
     recording, span = paper
     records = span.records.copy()
     at = int(np.flatnonzero(records["mode"] == Mode.COMPENSATING)[200])
@@ -124,7 +126,7 @@ def test_a_command_that_was_another_is_found_in_its_tick(paper: tuple[Recording,
     assert [row.field for row in found.differences] == ["command_mm_s"]
 
 
-def test_a_frame_that_was_another_is_found(paper: tuple[Recording, Span]) -> None:
+def test_a_frame_that_was_another_is_found(paper: tuple[Recording, ProcessSpan]) -> None:
     recording, span = paper
     frames = recording.frames.copy()
     cell = np.flatnonzero((frames["can_id"] == 0x182) & (frames["sent"] == 0))
@@ -136,7 +138,7 @@ def test_a_frame_that_was_another_is_found(paper: tuple[Recording, Span]) -> Non
     assert "reading_n" in {row.field for row in found.differences}
 
 
-def test_a_frame_sent_that_was_another_is_found(paper: tuple[Recording, Span]) -> None:
+def test_a_frame_sent_that_was_another_is_found(paper: tuple[Recording, ProcessSpan]) -> None:
     recording, span = paper
     frames = recording.frames.copy()
     ours = (frames["sent"] == 1) & (frames["can_id"] == 0x204)
@@ -146,7 +148,7 @@ def test_a_frame_sent_that_was_another_is_found(paper: tuple[Recording, Span]) -
     assert [row.field for row in found.differences] == ["frames sent"]
 
 
-def test_a_command_the_loop_was_not_given_is_found(paper: tuple[Recording, Span]) -> None:
+def test_a_command_the_loop_was_not_given_is_found(paper: tuple[Recording, ProcessSpan]) -> None:
     recording, span = paper
     tension = recording.commands["verb"] == Verb.TENSION
     same, found = replayed(dataclasses.replace(recording, commands=recording.commands[~tension]), span)
@@ -154,7 +156,7 @@ def test_a_command_the_loop_was_not_given_is_found(paper: tuple[Recording, Span]
     assert span.records["mode"][same] == Mode.TENSIONING
 
 
-def test_a_hold_the_loop_was_not_given_is_found(paper: tuple[Recording, Span]) -> None:
+def test_a_hold_the_loop_was_not_given_is_found(paper: tuple[Recording, ProcessSpan]) -> None:
     recording, span = paper
     assert len(recording.holds) == 2
     same, found = replayed(dataclasses.replace(recording, holds=recording.holds[:1]), span)
@@ -162,7 +164,7 @@ def test_a_hold_the_loop_was_not_given_is_found(paper: tuple[Recording, Span]) -
     assert span.records["mode"][same] == Mode.HOLD
 
 
-def test_a_gap_ends_what_is_replayed(paper: tuple[Recording, Span]) -> None:
+def test_a_gap_ends_what_is_replayed(paper: tuple[Recording, ProcessSpan]) -> None:
     recording, _ = paper
     holed = np.delete(recording.records, slice(2000, 2100))
     (found,) = spans(dataclasses.replace(recording, records=holed))
@@ -171,13 +173,13 @@ def test_a_gap_ends_what_is_replayed(paper: tuple[Recording, Span]) -> None:
     assert replayed(recording, found) == (2000, None)
 
 
-def test_without_a_start_there_is_nothing_to_replay(paper: tuple[Recording, Span]) -> None:
+def test_without_a_start_there_is_nothing_to_replay(paper: tuple[Recording, ProcessSpan]) -> None:
     recording, _ = paper
     with pytest.raises(ReplayError, match="no start of the loop is in it: it begins with tick 101"):
         spans(dataclasses.replace(recording, records=recording.records[100:]))
 
 
-def test_recorded_settings_that_this_version_refuses_are_named(paper: tuple[Recording, Span]) -> None:
+def test_recorded_settings_that_this_version_refuses_are_named(paper: tuple[Recording, ProcessSpan]) -> None:
     recording, _ = paper
     found = []
     for document in recording.generations:
@@ -190,7 +192,7 @@ def test_recorded_settings_that_this_version_refuses_are_named(paper: tuple[Reco
         spans(dataclasses.replace(recording, generations=found))
 
 
-def test_other_gains_command_something_else(paper: tuple[Recording, Span]) -> None:
+def test_other_gains_command_something_else(paper: tuple[Recording, ProcessSpan]) -> None:
     recording, span = paper
     same, other = Against(), Against()
     for batch in play(recording, span, gains=span.gains):

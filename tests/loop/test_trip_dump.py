@@ -60,7 +60,7 @@ class Kept:
     def files(self) -> list[pathlib.Path]:
         return sorted(self.folder.glob("*"))
 
-    def log(self) -> list[chain.Entry]:
+    def log(self) -> list[chain.AuditEntry]:
         lines = self.settings.audit_log.read_bytes().splitlines(keepends=True)
         assert chain.verify(lines).good
         return [chain.read_line(line)[0] for line in lines]
@@ -135,20 +135,25 @@ def test_a_dump_holds_every_record_and_frame_from_10_s_before_to_2_s_after(kept:
         for field in RECORD.fields:
             assert getattr(record, field.name) == slot[field.name] or np.isnan(slot[field.name]), field.name
 
-    frames = [frame for _, frame in topics["/frames"]]
-    assert {frame.sent for frame in frames} == {0, 1}
+    blocks = [block for _, block in topics["/frames"]]
+    assert {sent for block in blocks for sent in block.sent} == {0, 1}
     on_bus: Counter[tuple[int, bytes]] = Counter()
     inside = (first + 5 * TICK_NS, last - 5 * TICK_NS)
     for t_ns, raw in rig.frames:
         if inside[0] <= t_ns <= inside[1]:
             can_id, dlc, data = FRAME.unpack(raw)
             on_bus[can_id, data[:dlc]] += 1
-    in_file = Counter((frame.can_id, frame.data) for frame in frames)
+    in_file = Counter(
+        (can_id, block.data[8 * at : 8 * at + dlc])
+        for block in blocks
+        for at, (can_id, dlc) in enumerate(zip(block.can_id, block.dlc, strict=True))
+    )
     assert sum(on_bus.values()) > 45_000
     assert not on_bus - in_file  # every frame of the bus is in the file
     assert not {key[0] for key in in_file} - {key[0] for key in on_bus}
-    assert all(frame.dlc == len(frame.data) for frame in frames)
-    assert np.all(np.diff([frame.seq for frame in frames]) == 1)
+    ends = [block.seq + len(block.can_id) for block in blocks]
+    assert [block.seq for block in blocks[1:]] == ends[:-1]
+    assert np.array_equal(recordings.read(file).frames["seq"], np.arange(blocks[0].seq, ends[-1]))
 
     said = [json.loads(data) for _, (schema, data) in topics["/events"]]
     assert {schema.encoding for _, (schema, _) in topics["/events"]} == {"jsonschema"}

@@ -22,7 +22,7 @@ from tests.builders import daemons
 from tests.live.system.test_daemon import PATIENT, Running
 
 
-def entries(file: pathlib.Path) -> list[chain.Entry]:
+def entries(file: pathlib.Path) -> list[chain.AuditEntry]:
     """Entries of a log, whose chain must hold."""
     lines = config.load(file).audit_log.read_bytes().splitlines(keepends=True)
     report = chain.verify(lines)
@@ -30,7 +30,7 @@ def entries(file: pathlib.Path) -> list[chain.Entry]:
     return [chain.read_line(line)[0] for line in lines]
 
 
-def missing(found: list[chain.Entry], runtime: Runtime) -> dict[str, int]:
+def missing(found: list[chain.AuditEntry], runtime: Runtime) -> dict[str, int]:
     """Number of slots of each ring that are neither in the log, once, nor counted there as a repeat."""
     rings = {
         "events": runtime.event_reader(), "notes": runtime.note_reader(), "replies": runtime.reply_reader(),

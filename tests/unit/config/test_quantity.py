@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.config.limits_section import SIGNALS
 from rigctl.config.quantity import Number, count, number, significant
+from rigctl.config.signals import WATCHED
 from rigctl.control.escalation import Symptom
 from rigctl.control.events import Kind, fault_text, worded
 from rigctl.control.faults import Fault
@@ -68,9 +68,9 @@ def test_every_event_in_words(kind: Kind, a: int, b: int, value: float, limit: f
     assert reads_well(worded(kind, a, b, value, limit, "stroke_mm above").text)
 
 
-@pytest.mark.parametrize("signal", SIGNALS)
+@pytest.mark.parametrize("signal", WATCHED)
 def test_a_limit_event_has_its_unit(signal: str) -> None:
-    unit = SIGNALS[signal].unit
+    unit = WATCHED[signal].unit
     gap = f" {unit}" if unit else ""
     passed = worded(Kind.LIMIT, int(Fault.LIMIT), int(Action.LOG), 37092.6, 500.0, f"{signal} above").text
     assert passed == f"limit: {signal} above 500{gap} (37090{gap})"

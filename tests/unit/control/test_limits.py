@@ -10,7 +10,8 @@ import pytest
 from pydantic import ValidationError
 
 from rigctl.config import rig_file as config
-from rigctl.config.limits_section import SIGNALS, LimitSettings, SignalName
+from rigctl.config.limits_section import LimitSettings, SignalName
+from rigctl.config.signals import WATCHED
 from rigctl.control import limits
 from rigctl.control.events import fault_text
 from rigctl.control.faults import Fault
@@ -53,13 +54,13 @@ def rows(**limit: Any) -> tuple[Row, ...]:
 
 
 def test_every_signal_has_a_name_a_meaning_and_a_way_to_read_it() -> None:
-    assert set(SIGNALS) == set(limits.VALUES) == set(SEEN) == set(get_args(SignalName))
+    assert set(WATCHED) == set(SEEN) == set(get_args(SignalName))
 
 
-@pytest.mark.parametrize("signal", SIGNALS)
+@pytest.mark.parametrize("signal", WATCHED)
 def test_a_signal_is_what_its_name_says(signal: str) -> None:
     seen, value = SEEN[signal]
-    assert limits.VALUES[signal](replace(Snapshot(), **seen)) == pytest.approx(value)
+    assert limits.value_of(WATCHED[signal])(replace(Snapshot(), **seen)) == pytest.approx(value)
 
 
 def test_each_bound_is_a_row_of_its_own_that_shows_value_and_limit_as_they_are() -> None:
@@ -161,5 +162,5 @@ def test_a_limit_that_is_none_is_refused(limit: dict[str, Any]) -> None:
 
 def test_the_papers_rig_watches_all_but_what_it_has_no_bound_for() -> None:
     watched = {limit.signal for limit in SETTINGS.limits}
-    assert set(SIGNALS) - watched <= {"drive_current_a"}
+    assert set(WATCHED) - watched <= {"drive_current_a"}
     assert {limit.action for limit in SETTINGS.limits} >= {"log", "hold", "ramp_down"}

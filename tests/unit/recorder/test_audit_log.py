@@ -26,7 +26,7 @@ def write(log: AuditLog, *names: str) -> None:
     log.append(items, [{"events": number} for number, _ in enumerate(names, 1)])
 
 
-def entries(path: pathlib.Path) -> list[chain.Entry]:
+def entries(path: pathlib.Path) -> list[chain.AuditEntry]:
     lines = path.read_bytes().splitlines(keepends=True)
     report = chain.verify(lines)
     assert report.good, report
@@ -218,6 +218,6 @@ def test_a_full_disk_leaves_the_log_whole_and_it_goes_on_later(path: pathlib.Pat
 def test_lines_are_short_enough_to_be_found_again() -> None:
     worst = chr(0x10FFFF)
     item = Item(0, WALL_NS, "x" * 32, worst * 480, worst * 64, {"reason": "\x01" * 480, "begins": "\\x00" * 400})
-    entry = chain.Entry(1, "r" * 32, "", 0, item.what, item.who, item.text, item.details, "", 0, {}, chain.ORIGIN)
+    entry = chain.AuditEntry(1, "r" * 32, "", 0, item.what, item.who, item.text, item.details, "", 0, {}, chain.ORIGIN)
     assert len(chain.line_of(entry)[0]) < audit_log.TAIL_BYTES
     assert json.loads(chain.line_of(entry)[0])["text"] == item.text

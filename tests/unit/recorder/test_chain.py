@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.recorder.chain import ORIGIN, Entry, canonical, line_of, read_line, verify
+from rigctl.recorder.chain import ORIGIN, AuditEntry, canonical, line_of, read_line, verify
 
 TEXTS = st.text(max_size=30)
 VALUES = (
@@ -28,7 +28,9 @@ def log(items: list[tuple[str, str, dict[str, Any]]], previous: str = ORIGIN, n:
     """Lines and head of a log."""
     lines, head = [], previous
     for number, (what, who, details) in enumerate(items, n + 1):
-        line, head = line_of(Entry(number, "rig", WALL, number, what, who, "", details, "events", number, {}, head))
+        line, head = line_of(
+            AuditEntry(number, "rig", WALL, number, what, who, "", details, "events", number, {}, head)
+        )
         lines.append(line)
     return lines, head
 
@@ -139,20 +141,20 @@ def _hashed(body: bytes) -> bytes:
     ],
 )
 def test_a_line_with_a_true_hash_of_something_else_is_no_entry(change: Callable[[bytes], bytes]) -> None:
-    line, _ = line_of(Entry(1, "rig", WALL, 1, "what", "", "", {}, "events", 1, {}, ORIGIN))
+    line, _ = line_of(AuditEntry(1, "rig", WALL, 1, "what", "", "", {}, "events", 1, {}, ORIGIN))
     body = line.rsplit(b',"hash":', 1)[0] + b"}"
     assert verify([_hashed(body)]).good
     assert verify([_hashed(change(body))]).why.startswith("edited")
 
 
 def test_a_log_of_two_rigs_does_not_hold() -> None:
-    first, head = line_of(Entry(1, "one", WALL, 1, "", "", "", {}, "", 0, {}, ORIGIN))
-    second, _ = line_of(Entry(2, "two", WALL, 1, "", "", "", {}, "", 0, {}, head))
+    first, head = line_of(AuditEntry(1, "one", WALL, 1, "", "", "", {}, "", 0, {}, ORIGIN))
+    second, _ = line_of(AuditEntry(2, "two", WALL, 1, "", "", "", {}, "", 0, {}, head))
     assert "an entry of 'two' in the log of 'one'" in verify([first, second]).why
 
 
 def test_numbers_that_json_does_not_know_are_null() -> None:
-    line, _ = line_of(Entry(1, "rig", WALL, 1, "", "", "", {"value": math.nan}, "", 0, {}, ORIGIN))
+    line, _ = line_of(AuditEntry(1, "rig", WALL, 1, "", "", "", {"value": math.nan}, "", 0, {}, ORIGIN))
     assert read_line(line)[0].details == {"value": None}
 
 

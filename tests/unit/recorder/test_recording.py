@@ -11,13 +11,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto as P
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
-from rigctl.ipc.record import COMMAND, FRAME, RECORD
+from rigctl.ipc.record import COMMAND, FRAME, RECORD, FrameFlag
 from rigctl.recorder import frame_block, recording
 from rigctl.recorder.audit_log import AuditLog, Item
 from rigctl.recorder.recording import RecordingError
@@ -258,6 +261,50 @@ def test_blocks_of_frames_give_the_frames_back(count: int) -> None:
     frames["can_id"] = chance.integers(0, 2**32, count)
     frames["data"] = [bytes(row) for row in chance.integers(0, 256, (count, 8), np.uint8)]
     frames["seq"][count // 2 :] += 5  # frames lost between
-    found = [frame_block.decode(memoryview(message)) for _, _, message in frame_block.encode(frames)]
-    again = np.concatenate(found) if found else np.empty(0, FRAME.dtype)
+    messages = [message for _, _, message in frame_block.encode(frames)]
+    again = frame_block.decode(messages) if messages else np.empty(0, FRAME.dtype)
     assert again.tobytes() == frames.tobytes()
+
+
+def old_schema() -> bytes:
+    """Schema of a frame as trip dumps had it: a message for each frame."""
+    kinds = {"seq": P.TYPE_FIXED64, "t_ns": P.TYPE_SFIXED64, "can_id": P.TYPE_FIXED32, "sent": P.TYPE_FIXED32,
+             "dlc": P.TYPE_FIXED32, "data": P.TYPE_BYTES}  # fmt: skip
+    files = FileDescriptorSet()
+    file = files.file.add(name="rigctl/frame.proto", package="rigctl", syntax="proto3")
+    message = file.message_type.add(name="Frame")
+    for number, (name, kind) in enumerate(kinds.items(), 1):
+        message.field.add(name=name, number=number, type=kind, label=P.LABEL_OPTIONAL)
+    return files.SerializeToString()
+
+
+def old_frame(frame: np.void) -> bytes:
+    seq, t_ns, can_id, sent, dlc, data = frame.item()
+    data = b"" if can_id & FrameFlag.REMOTE else data.ljust(8, b"\0")[:dlc]
+    head = struct.pack("<cQcqcIcIcIcB", b"\x09", seq, b"\x11", t_ns, b"\x1d", can_id, b"\x25", sent, b"\x2d", dlc,
+                       b"\x32", len(data))  # fmt: skip
+    return head + data
+
+
+def test_a_trip_dump_from_before_frames_came_in_blocks_gives_the_same_frames(tmp_path: pathlib.Path) -> None:
+    sent = [(0x182, 8, b"\1\2\3\4\5\6\0\0"), (0x80, 0, b""), (0x701, 1, b"\5"), (FrameFlag.REMOTE | 0x123, 4, b"")]
+    frames = np.zeros(100, FRAME.dtype)
+    frames["seq"] = np.arange(7, 107)
+    frames["t_ns"] = 5_000_000_000 + 1000 * np.arange(100)
+    for number, frame in enumerate(frames):
+        frame["can_id"], frame["dlc"], frame["data"] = sent[number % len(sent)]
+        frame["sent"] = number % 2
+    path, schema = tmp_path / "old.mcap", old_schema()
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="", library="rigctl")
+        channel = writer.register_channel(
+            "/frames", "protobuf", writer.register_schema("rigctl.Frame", "protobuf", schema)
+        )
+        writer.add_metadata("rigctl", {"rig": "old_rig", "fault": "CELL_STALE", "started_wall_ns": "7"})
+        for frame in frames:
+            writer.add_message(channel, int(frame["t_ns"]), old_frame(frame), int(frame["t_ns"]))
+        writer.finish()
+    (message, found), *_ = decoded(path, "/frames")
+    assert (message.log_time, found.can_id, found.data) == (5_000_000_000, 0x182, sent[0][2])
+    assert same(recording.read(path).frames, frames)

@@ -20,14 +20,13 @@ from rigctl.control.faults import Fault
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Mode
 from rigctl.ipc.notes import RequestLog
-from rigctl.ipc.record import FRAME, RECORD, FrameFlag, Slot
+from rigctl.ipc.record import RECORD, Slot
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.ipc.supervision import Doing, Supervision
 from rigctl.recorder import chain, protobuf
-from rigctl.recorder.layout import Layout
-from rigctl.recorder.protobuf import Encoding
+from rigctl.recorder.protobuf import Decoding, Encoding
 from rigctl.recorder.recorder_process import Recorder
-from rigctl.recorder.sources import SOURCES, Rings
+from rigctl.recorder.sources import SOURCES, AuditedRings
 from rigctl.wire.state_message import RECORDER_SILENT_NS, kept_of
 
 
@@ -47,7 +46,7 @@ def runtime(tmp_path: pathlib.Path, settings: RigSettings) -> Runtime:
     return found
 
 
-def entries(settings: RigSettings) -> list[chain.Entry]:
+def entries(settings: RigSettings) -> list[chain.AuditEntry]:
     lines = settings.audit_log.read_bytes().splitlines(keepends=True)
     assert chain.verify(lines).good
     return [chain.read_line(line)[0] for line in lines]
@@ -95,20 +94,9 @@ def test_a_recording_from_before_there_were_enumerations_is_read_the_same(monkey
     monkeypatch.setattr(protobuf, "enum_of", lambda _slot, _field: None)
     for encoding in (new, Encoding(RECORD)):
         messages = encoding.encode(slots)
-        starts = np.cumsum([0, *map(len, messages)])[:-1].tolist()
-        layout = Layout(encoding.descriptor(), encoding.name, RECORD)
-        found = layout.decode(b"".join(messages), starts, [len(message) for message in messages])
+        found = Decoding(encoding.descriptor(), encoding.name, RECORD).decode(messages)
         assert found.dtype == RECORD.dtype
         assert np.array_equal(found, slots)
-
-
-def test_frames_keep_their_bytes_their_length_and_what_kind_they_are() -> None:
-    given_ = [(0x182, 8, b"\1\2\3\4\5\6\0\0"), (0x80, 0, b""), (0x701, 1, b"\0"), (FrameFlag.REMOTE | 0x123, 4, b"")]
-    slots = np.zeros(len(given_), FRAME.dtype)
-    for slot, (can_id, dlc, data) in zip(slots, given_, strict=True):
-        slot["can_id"], slot["dlc"], slot["data"] = can_id, dlc, data
-    found = decoded(FRAME, slots)
-    assert [(f.can_id, f.dlc, f.data) for f in found] == given_  # type: ignore[attr-defined]
 
 
 def test_the_inbox_keeps_every_frame_with_its_flags(runtime: Runtime, settings: RigSettings) -> None:
@@ -141,9 +129,9 @@ def test_the_inbox_keeps_every_frame_with_its_flags(runtime: Runtime, settings: 
 @given(data=st.data())
 def test_a_slot_of_any_bits_makes_an_entry(source: object, data: st.DataObject) -> None:
     from rigctl.ipc import record
-    from rigctl.recorder.sources import Source
+    from rigctl.recorder.sources import AuditedRing
 
-    assert isinstance(source, Source)
+    assert isinstance(source, AuditedRing)
     dtype = {
         "events": record.EVENT, "commands": record.COMMAND, "replies": record.REPLY, "notes": record.NOTE,
         "desk": record.REQUEST, "holds": record.HOLD, "supervision": record.NOTE,
@@ -154,7 +142,7 @@ def test_a_slot_of_any_bits_makes_an_entry(source: object, data: st.DataObject) 
     if "kind" in (dtype.names or ()):
         slot["kind"] = data.draw(st.integers(0, 40))
     item = source.item(slot, 0)
-    entry = chain.Entry(
+    entry = chain.AuditEntry(
         1, "rig", "", item.t_ns, item.what, item.who, item.text, item.details, item.source, item.seq, {}, chain.ORIGIN
     )
     assert chain.verify([chain.line_of(entry)[0]]).good
@@ -162,7 +150,7 @@ def test_a_slot_of_any_bits_makes_an_entry(source: object, data: st.DataObject) 
 
 def test_what_was_overwritten_before_it_was_read_is_said(runtime: Runtime) -> None:
     events = runtime.event_writer()
-    rings = Rings(runtime, {})
+    rings = AuditedRings(runtime, {})
     for number in range(6000):
         events.write(number, 9, 0, 0, 0.0, 0.0, b"")
     items = rings.take_all(0)
