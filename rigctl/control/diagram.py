@@ -111,7 +111,7 @@ def _cell(mode: Mode, verb: Verb) -> str:
 
 
 def _situation(enabled: bool) -> Situation:
-    return Situation(drive_enabled=enabled, unloaded=True, value=1.0, target_max_n=1.0)
+    return Situation(drive_enabled=enabled, unloaded=True, wanted_n=1.0, measured_mm=1.0, target_max_n=1.0)
 
 
 if __name__ == "__main__":

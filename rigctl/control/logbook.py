@@ -16,7 +16,7 @@ from rigctl.control.outbox import Outbox
 from rigctl.control.readback import Readback
 from rigctl.control.safety import Trip
 from rigctl.control.tension import TensionLaw
-from rigctl.ipc.record import Flag, Quality
+from rigctl.ipc.record import REPLY, Flag, Quality
 from rigctl.ipc.ring import RingReader, RingWriter
 from rigctl.ipc.runtime_folder import Runtime
 
@@ -157,11 +157,14 @@ class Logbook:
             self._noticed[kind, a, b] = t_ns + NOTICE_NS
             self.event(t_ns, kind, a, b, text=text)
 
-    def reply(
-        self, t_ns: int, id_: int, refusal: Refusal, checks: int, mode: int, value: float, spread: float = 0.0
-    ) -> None:
-        """Answer to the command ``id_``."""
-        self._rings.replies.write(t_ns, id_, refusal is Refusal.NONE, refusal, checks, mode, value, spread)
+    def reply(self, t_ns: int, id_: int, refusal: Refusal, checks: int, mode: int, **figures: float) -> None:
+        """Answer to the command ``id_``; ``figures``: by the names of their fields in `REPLY`."""
+        finite = {name: number(value) for name, value in figures.items()}
+        self._rings.replies.write(
+            *REPLY.values(
+                t_ns=t_ns, id=id_, accepted=refusal is Refusal.NONE, reason=refusal, checks=checks, mode=mode, **finite
+            )
+        )
 
     def trip(self, t_ns: int, kind: Kind, trip: Trip) -> None:
         """A trip of a row of the safety table, with value, limit and action."""

@@ -6,7 +6,6 @@ One thread serves many commands at once.
 from __future__ import annotations
 
 import contextlib
-import math
 import queue
 import threading
 import time
@@ -20,7 +19,7 @@ import zenoh
 
 from rigctl.commission.preflight import Preflight
 from rigctl.config.one_line import on_one_line
-from rigctl.control.modes import FILED, Setting, Verb
+from rigctl.control.modes import FILED, Setting, SettingOrder, Verb, command_slot
 from rigctl.gateway.calibration_service import CalibrationService, Filed
 from rigctl.gateway.command_rate import Flow
 from rigctl.gateway.lease_service import LeaseService
@@ -107,15 +106,7 @@ class Refused:
     message: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Told:
-    """A setting for the loop that comes from the daemon, not from an operator."""
-
-    setting: Setting
-    value: float
-
-
-_Any = Asked | HoldAsked | Crowded | LeaseAsked | LeaseLapsed | Recorded | Refused | Told | None
+_Any = Asked | HoldAsked | Crowded | LeaseAsked | LeaseLapsed | Recorded | Refused | SettingOrder | None
 
 
 def send_answer(query: zenoh.Query, key: str, message: dict[str, Any]) -> None:
@@ -181,9 +172,9 @@ class CommandServer:
         self._thread.start()
         session.declare_queryable(self._keys.command("*"), self._take)
 
-    def tell(self, setting: Setting, value: float) -> None:
+    def send(self, order: SettingOrder) -> None:
         """Send the loop a setting that no operator gives."""
-        self._asked.put(Told(setting, value))
+        self._asked.put(order)
 
     def look_at_lease(self, now_ns: int) -> None:
         """Have a lapsed lease ended and refused commands reported, also while no command arrives."""
@@ -242,7 +233,9 @@ class CommandServer:
             self._give_holds(time.monotonic_ns())
             self._collect(time.monotonic_ns())
 
-    def _do(self, asked: Asked | HoldAsked | Crowded | LeaseAsked | LeaseLapsed | Recorded | Refused | Told) -> None:
+    def _do(
+        self, asked: Asked | HoldAsked | Crowded | LeaseAsked | LeaseLapsed | Recorded | Refused | SettingOrder
+    ) -> None:
         match asked:
             case Crowded():
                 self._leases.note_crowd(self._flow.told(), time.monotonic_ns())
@@ -262,8 +255,8 @@ class CommandServer:
                 self._leases.expire(time.monotonic_ns())
             case Recorded():
                 self._put_in_force(asked)
-            case Told(setting, value):
-                self._write(setting, value)
+            case SettingOrder(setting, values):
+                self._write(setting, *values)
 
     def _meant_for_another(self, run_id: str, name: str, operator: str) -> dict[str, Any] | None:
         """The refusal of a command that names another daemon's run; None if it is meant for this one or for any."""
@@ -272,11 +265,11 @@ class CommandServer:
         text = f"found the run id of another daemon, expected {self._run_id}; nothing was done here"
         return refused(name, operator, "other_run", text)
 
-    def _write(self, code: Verb | Setting, value: float) -> int:
+    def _write(self, code: Verb | Setting, *values: float) -> int:
         """Write a command for the loop; returns its id, which no earlier command of any gateway has."""
         now = time.monotonic_ns()
         self._last_id = max(self._last_id + 1, now)
-        self._commands.write(now, self._last_id, int(code), value)
+        self._commands.write(*command_slot(now, self._last_id, code, *values))
         return self._last_id
 
     def _give(self, query: zenoh.Query, request: Request) -> None:
@@ -306,7 +299,7 @@ class CommandServer:
             return
         self._hold_ns = now_ns + _HOLD_SPACING_NS
         asked = [self._holds.popleft() for _ in range(len(self._holds))]
-        number = self._write(Verb.HOLD, math.nan)
+        number = self._write(Verb.HOLD)
         first = asked[0]
         self._pending[number] = Pending(first.query, first.request, now_ns + ANSWER_NS, sharing=tuple(asked[1:]))
         for request in _by_operator(asked):
@@ -323,14 +316,12 @@ class CommandServer:
         message = recorded.message
         message |= {"text": f"{request.verb.name}: {finding.text}", "entry": msgspec.to_builtins(finding.entry)}
         message |= {} if finding.good else {"accepted": False, "reason": "bad_result"}
-        number = 0
-        for setting, value in finding.settings:
-            number = self._write(setting, value)
-        if number:
-            until_ns = time.monotonic_ns() + ANSWER_NS
-            self._pending[number] = Pending(recorded.query, request, until_ns, recorded)
-        else:
+        if finding.order is None:
             self._answer(recorded.query, request, message, recorded=recorded)
+            return
+        number = self._write(finding.order.setting, *finding.order.values)
+        until_ns = time.monotonic_ns() + ANSWER_NS
+        self._pending[number] = Pending(recorded.query, request, until_ns, recorded)
 
     def _collect(self, now_ns: int) -> None:
         for reply in self._replies.read():

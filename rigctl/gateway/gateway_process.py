@@ -22,7 +22,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control import limits, safety
 from rigctl.control.checks import HOST_CHECKS
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Setting
+from rigctl.control.modes import Setting, SettingOrder
 from rigctl.control.realtime import die_with_parent
 from rigctl.gateway.active import Active, Written
 from rigctl.gateway.calibration_service import CalibrationService
@@ -240,8 +240,8 @@ class Gateway:
         self._fast.publish(self._per_call, now)
         record = self._newest.latest()
         self._events.read(time.time_ns() - now, now, int(record["t_ns"]) if record is not None else 0)
-        for setting, value in self._calibration.news(now, time.time_ns()):
-            self._commands.tell(setting, value)
+        for order in self._calibration.news(now, time.time_ns()):
+            self._commands.send(order)
         verdict = self._preflight.verdict(now)
         self._tell_checks(verdict, now)
         self._commands.look_at_lease(now)
@@ -279,7 +279,7 @@ class Gateway:
         if record is None or int(record["checks"]) & int(HOST_CHECKS) == verdict.host_checks or now_ns < self._tell_ns:
             return
         self._tell_ns = now_ns + _LOOK_NS
-        self._commands.tell(Setting.HOST_CHECKS, float(verdict.host_checks))
+        self._commands.send(SettingOrder(Setting.HOST_CHECKS, (float(verdict.host_checks),)))
 
     def run(self, stop: Termination) -> None:
         """Publish on an absolute grid until ``stop``; missed periods are skipped."""

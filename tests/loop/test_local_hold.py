@@ -5,7 +5,7 @@ from __future__ import annotations
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind, worded
-from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.control.modes import Mode, Refusal, Setting, Verb, command_slot
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import HOLD_ID
 
@@ -38,7 +38,7 @@ def test_commands_that_wait_neither_delay_nor_undo_a_hold(settings: RigSettings,
         tensioning(rig)
         given_ns = rig.clock.now()
         for number in range(400):  # a hundred ticks' worth
-            rig._commands.write(given_ns, 1000 + number, Verb.RELEASE if number % 2 else Verb.TENSION, 0.0)
+            rig._commands.write(*command_slot(given_ns, 1000 + number, Verb.RELEASE if number % 2 else Verb.TENSION))
         rig._holds.write(given_ns + 1, HOLD_ID, 0, 0, b"kim")
         replies = rig.runtime.reply_reader()
         records = rig.run(0.2)

@@ -59,7 +59,7 @@ def test_a_session_with_kills_is_recorded_whole(tmp_path: pathlib.Path) -> None:
         assert np.array_equal(kept[name], slots[name]), name
     assert np.array_equal(kept["tension_n"], slots["tension_n"].astype(np.float32), equal_nan=True)
     assert found.commands[np.isin(found.commands["seq"], given["seq"])].tobytes() == given.tobytes()
-    assert 61.5 in found.commands["value"]
+    assert 61.5 in found.commands["target_n"]
 
     # every counted frame of the loop that ran to its end is there
     first_ns, second_ns = found.control_starts

@@ -152,7 +152,7 @@ def test_every_arm_comes_right_after_what_the_host_says(own: Daemon) -> None:
         assert client.command("arm", "kim")["accepted"]
         given = own.runtime.command_reader(from_start=True).read()
         arm = given["verb"].tolist().index(Verb.ARM)
-        assert (given["verb"][arm - 1], given["value"][arm - 1]) == (Setting.HOST_CHECKS, 0.0)
+        assert (given["verb"][arm - 1], given["host_checks"][arm - 1]) == (Setting.HOST_CHECKS, 0.0)
         preflight = own.state(client)["preflight"]
         assert preflight["failing"] == {}
         assert set(preflight["waived"]) == {"CALIBRATION", "TARE"}

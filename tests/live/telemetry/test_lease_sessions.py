@@ -164,7 +164,7 @@ def test_a_dead_terminal_leaves_the_rig_as_it_is_and_the_lease_to_the_next(own: 
         command = [sys.executable, "-m", "rigctl.cli.app", "target", "111", "--operator", "anna"]
         waiting = subprocess.Popen(command, cwd=ROOT, env=own.environment())  # the loop does not answer this command
         given_to_loop = own.runtime.command_reader(from_start=True)
-        until(lambda: 111.0 in given_to_loop.read()["value"], "the lease to be taken, kept, and the command given")
+        until(lambda: 111.0 in given_to_loop.read()["target_n"], "the lease to be taken, kept, and the command given")
         waiting.kill()
         waiting.wait()
         assert own.cli("arm", "--operator", "anna").returncode == 0

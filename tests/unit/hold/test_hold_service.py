@@ -19,7 +19,7 @@ from rigctl.control.modes import Mode, Refusal
 from rigctl.hold import service
 from rigctl.hold.service import CONNECTIONS_MAX, HoldService
 from rigctl.ipc import runtime_folder as folders
-from rigctl.ipc.record import RECORD
+from rigctl.ipc.record import RECORD, REPLY
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from tests.builders import daemons
@@ -65,7 +65,10 @@ class Rig:
         values |= {"t_ns": now, "mode": int(mode), "stroke_mm": 52.3, "tension_n": 300.0}
         self.records.write(*values.values())
         for slot in slots:
-            self.replies.write(now, slot["id"], refusal is Refusal.NONE, refusal, 0, mode, 0.0, 0.0)
+            accepted = refusal is Refusal.NONE
+            self.replies.write(
+                *REPLY.values(t_ns=now, id=slot["id"], accepted=accepted, reason=refusal, checks=0, mode=mode)
+            )
         return [slot["operator"].decode() for slot in slots]
 
 
