@@ -13,7 +13,7 @@ import typer
 from rigctl.cli.options import BAD, DONE, USAGE, Connect, Json, Rig, end, say, say_json
 
 if TYPE_CHECKING:
-    from rigctl.cli.doctor_host import Finding
+    from rigctl.cli.doctor_host import DoctorFinding
     from rigctl.config.settings import RigSettings
 
 File = Annotated[pathlib.Path | None, typer.Argument(metavar="[FILE]", help="Rig file [the running daemon's].")]
@@ -41,7 +41,7 @@ def doctor(file: File = None, json: Json = False, connect: Connect = None, rig: 
     end(BAD if any(finding.severity is Severity.FAILS for finding in findings) else DONE)
 
 
-def examine(settings: RigSettings | None, connect: str | None, rig: str | None) -> list[Finding]:
+def examine(settings: RigSettings | None, connect: str | None, rig: str | None) -> list[DoctorFinding]:
     """Every finding; without a rig file the daemon's settings are used."""
     from rigctl.cli import doctor_can, doctor_daemon, doctor_host
     from rigctl.ipc.runtime_folder import BASE
@@ -60,7 +60,7 @@ def examine(settings: RigSettings | None, connect: str | None, rig: str | None) 
     return findings + (doctor_daemon.without(own) if own is not None else [])
 
 
-def lines(finding: Finding, width: int) -> list[str]:
+def lines(finding: DoctorFinding, width: int) -> list[str]:
     """A finding as text, no line longer than ``width``."""
     mark = finding.severity.value
     text = f"{finding.name} - {finding.found}"
@@ -76,7 +76,7 @@ def lines(finding: Finding, width: int) -> list[str]:
     return found
 
 
-def summary(findings: Sequence[Finding]) -> str:
+def summary(findings: Sequence[DoctorFinding]) -> str:
     """Number of findings of each severity, in one line."""
     counted = {"ok": 0, "warning": 0, "fails": 0}
     for finding in findings:

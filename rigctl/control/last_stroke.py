@@ -28,7 +28,7 @@ _LARGEST_BYTES = 4096
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
-class _File(msgspec.Struct, forbid_unknown_fields=True):
+class _StrokeFile(msgspec.Struct, forbid_unknown_fields=True):
     rig: str
     stroke_mm: float
     when: str
@@ -38,7 +38,7 @@ def read(settings: RigSettings) -> LastStroke:
     """The file's content; a damaged file gives the reason why the stroke is unknown."""
     path = settings.last_stroke
     try:
-        found: _File = input_file.decoded(input_file.read(path, largest=_LARGEST_BYTES, links=True), _File)
+        found: _StrokeFile = input_file.decoded(input_file.read(path, largest=_LARGEST_BYTES, links=True), _StrokeFile)
     except FileNotFoundError:
         return LastStroke()
     except OSError as error:
@@ -60,7 +60,7 @@ def write(settings: RigSettings, stroke_mm: float, wall_ns: int, *, sync: bool =
     """
     path = settings.last_stroke
     part = path.with_name(f"{path.name}.new")
-    data = msgspec.json.encode(_File(settings.rig, round(stroke_mm, 4), utc(wall_ns))) + b"\n"
+    data = msgspec.json.encode(_StrokeFile(settings.rig, round(stroke_mm, 4), utc(wall_ns))) + b"\n"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part.unlink(missing_ok=True)

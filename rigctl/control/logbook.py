@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
-from rigctl.control.homed import Finding
+from rigctl.control.homed import StrokeVerdict
 from rigctl.control.inbox import Inbox
 from rigctl.control.machine import Machine
 from rigctl.control.modes import Refusal
@@ -144,7 +144,7 @@ class Logbook:
         """Write an event; `Kind` gives the meaning of its numbers."""
         self._rings.events.write(t_ns, kind, a, b, value, limit, text)
 
-    def stroke(self, t_ns: int, found: Finding) -> None:
+    def stroke(self, t_ns: int, found: StrokeVerdict) -> None:
         """Whether the drive's position is believed, and why."""
         text = found.why.encode()[:80]
         self.event(t_ns, Kind.STROKE, int(found.believed), 0, number(found.reads_mm), found.last_mm, text)

@@ -111,14 +111,14 @@ class Orders:
         if not machine.awaiting:
             return
         step = sequence.step(t_ns, snapshot, slack=self._observer.slack)
-        if step is arming.Step.SLIPPED:
+        if step is arming.ArmingStep.SLIPPED:
             machine.refuse_arming(Refusal.BRAKE_SLIPPED)
             trip = Trip(Fault.BRAKE_SLIPS, sequence.moved_mm, arming.BRAKE_TEST_MM, Action.HOLD)
             if machine.trip(trip, t_ns):
                 self._logbook.trip(t_ns, Kind.TRIP, trip)
-        elif step is arming.Step.LATE or self.failed_checks(near_end=self._near_end) & ~arming.AWAITED_CHECKS:
+        elif step is arming.ArmingStep.LATE or self.failed_checks(near_end=self._near_end) & ~arming.AWAITED_CHECKS:
             machine.refuse_arming(Refusal.PREFLIGHT)
-        elif step is arming.Step.READY:
+        elif step is arming.ArmingStep.READY:
             machine.switch_on(t_ns)
             if sequence.tested is not None:
                 held = int(sequence.tested)

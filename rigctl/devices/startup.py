@@ -59,7 +59,7 @@ class PlainDevice:
 
 
 @dataclass(frozen=True)
-class Report:
+class StartupReport:
     """Result of start-up; ``supervision`` holds the drive's own stop settings as read back.
 
     ``watched``: every object that was verified, the drive's first, for `rigctl.control.readback`.
@@ -108,7 +108,7 @@ def refuse_rival(bus: can.BusABC, settings: RigSettings) -> None:
             )
 
 
-def bring_up(bus: can.BusABC, settings: RigSettings, say: Callable[[str], None] = lambda _line: None) -> Report:
+def bring_up(bus: can.BusABC, settings: RigSettings, say: Callable[[str], None] = lambda _line: None) -> StartupReport:
     """Configure the CANopen devices and start them; the drive stays off, its brake closed.
 
     ``say``: called with one line for each wait.
@@ -131,7 +131,7 @@ def bring_up(bus: can.BusABC, settings: RigSettings, say: Callable[[str], None] 
             network.notifier.stop()
 
 
-def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[str], None]) -> Report:
+def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[str], None]) -> StartupReport:
     nodes = {device: RemoteNode(network, settings, device, _DEVICES[device][0]) for device in settings.canopen_nodes}
     for node in nodes.values():
         node.remote.nmt.state = "PRE-OPERATIONAL"
@@ -171,7 +171,7 @@ def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[s
     for node in nodes.values():
         node.remote.nmt.state = "OPERATIONAL"
     watched = [item for node in (drive, *(n for n in nodes.values() if n is not drive)) for item in node.verified]
-    return Report((*devices, *_plain_devices(settings)), supervision, process_data, tuple(watched))
+    return StartupReport((*devices, *_plain_devices(settings)), supervision, process_data, tuple(watched))
 
 
 def _check_load(settings: RigSettings, process_data: ProcessData) -> None:

@@ -17,7 +17,7 @@ import msgspec
 import zenoh
 from pydantic import ValidationError
 
-from rigctl.commission.preflight import Preflight, Verdict
+from rigctl.commission.preflight import Preflight, PreflightVerdict
 from rigctl.config.settings import RigSettings
 from rigctl.control import limits, safety
 from rigctl.control.checks import HOST_CHECKS
@@ -84,7 +84,7 @@ class StateView:
         samples_lost: int,
         standing: Standing,
         lease: dict[str, Any] | None,
-        verdict: Verdict,
+        verdict: PreflightVerdict,
         cursor: Cursor,
     ) -> bytes:
         """Read what is new and encode it; ``cursor``: how far events and notes are published with this state."""
@@ -273,7 +273,7 @@ class Gateway:
             close(self._session)
             raise SessionError(f"another daemon named {settings.rig} answers behind {', '.join(joined)}: rename one")
 
-    def _tell_checks(self, verdict: Verdict, now_ns: int) -> None:
+    def _tell_checks(self, verdict: PreflightVerdict, now_ns: int) -> None:
         """Send the host checks whenever the loop's record shows others; a loop that has just started has none."""
         record = self._newest.latest()
         if record is None or int(record["checks"]) & int(HOST_CHECKS) == verdict.host_checks or now_ns < self._tell_ns:

@@ -53,7 +53,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     passed: bool | None = None
 
 
-class _File(msgspec.Struct, forbid_unknown_fields=True):
+class _LedgerFile(msgspec.Struct, forbid_unknown_fields=True):
     rig: str
     entries: list[Entry]
 
@@ -129,7 +129,7 @@ def read(settings: RigSettings) -> list[Entry]:
     if path is None:
         return []
     try:
-        found: _File = input_file.decoded(input_file.read(path, largest=_LARGEST_BYTES, links=True), _File)
+        found: _LedgerFile = input_file.decoded(input_file.read(path, largest=_LARGEST_BYTES, links=True), _LedgerFile)
     except FileNotFoundError:
         return []
     except OSError as error:
@@ -171,7 +171,7 @@ def append(settings: RigSettings, new: Entry) -> list[Entry]:
     if path is None:
         raise LedgerError("the rig file has no calibration section")
     entries = [*read(settings), new]
-    data = msgspec.json.format(msgspec.json.encode(_File(settings.rig, entries)), indent=1) + b"\n"
+    data = msgspec.json.format(msgspec.json.encode(_LedgerFile(settings.rig, entries)), indent=1) + b"\n"
     part = path.with_name(f"{path.name}.new")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -48,7 +48,7 @@ _Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 _Object = dict[str, Any]
 
 
-class _Active(msgspec.Struct):
+class _ActiveFile(msgspec.Struct):
     settings: _Object = {}
     version: str = ""
     started_wall_ns: _Count = 0
@@ -57,7 +57,7 @@ class _Active(msgspec.Struct):
     design: _Object = {}
 
 
-class _Applied(msgspec.Struct):
+class _AppliedEntry(msgspec.Struct):
     name: str
     in_force: str
     ok: bool
@@ -73,33 +73,33 @@ class _StopSetting(msgspec.Struct):
     why: str = ""
 
 
-class _Control(msgspec.Struct):
+class _ControlFile(msgspec.Struct):
     pid: _Count = 0
     host_checks: _Count = 0
-    realtime: list[_Applied] = []
+    realtime: list[_AppliedEntry] = []
     warnings: list[str] = []
     supervision: list[_StopSetting] = []
 
 
-class _Recording(msgspec.Struct):
+class _RecordingFile(msgspec.Struct):
     folder: str
     file: str | None
 
 
-class _Recorded(msgspec.Struct):
+class _RecorderFile(msgspec.Struct):
     run: _Count = 0
     pid: _Count = 0
     audit_log: str = ""
     entries: _Count = 0
     head: str = ""
     trip_dump: str | None = None
-    recording: _Recording | None = None
+    recording: _RecordingFile | None = None
     failures: _Count = 0
     warnings: list[str] = []
     t_ns: _Count = 0
 
 
-SHAPES: dict[str, Any] = {ACTIVE: _Active, "control.json": _Control, RECORDED: _Recorded}
+SHAPES: dict[str, Any] = {ACTIVE: _ActiveFile, "control.json": _ControlFile, RECORDED: _RecorderFile}
 """Shapes of the files that the daemon's processes share; the readers of other files check these themselves."""
 
 
