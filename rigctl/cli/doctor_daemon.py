@@ -58,10 +58,10 @@ WITHOUT_DAEMON = (Check.CALIBRATION, Check.TARE, Check.DISK, Check.MARGINS)
 def running(state: Mapping[str, Any], active: Mapping[str, Any], settings: RigSettings | None) -> list[DoctorFinding]:
     """The preflight of a running daemon, from its state; ``settings``: those of the rig file, if one is given."""
     findings = [_loop(state), _version(active), _same_file(active, settings)]
-    told = state.get("preflight")
-    if not isinstance(told, dict):
+    shown = state.get("preflight")
+    if not isinstance(shown, dict):
         return [*findings, fails("preflight", "the daemon says nothing of it", "a verdict", "start the daemon anew")]
-    failing, waived = told.get("failing", {}), told.get("waived", {})
+    failing, waived = shown.get("failing", {}), shown.get("waived", {})
     findings.append(_read_back(state))
     fitted = (active.get("settings") or {}).get("io") is not None
     return findings + [_check(check, failing, waived) for check in TITLES if fitted or not check & _OF_IO]
@@ -100,11 +100,11 @@ def _loop(state: Mapping[str, Any]) -> DoctorFinding:
 
 def _read_back(state: Mapping[str, Any]) -> DoctorFinding:
     """The devices' safety settings at the loop's last complete read-back."""
-    title, told, now_ns = "devices: settings read back", state.get("read_back"), state.get("t_ns")
-    if not isinstance(told, dict) or not isinstance(now_ns, int):
+    title, shown, now_ns = "devices: settings read back", state.get("read_back"), state.get("t_ns")
+    if not isinstance(shown, dict) or not isinstance(now_ns, int):
         return good(title, "at the start; again at every arm")
-    ago_s = (now_ns - told["t_ns"]) / 1e9
-    return good(title, f"{told['settings']} in {told['took_s']:.2f} s, {ago_s:.0f} s ago")
+    ago_s = (now_ns - shown["t_ns"]) / 1e9
+    return good(title, f"{shown['settings']} in {shown['took_s']:.2f} s, {ago_s:.0f} s ago")
 
 
 def _version(active: Mapping[str, Any]) -> DoctorFinding:

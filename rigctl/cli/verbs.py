@@ -171,15 +171,15 @@ def _standing(state: dict[str, Any]) -> str:
 def _finish(client: Client, verb: str, answer: dict[str, Any], states: Feed) -> dict[str, Any]:
     """Follow the state until the command has ended or failed."""
     goal, passing = _ENDS[verb]
-    heard = time.monotonic()
+    newest = time.monotonic()
     while True:
         state = states.wait(0.2)
         if state is None:
-            if time.monotonic() - heard > SILENCE_S:
+            if time.monotonic() - newest > SILENCE_S:
                 text = f"{verb.upper()}: no data for {SILENCE_S:.0f} s from {client.endpoint}, outcome unknown"
                 return {**answer, "accepted": False, "reason": "no_data", "text": text}
             continue
-        heard = time.monotonic()
+        newest = time.monotonic()
         mode = state.get("mode")
         if state.get("t_ns", 0) < answer.get("t_ns", 0) or mode in (passing, None):
             continue

@@ -185,10 +185,10 @@ class Preflight:
         runtime: Runtime,
         settings: RigSettings,
         standing: Callable[[], Standing],
-        told: Callable[[], Mapping[Check, str]] = dict,
+        details: Callable[[], Mapping[Check, str]] = dict,
     ) -> None:
-        """``standing``: the ledger's standing now. ``told``: details of the loop's own checks."""
-        self._told = told
+        """``standing``: the ledger's standing now. ``details``: details of the loop's own checks."""
+        self._details = details
         self._runtime, self._settings, self._standing = runtime, settings, standing
         self._newest: tuple[int, PreflightVerdict] | None = None
         self._first, self._stop = threading.Event(), threading.Event()
@@ -206,7 +206,7 @@ class Preflight:
             return PreflightVerdict(
                 {Check.HOST: "tare, margins, real time and disk cannot be looked at: does a disk hang?"}
             )
-        return replace(self._newest[1], known=self._told())
+        return replace(self._newest[1], known=self._details())
 
     def _serve(self) -> None:
         while not self._stop.is_set():

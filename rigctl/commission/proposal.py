@@ -52,7 +52,7 @@ class ProposedValue:
     found: Estimated | None = None
     why: str = ""
 
-    def told(self, *, share: float = math.inf, error: float = math.inf) -> ProposedValue:
+    def checked(self, *, share: float = math.inf, error: float = math.inf) -> ProposedValue:
         """The same row, without its figure if the uncertainty exceeds ``share`` of it or ``error``."""
         found = self.found
         if found is None or found.error <= min(error, share * abs(found.value)):
@@ -80,10 +80,10 @@ def rows(signals: TrialSignals, settings: RigSettings) -> list[dict[str, Any]]:
     rest = slice(0, round((QUIET_S - LAST_QUIET_S) / signals.period_s))
     cell, speed = (identification.noise(values[rest], signals.period_s) for values in (signals.tension, signals.speed))
     found = [
-        ProposedValue("plant.cylinder_lag_s", "s", plant.cylinder_lag_s, drive.lag_s).told(share=LAG_SHARE),
-        ProposedValue("plant.command_delay_s", "s", plant.command_delay_s, drive.delay_s).told(error=DELAY_ERROR_S),
-        ProposedValue("drive speed / command", "", None, drive.gain).told(share=STIFFNESS_SHARE),
-        ProposedValue("age of the drive's speed", "s", None, drive.speed_age_s).told(error=DELAY_ERROR_S),
+        ProposedValue("plant.cylinder_lag_s", "s", plant.cylinder_lag_s, drive.lag_s).checked(share=LAG_SHARE),
+        ProposedValue("plant.command_delay_s", "s", plant.command_delay_s, drive.delay_s).checked(error=DELAY_ERROR_S),
+        ProposedValue("drive speed / command", "", None, drive.gain).checked(share=STIFFNESS_SHARE),
+        ProposedValue("age of the drive's speed", "s", None, drive.speed_age_s).checked(error=DELAY_ERROR_S),
         *_of_rope(signals, settings, drive, cell),
         ProposedValue("tension_cell.noise_n", "N", settings.tension_cell.noise_n, cell),
         ProposedValue("drive speed noise", "mm/s", None, speed),
@@ -101,7 +101,7 @@ def _of_rope(signals: TrialSignals, settings: RigSettings, drive: Drive, cell: E
         stiffness, backlash = replace(stiffness, why=slack), replace(backlash, why=slack)
     else:
         rope = identification.rope(signals, drive, cell.value + cell.error)
-        stiffness = replace(stiffness, found=rope.stiffness_n_mm).told(share=STIFFNESS_SHARE)
+        stiffness = replace(stiffness, found=rope.stiffness_n_mm).checked(share=STIFFNESS_SHARE)
         backlash = replace(backlash, found=rope.backlash_mm, why=stiffness.why)
         if stiffness.found is None:
             backlash = replace(backlash, found=None)

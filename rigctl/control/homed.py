@@ -57,9 +57,9 @@ class Homed:
         jump_mm = abs(stroke_mm - before_mm - usual_mm)
         if jump_mm <= TOLERANCE_MM + spare_mm:
             return None
-        self.known, self.doubted, told = False, True, self.jump_mm > 0.0
+        self.known, self.doubted, reported = False, True, self.jump_mm > 0.0
         self.jump_mm = max(self.jump_mm, jump_mm)
-        return None if told else StrokeVerdict(False, stroke_mm, before_mm, f"{before_mm:.2f} mm the sample before")
+        return None if reported else StrokeVerdict(False, stroke_mm, before_mm, f"{before_mm:.2f} mm the sample before")
 
     def confirm(self, stroke_mm: float) -> StrokeVerdict:
         """An operator has measured the stroke: the position is right."""

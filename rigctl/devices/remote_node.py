@@ -218,11 +218,11 @@ class RemoteNode:
             )
         found = Device(self.name, self.id, device_type, *(self.read(od.IDENTITY, sub) for sub in (1, 2, 3, 4)))
         for sub, what in enumerate(("vendor", "product"), 1):
-            asked = getattr(self._device, what)
-            if asked is not None and getattr(found, what) != asked:
+            expected = getattr(self._device, what)
+            if expected is not None and getattr(found, what) != expected:
                 raise StartupError(
                     f"{self.where(od.IDENTITY, sub)}: found {what} {getattr(found, what):#x}, "
-                    f"expected {asked:#x} ({self._section}.{what} in the rig file)"
+                    f"expected {expected:#x} ({self._section}.{what} in the rig file)"
                 )
         return found
 
