@@ -76,10 +76,10 @@ class Lockstep:
         with self._time_passing() if settings.simulation and settings.simulation.devices.slow else nullcontext():
             self.report = startup.bring_up(bus, settings)
         self.clock = SkippingClock(settings.loop.period_ns, self._advance, self.rig_ns)
-        self._records = runtime.record_reader()
-        self._replies = runtime.reply_reader()
-        self._commands, self._holds = runtime.command_writer(), runtime.hold_writer()
-        self.events = runtime.event_reader()
+        self._records = runtime.records.reader()
+        self._replies = runtime.replies.reader()
+        self._commands, self._holds = runtime.commands.writer(), runtime.holds.writer()
+        self.events = runtime.events.reader()
         self.loop = Loop(
             settings,
             gains,

@@ -126,7 +126,7 @@ def tension(live_rig: LiveRig) -> None:
 
 def records_of(rig: str, seconds: float) -> Any:
     """Records of the next ``seconds`` of a running loop, shape (ticks,), of dtype `rigctl.ipc.record.RECORD`."""
-    reader = Runtime.of(rig).record_reader()
+    reader = Runtime.of(rig).records.reader()
     reader.read()
     slices = []
     until = time.monotonic() + seconds

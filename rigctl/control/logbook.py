@@ -42,8 +42,8 @@ class Rings:
     def of(cls, runtime: Runtime) -> Rings:
         """The loop's ends of a runtime folder's rings."""
         return cls(
-            runtime.record_writer(), runtime.event_writer(), runtime.reply_writer(), runtime.frame_writer(),
-            runtime.command_reader(), runtime.hold_reader(),
+            runtime.records.writer(), runtime.events.writer(), runtime.replies.writer(), runtime.frames.writer(),
+            runtime.commands.reader(), runtime.holds.reader(),
         )  # fmt: skip
 
 

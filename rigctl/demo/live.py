@@ -148,7 +148,7 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
             live_rig = stack.enter_context(start_live_rig(settings, pathlib.Path(folder), "--truth", str(truth_file)))
             where = ("--connect", settings.telemetry.listen, "--rig", settings.rig)
             counter = stack.enter_context(process("rigctl.client.counter", *where, stdout=subprocess.PIPE))
-            records = Runtime.of(settings.rig).record_reader(from_start=True)
+            records = Runtime.of(settings.rig).records.reader(from_start=True)
             with _simulator(live_rig.settings) as simulator:
                 stage = LiveStage(live_rig, records, simulator)
                 try:
@@ -190,7 +190,7 @@ def _by_pause(stage: LiveStage, settings: RigSettings) -> PausedError | None:
 
 def _recording(settings: RigSettings) -> pathlib.Path | None:
     """First part of the daemon's recording."""
-    told = Runtime.of(settings.rig).known(RECORDED).get("recording")
-    if not told or not told.get("file"):
+    written = Runtime.of(settings.rig).known(RECORDED).get("recording")
+    if not written or not written.get("file"):
         return None
-    return parts.of_same_run(pathlib.Path(told["folder"]) / told["file"])[0]
+    return parts.of_same_run(pathlib.Path(written["folder"]) / written["file"])[0]

@@ -186,7 +186,7 @@ class CalibrationService:
 
     def _records_of(self, measured: Measured, t_ns: int) -> npt.NDArray[Any]:
         """Records of an excitation that ended at ``t_ns``."""
-        records = self._runtime.record_reader(from_start=True).read()
+        records = self._runtime.records.reader(from_start=True).read()
         return records[(records["t_ns"] <= t_ns) & (records["t_ns"] > t_ns - round(measured.duration_s * 1e9))]
 
     def _withdraw(self, filed: Filed) -> None:

@@ -64,13 +64,13 @@ class StateView:
     def __init__(self, runtime: Runtime, settings: RigSettings, active: Active) -> None:
         self._rig, self._active = settings.rig, active
         self._recorder = Written(runtime, RECORDED)
-        self._records, self._events = runtime.record_reader(), runtime.event_reader(from_start=True)
+        self._records, self._events = runtime.records.reader(), runtime.events.reader(from_start=True)
         self._records.cursor = max(0, self._records.head - settings.loop.rate_hz)
         self._recent, self._trip = Recent(), Trip()
         self._causes = Causes((*safety.table(settings), *limits.rows(settings)))
         self.standing: Mapping[Fault, str] = {}
         """Causes of a fault that stand now, in words, the strongest first."""
-        self.doubts = Doubts(runtime.event_reader(from_start=True))
+        self.doubts = Doubts(runtime.events.reader(from_start=True))
         self._warnings: list[str] = []
         self._design: str | None = None
         self._kept: dict[str, Any] = {}
@@ -158,7 +158,7 @@ def _declare_queryables(
     stream: int,
 ) -> None:
     known = msgspec.json.encode(schema(settings.rig))
-    records, events, notes = runtime.record_reader(), runtime.event_reader(), runtime.note_reader()
+    records, events, notes = runtime.records.reader(), runtime.events.reader(), runtime.notes.reader()
 
     def past_events(query: zenoh.Query) -> tuple[str, bytes]:
         offset = time.time_ns() - time.monotonic_ns()
@@ -193,8 +193,8 @@ class Gateway:
         self._period_ns = 1_000_000_000 // settings.telemetry.rate_hz
         self._per_call = max(1, settings.loop.rate_hz // settings.telemetry.rate_hz)
 
-        records = runtime.record_reader(from_start=True)
-        self._cursor = Cursor(runtime.gateway_cursor, runtime.records, records.head)
+        records = runtime.records.reader(from_start=True)
+        self._cursor = Cursor(runtime.gateway_cursor, runtime.records.path, records.head)
         self._active, self._active_sent = Active(runtime), b""
         self._view = view = StateView(runtime, settings, self._active)
         self._state = self._session.declare_publisher(keys.state, encoding=_JSON, congestion_control=_DROP)
@@ -202,11 +202,11 @@ class Gateway:
         fast = self._session.declare_publisher(keys.fast, congestion_control=_DROP)
         self._fast = FastStream(fast, records, self._cursor, now)
         publishers = event_publishers(self._session, keys)
-        events, notes = runtime.event_reader(from_start=True), runtime.note_reader(from_start=True)
+        events, notes = runtime.events.reader(from_start=True), runtime.notes.reader(from_start=True)
         self._events = EventStream(publishers, events, notes, self._cursor, now)
 
         limits_n = (settings.tension.target_min_n, settings.tension.target_max_n)
-        self._newest = newest = runtime.record_reader()
+        self._newest = newest = runtime.records.reader()
         self._calibration = calibration = CalibrationService(runtime, settings)
         self._preflight = Preflight(runtime, settings, lambda: calibration.standing, self._view.doubts.look)
         self._look_ns = 0
@@ -214,13 +214,13 @@ class Gateway:
         self._leases = LeaseService(runtime, settings.telemetry.lease_s, now)
         self._commands = CommandServer(
             keys,
-            runtime.command_writer(),
-            runtime.reply_reader(),
+            runtime.commands.writer(),
+            runtime.replies.reader(),
             lambda: newest_record(newest, view.standing),
             limits_n,
             self._calibration,
             self._leases,
-            RequestLog(runtime.request_writer()),
+            RequestLog(runtime.requests.writer()),
             self._preflight,
             str(self._active.written.get("run_id", "")),
         )

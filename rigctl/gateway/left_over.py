@@ -41,7 +41,7 @@ class LeftOver:
 
 def loop_has(runtime: Runtime) -> Pair:
     """Zero in N and scale that the loop uses, from its newest CORRECTION event."""
-    events = runtime.event_reader(from_start=True).read()
+    events = runtime.events.reader(from_start=True).read()
     corrections = events[events["kind"] == Kind.CORRECTION]
     if len(corrections):
         return float(corrections["value"][-1]), float(corrections["limit"][-1])

@@ -59,10 +59,10 @@ class Continuous:
         self._runtime, self._settings = runtime, settings
         self._run = run or wall_ns
         self.folder = settings.file(settings.recording.folder)
-        self._records = runtime.record_reader(from_start=True)
-        self._frames = runtime.frame_reader()
-        self._commands = runtime.command_reader(from_start=True)
-        self._holds = runtime.hold_reader(from_start=True)
+        self._records = runtime.records.reader(from_start=True)
+        self._frames = runtime.frames.reader(from_start=True)
+        self._commands = runtime.commands.reader(from_start=True)
+        self._holds = runtime.holds.reader(from_start=True)
         self._audit: list[tuple[int, int, bytes]] = []
         self._audit_written = 0
         self._part: PartFile | None = None

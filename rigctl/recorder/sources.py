@@ -133,13 +133,13 @@ class Source:
 
 
 SOURCES = (
-    Source("supervision", lambda runtime: runtime.supervision_reader(), _doing),
-    Source("commands", lambda runtime: runtime.command_reader(from_start=True), _order),
-    Source("holds", lambda runtime: runtime.hold_reader(from_start=True), _hold),
-    Source("events", lambda runtime: runtime.event_reader(from_start=True), _event),
-    Source("replies", lambda runtime: runtime.reply_reader(from_start=True), _reply),
-    Source("notes", lambda runtime: runtime.note_reader(from_start=True), _note),
-    Source("desk", lambda runtime: runtime.request_reader(), _request),
+    Source("supervision", lambda runtime: runtime.supervision.reader(from_start=True), _doing),
+    Source("commands", lambda runtime: runtime.commands.reader(from_start=True), _order),
+    Source("holds", lambda runtime: runtime.holds.reader(from_start=True), _hold),
+    Source("events", lambda runtime: runtime.events.reader(from_start=True), _event),
+    Source("replies", lambda runtime: runtime.replies.reader(from_start=True), _reply),
+    Source("notes", lambda runtime: runtime.notes.reader(from_start=True), _note),
+    Source("desk", lambda runtime: runtime.requests.reader(from_start=True), _request),
 )
 
 

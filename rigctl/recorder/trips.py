@@ -106,7 +106,7 @@ class Trips:
     def __init__(self, runtime: Runtime, settings: RigSettings, dumped: int) -> None:
         """``dumped``: number of the last event whose trip has a file."""
         self._runtime, self._settings = runtime, settings
-        self._events = runtime.event_reader()
+        self._events = runtime.events.reader()
         self._events.cursor = min(dumped, self._events.head)
         self._pending: list[Trigger] = []
         self.folder = settings.file(settings.audit.trips)
@@ -153,11 +153,11 @@ class Trips:
     def _fill(self, stream: IO[bytes], group: Group, offset_ns: int, audit: dict[str, Any]) -> tuple[int, int]:
         runtime, wall_ns = self._runtime, group.triggers[0].t_ns + offset_ns
         file = McapFile(stream, offset_ns)
-        records = _window(runtime.record_reader(from_start=True), group)
-        frames = _window(runtime.frame_reader(), group)
+        records = _window(runtime.records.reader(from_start=True), group)
+        frames = _window(runtime.frames.reader(from_start=True), group)
         # Slots rather than texts, because a replay needs them.
-        commands = _window(runtime.command_reader(from_start=True), group)
-        holds = _window(runtime.hold_reader(from_start=True), group)
+        commands = _window(runtime.commands.reader(from_start=True), group)
+        holds = _window(runtime.holds.reader(from_start=True), group)
         said = [
             item
             for item in Rings(runtime, {}).take_all(offset_ns)

@@ -41,8 +41,8 @@ class StandIn:
     """Modes and a tension that follows them."""
 
     def __init__(self, runtime: Runtime) -> None:
-        self.records, self.events = runtime.record_writer(), runtime.event_writer()
-        self.replies, self.commands = runtime.reply_writer(), runtime.command_reader()
+        self.records, self.events = runtime.records.writer(), runtime.events.writer()
+        self.replies, self.commands = runtime.replies.writer(), runtime.commands.reader()
         self.mode, self.fault, self.target, self.tension, self.stroke = Mode.DISARMED, Fault.NONE, 300.0, 0.0, 0.0
         self.arming: tuple[int, int] | None = None
         self.own, self.host = 0, int(Check.HOST)

@@ -67,7 +67,7 @@ def play(settings: RigSettings, gains: Gains, count: int, seed: int) -> Tally:
     tally, chance = Tally(), random.Random(seed)
     sent = 0
     with lockstep(settings, gains) as rig:
-        loop, ring, answers = rig.loop, rig.runtime.command_writer(), rig.runtime.reply_reader()
+        loop, ring, answers = rig.loop, rig.runtime.commands.writer(), rig.runtime.replies.reader()
         rig.run(0.2)
         answered = _take(answers)
         for _ in range(count):

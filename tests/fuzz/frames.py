@@ -235,7 +235,7 @@ def _episode(settings: RigSettings, gains: Gains, found: Found, chance: random.R
         runtime = Runtime(pathlib.Path(folder))
         runtime.make_rings(settings)
         bus = RandomBus(settings, chance.randrange(2**32))
-        records, replies, commands = runtime.record_reader(), runtime.reply_reader(), runtime.command_writer()
+        records, replies, commands = runtime.records.reader(), runtime.replies.reader(), runtime.commands.writer()
         clock = SimulatedClock(settings.loop.period_ns, lambda _t: None)
         loop = Loop(settings, gains, bus, clock, Rings.of(runtime), supervised=True)
         judge = _Judge(settings, found, bus.echo)

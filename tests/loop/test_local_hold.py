@@ -22,7 +22,7 @@ def tensioning(rig: Lockstep) -> None:
 def test_a_hold_is_taken_in_the_next_tick_and_the_record_shows_it(settings: RigSettings, gains: Gains) -> None:
     with lockstep(settings, gains) as rig:
         tensioning(rig)
-        replies = rig.runtime.reply_reader()
+        replies = rig.runtime.replies.reader()
         rig._holds.write(rig.clock.now(), HOLD_ID | 1, 1000, 4711, "Zoë".encode())
         (record,) = rig.run(0.001)
         assert (record["mode"], record["hold_seq"], record["command_seq"]) == (Mode.HOLD, 1, 3)
@@ -40,7 +40,7 @@ def test_commands_that_wait_neither_delay_nor_undo_a_hold(settings: RigSettings,
         for number in range(400):  # a hundred ticks' worth
             rig._commands.write(*command_slot(given_ns, 1000 + number, Verb.RELEASE if number % 2 else Verb.TENSION))
         rig._holds.write(given_ns + 1, HOLD_ID, 0, 0, b"kim")
-        replies = rig.runtime.reply_reader()
+        replies = rig.runtime.replies.reader()
         records = rig.run(0.2)
         assert set(records["mode"]) == {Mode.HOLD}
         assert records["hold_seq"][0] == 1

@@ -109,7 +109,7 @@ def test_an_identification_goes_by_the_ticks_of_its_excitation_alone(
         raise findings.FindingError("seen")
 
     monkeypatch.setattr(findings, "identify", identify)
-    writer, blank = Runtime(tmp_path).record_writer(), np.zeros(1, RECORD.dtype)[0].item()
+    writer, blank = Runtime(tmp_path).records.writer(), np.zeros(1, RECORD.dtype)[0].item()
     for t_s in range(20):
         writer.write(t_s * S, *blank[2:])
     done: queue.SimpleQueue[Filed] = queue.SimpleQueue()
@@ -167,7 +167,7 @@ class Interrupted:
         self.runtime, self.settings = Runtime(folder), settings
         self.runtime.make_rings(settings)
         self.runtime.write_json(IN_FORCE, Standing(overdue=True))  # as the supervisor does
-        self.events = self.runtime.event_writer()
+        self.events = self.runtime.events.writer()
         self.loop_goes_by(0.0, 1.0)
         first = CalibrationService(self.runtime, settings)
         self.filed = filed(first)

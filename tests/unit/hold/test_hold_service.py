@@ -42,8 +42,8 @@ class Rig:
 
     def __init__(self, runtime: Runtime) -> None:
         self.runtime, self.service = runtime, HoldService(runtime)
-        self.holds: RingReader = runtime.hold_reader()
-        self.replies, self.records = runtime.reply_writer(), runtime.record_writer()
+        self.holds: RingReader = runtime.holds.reader()
+        self.replies, self.records = runtime.replies.writer(), runtime.records.writer()
 
     def ask(self, payload: bytes = b'{"operator": "kim"}') -> socket.socket:
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -89,7 +89,7 @@ def test_a_hold_is_given_with_its_user_and_answered_when_the_loop_has_taken_it(r
     with pytest.raises(BlockingIOError):
         asked.recv(1)
     assert rig.holds.head == 1
-    slot = rig.runtime.hold_reader(from_start=True).read()[0]
+    slot = rig.runtime.holds.reader(from_start=True).read()[0]
     assert (slot["uid"], slot["pid"], slot["operator"]) == (os.geteuid(), os.getpid(), b"kim")
     rig.take()
     rig.turns()
