@@ -49,10 +49,10 @@ _HELD = f"""
 HOLD, FAULT and DISARMED keep the stroke. It is latched where it comes to rest once such a mode begins, again when the
 drive is armed, after a trial that moved it, and when a fault is reset. With the drive on, a position loop brings the
 stroke back to its latch at no more than {AUTHORITY_MM_S:g} mm/s (a drive that needs more trips DRIVE_NOT_FOLLOWING);
-a drive that goes on needing more than {CREEP_MM_S:g} mm/s is reported. A stroke beyond {SAID_MM:g} mm from the latch
-is reported once, beyond {NOT_HELD_MM:g} mm the drive is taken off power and its brake closes (STROKE_NOT_HELD): the stroke then
-stands within 1 mm. A correction of {DOUBT_MM:g} mm and more that the tension or the drive's reported speed shows to
-have moved the load, while its position stood still, ends the same way (POSITION_DRIFTS).
+an event reports a drive that goes on needing more than {CREEP_MM_S:g} mm/s, and once a stroke more than {SAID_MM:g} mm
+from the latch. Beyond {NOT_HELD_MM:g} mm the drive is taken off power and its brake closes (STROKE_NOT_HELD): the
+stroke then stands within 1 mm. A correction of {DOUBT_MM:g} mm and more that the tension or the drive's reported speed
+shows to have moved the load, while its position stood still, ends the same way (POSITION_DRIFTS).
 """
 _ESCALATION = """
 ## When a reaction does not help
