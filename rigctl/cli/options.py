@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import getpass
+import math
 import os
 import pathlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
@@ -39,6 +40,23 @@ Operator = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="Who gives the command [RIGCTL_OPERATOR, login name].", callback=_said),
 ]
+
+
+def finite_number(unit: str) -> Callable[[str], float]:
+    """A parser of finite, signed numbers of ``unit``."""
+
+    def parsed(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise typer.BadParameter(f"found {text!r}, expected a number of {unit}")
+        return value
+
+    return parsed
+
+
 Wait = Annotated[bool, typer.Option("--wait", help="Return when it is over, or has failed.")]
 
 
@@ -70,6 +88,16 @@ def end(code: int, complaint: str | None = None) -> NoReturn:
     if complaint is not None:
         sys.stderr.write(f"rigctl: {complaint}\n")
     raise typer.Exit(code)
+
+
+def end_with_answer(answer: dict[str, Any], json: bool) -> NoReturn:
+    """Print the answer to a command and end: 0 accepted, 1 refused."""
+    accepted = bool(answer.get("accepted"))
+    if json:
+        say_json(answer)
+    elif accepted:
+        say(str(answer["text"]))
+    end(DONE if accepted else BAD, None if accepted or json else str(answer.get("text", answer)))
 
 
 def check_output(option: str, file: pathlib.Path | None) -> None:
