@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Connect, Json, Rig, end, say, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, Connect, Json, Rig, end, load_rig_file, say, say_json
 
 if TYPE_CHECKING:
     from rigctl.cli.doctor_host import DoctorFinding
@@ -28,7 +28,7 @@ def doctor(file: File = None, json: Json = False, connect: Connect = None, rig: 
     """
     from rigctl.cli.doctor_host import Severity
 
-    settings = _load(file) if file is not None else None
+    settings = load_rig_file(file) if file is not None else None
     findings = examine(settings, connect, rig)
     if json:
         say_json([finding.as_dict() for finding in findings])
@@ -83,15 +83,6 @@ def summary(findings: Sequence[DoctorFinding]) -> str:
         counted[finding.severity.value] += 1
     warnings = f"{counted['warning']} warning{'s' if counted['warning'] != 1 else ''}"
     return f"{counted['ok']} ok, {warnings}, {counted['fails']} failing"
-
-
-def _load(file: pathlib.Path) -> RigSettings:
-    from rigctl.config import rig_file as config
-
-    try:
-        return config.load(file)
-    except config.ConfigError as error:
-        end(USAGE, "\nrigctl: ".join(error.findings))
 
 
 def _ask(

@@ -17,6 +17,7 @@ from rigctl.ipc import output_file
 
 if TYPE_CHECKING:
     from rigctl.client.connection import Client
+    from rigctl.config.settings import RigSettings
 
 DONE, BAD, USAGE = 0, 1, 2
 
@@ -100,13 +101,30 @@ def end_with_answer(answer: dict[str, Any], json: bool) -> NoReturn:
     end(DONE if accepted else BAD, None if accepted or json else str(answer.get("text", answer)))
 
 
+@contextlib.contextmanager
+def wrong_usage(*errors: type[Exception]) -> Iterator[None]:
+    """A block of which these errors end the command, with their one line."""
+    try:
+        yield
+    except errors as error:
+        end(USAGE, str(error))
+
+
+def load_rig_file(file: pathlib.Path, *, study: bool = False) -> RigSettings:
+    """Settings of a rig file; an invalid one ends the command. ``study``: see `rigctl.config.rig_file.load`."""
+    from rigctl.config import rig_file as config
+
+    try:
+        return config.load(file, study=study)
+    except config.ConfigError as error:
+        end(USAGE, "\nrigctl: ".join(error.findings))
+
+
 def check_output(option: str, file: pathlib.Path | None) -> None:
     """End the command if an output file cannot be written."""
-    try:
-        if file is not None:
+    if file is not None:
+        with wrong_usage(output_file.OutputError):
             output_file.check(option, file)
-    except output_file.OutputError as error:
-        end(USAGE, str(error))
 
 
 @contextlib.contextmanager
