@@ -51,9 +51,9 @@ class LiveStage:
 
     def command(self, verb: Verb) -> None:
         """See `Stage`."""
-        self._heard(self._live_rig.command(verb, OPERATOR))
+        self._accepted(self._live_rig.command(verb, OPERATOR))
 
-    def _heard(self, answer: dict[str, Any]) -> None:
+    def _accepted(self, answer: dict[str, Any]) -> None:
         if not answer["accepted"]:
             raise DemoError(answer["text"])
         self._renew_ns = time.monotonic_ns() + round(answer["lease"]["left_s"] / 3 * 1e9)
@@ -102,7 +102,7 @@ class LiveStage:
         time.sleep(seconds)
         if self._renew_ns and time.monotonic_ns() >= self._renew_ns:
             try:
-                self._heard(self._client.take_lease(OPERATOR))
+                self._accepted(self._client.take_lease(OPERATOR))
             except NoDaemonError as error:
                 raise DemoError(str(error)) from None
         self.records.append(self._reader.read())
