@@ -21,7 +21,7 @@ from rigctl.control.clock import SimulatedClock
 from rigctl.control.homed import LastStroke
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import LawFactory, Loop
-from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.control.modes import Mode, Refusal, Setting, Verb, command_slot
 from rigctl.control.tension import Gains
 from rigctl.devices import startup
 from rigctl.ipc.correction import Correction
@@ -76,10 +76,10 @@ class Lockstep:
         with self._time_passing() if settings.simulation and settings.simulation.devices.slow else nullcontext():
             self.report = startup.bring_up(bus, settings)
         self.clock = SkippingClock(settings.loop.period_ns, self._advance, self.rig_ns)
-        self._records = runtime.record_reader()
-        self._replies = runtime.reply_reader()
-        self._commands, self._holds = runtime.command_writer(), runtime.hold_writer()
-        self.events = runtime.event_reader()
+        self._records = runtime.records.reader()
+        self._replies = runtime.replies.reader()
+        self._commands, self._holds = runtime.commands.writer(), runtime.holds.writer()
+        self.events = runtime.events.reader()
         self.loop = Loop(
             settings,
             gains,
@@ -153,22 +153,23 @@ class Lockstep:
         """Put a frame on the bus as a foreign node would."""
         self._stranger.send(frame)
 
-    def give(self, verb: Verb | Setting, value: float = 0.0, *, age_ns: int = 0) -> int:
-        """Put a command on the ring for the next tick, without waiting for the reply; returns its id."""
+    def give(self, verb: Verb | Setting, *values: float, age_ns: int = 0) -> int:
+        """Put a command on the ring for the next tick, without waiting for the reply; returns its id.
+
+        ``values``: in the order of `rigctl.control.modes.VALUES`; 0 by default.
+        """
         self._id += 1
-        self._commands.write(self.clock.now() - age_ns, self._id, verb, value)
+        self._commands.write(*command_slot(self.clock.now() - age_ns, self._id, verb, *(values or (0.0,))))
         return self._id
 
-    def command(
-        self, verb: Verb | Setting, value: float = 0.0, *, limit_s: float | None = None, age_ns: int = 0
-    ) -> Refusal:
+    def command(self, verb: Verb | Setting, *values: float, limit_s: float | None = None, age_ns: int = 0) -> Refusal:
         """Give a command, stamped ``age_ns`` ago, through the command ring and run until the loop replies.
 
         ``limit_s``: longest wait for the reply; by default ``ARM_LIMIT_S`` for ARM, else ``LIMIT_S``.
         """
         if limit_s is None:
             limit_s = ARM_LIMIT_S if verb is Verb.ARM else LIMIT_S
-        return self._answer(repr(verb), self.give(verb, value, age_ns=age_ns), limit_s)
+        return self._answer(repr(verb), self.give(verb, *values, age_ns=age_ns), limit_s)
 
     def hold(self, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
         """Give HOLD, stamped ``age_ns`` ago, through its own ring and run until the loop replies."""

@@ -91,7 +91,7 @@ def play(settings: RigSettings, count: int, advance: Advance) -> Figures:
 
 def _play(rig: Live, client: Client, count: int, advance: Advance) -> Figures:
     stream = FastReader(client)
-    loop = _Lateness(rig.runtime.record_reader())
+    loop = _Lateness(rig.runtime.records.reader())
     _listen(stream, loop, QUIET_S)
     quiet = [loop.take()]
     for i in range(count):

@@ -157,7 +157,7 @@ class Live:
         """The newest record, or None."""
         if self._records is None:
             with contextlib.suppress(OSError, ValueError):
-                self._records = self.runtime.record_reader()
+                self._records = self.runtime.records.reader()
         return None if self._records is None else self._records.latest()
 
     @property

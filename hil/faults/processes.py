@@ -242,7 +242,7 @@ def row_of(rig: Live, fault: ProcessFault, mode: Mode) -> FaultResult:
 
 def strike(rig: Live, interference: Interference, *, comes_back: bool) -> Seen:
     """Interfere with the daemon and log the truth until it ticks again (or for a moment)."""
-    records = rig.runtime.record_reader()
+    records = rig.runtime.records.reader()
     with interference(rig) as at_ns:
         time.sleep(WATCHED_S)
     until = time.monotonic() + BACK_S

@@ -31,7 +31,7 @@ _LOOK_S = 0.5
 
 
 @dataclass(frozen=True)
-class Rate:
+class RateResult:
     """Figures of one rate; ``cyclictest`` is None if it cannot be run."""
 
     rate_hz: int
@@ -73,7 +73,7 @@ def bench_settings(settings: RigSettings, rate_hz: int) -> RigSettings:
     return own(settings, "bench").model_copy(update=changes)
 
 
-def measure(settings: RigSettings, rate_hz: int, seconds: float, advance: Callable[[float, str], None]) -> Rate:
+def measure(settings: RigSettings, rate_hz: int, seconds: float, advance: Callable[[float, str], None]) -> RateResult:
     """Measure loop and cyclictest in turns, so that both see the same conditions.
 
     Args:
@@ -93,7 +93,7 @@ def measure(settings: RigSettings, rate_hz: int, seconds: float, advance: Callab
         if other := cyclictest.measure(1_000_000 // rate_hz, seconds / ROUNDS, priority=priority, cpu=cpu):
             rounds.append(other)
         advance(seconds / ROUNDS, f"{rate_hz} Hz, cyclictest")
-    return Rate(rate_hz, figures(slices), cyclictest.together(rounds) if rounds else None)
+    return RateResult(rate_hz, figures(slices), cyclictest.together(rounds) if rounds else None)
 
 
 def _loop(settings: RigSettings, rate_hz: int, seconds: float) -> Any:
@@ -126,7 +126,7 @@ def tension(live_rig: LiveRig) -> None:
 
 def records_of(rig: str, seconds: float) -> Any:
     """Records of the next ``seconds`` of a running loop, shape (ticks,), of dtype `rigctl.ipc.record.RECORD`."""
-    reader = Runtime.of(rig).record_reader()
+    reader = Runtime.of(rig).records.reader()
     reader.read()
     slices = []
     until = time.monotonic() + seconds

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Json, end, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, Json, end, load_rig_file, say_json
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from rigctl.bench.loop import Rate
+    from rigctl.bench.loop import RateResult
     from rigctl.config.settings import RigSettings
 
 LATENESS_RATIO = 2.0
@@ -66,12 +66,7 @@ def _check(seconds: float, rates: list[int]) -> None:
 
 
 def _settings(file: pathlib.Path) -> RigSettings:
-    from rigctl.config import rig_file as config
-
-    try:
-        settings = config.load(file)
-    except config.ConfigError as error:
-        end(USAGE, "\nrigctl: ".join(error.findings))
+    settings = load_rig_file(file)
     if settings.simulation is None:
         end(USAGE, f"{file}: simulation: found nothing, expected a section (the bench needs it)")
     return settings
@@ -85,7 +80,7 @@ def _check_alone() -> None:
         end(BAD, f"bench: a daemon runs on this computer, and its loop comes first: {', '.join(running)}")
 
 
-def judged(rate: Rate) -> list[tuple[str, float, float, bool]]:
+def judged(rate: RateResult) -> list[tuple[str, float, float, bool]]:
     """Name, figure, limit and result of every criterion of a rate."""
     loop, other = rate.loop, rate.cyclictest
     busy_us = loop["lateness_us"]["p999"] + loop["work_us"]["p999"]
@@ -100,7 +95,7 @@ def judged(rate: Rate) -> list[tuple[str, float, float, bool]]:
     return [(name, round(figure, 2), limit, figure <= limit) for name, figure, limit in rows]
 
 
-def show(measured: list[Rate], console: Console) -> None:
+def show(measured: list[RateResult], console: Console) -> None:
     """Print percentiles of every rate, and the verdicts."""
     from rich.table import Table
 
@@ -114,7 +109,7 @@ def show(measured: list[Rate], console: Console) -> None:
     console.print(verdicts, highlight=False)
 
 
-def table(measured: list[Rate]) -> Any:
+def table(measured: list[RateResult]) -> Any:
     """Table of percentiles, three or four rows for each rate."""
     from rich.table import Table
 

@@ -8,12 +8,26 @@ from typing import Annotated, Any
 import typer
 
 from rigctl.cli.lease import give
-from rigctl.cli.options import BAD, DONE, USAGE, Connect, Json, Operator, Rig, daemon, end, operator_name, say, say_json
-from rigctl.cli.verbs import newtons_of
+from rigctl.cli.options import (
+    BAD,
+    USAGE,
+    Connect,
+    Json,
+    Operator,
+    Rig,
+    daemon,
+    end,
+    end_with_answer,
+    finite_number,
+    operator_name,
+    say,
+)
 
 WeightN = Annotated[
     float | None,
-    typer.Option("--weight-n", metavar="NEWTONS", parser=newtons_of, help="Known weight [calibration.reference_n]."),
+    typer.Option(
+        "--weight-n", metavar="NEWTONS", parser=finite_number("newtons"), help="Known weight [calibration.reference_n]."
+    ),
 ]
 Shunt = Annotated[bool, typer.Option("--shunt", help="Compare with the shunt [calibration.shunt_n].")]
 Adopt = Annotated[bool, typer.Option("--adopt", help="Set the scale that makes them agree, within 2 %.")]
@@ -28,7 +42,7 @@ OutFile = Annotated[pathlib.Path | None, typer.Option("--file", metavar="FILE", 
 
 def tare(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
     """Make the unloaded cell read zero; within calibration.tare_limit_n, and on record."""
-    _end(_give("tare", connect, rig, operator), json)
+    end_with_answer(_give("tare", connect, rig, operator), json)
 
 
 def calibrate(
@@ -43,7 +57,7 @@ def calibrate(
     """Hold the cell against a known weight that hangs still, or against the shunt; on record, with a due date."""
     if shunt and (adopt or weight_n is not None):
         end(USAGE, "found --shunt with --adopt or --weight-n, expected --shunt alone")
-    _end(_give("calibrate", connect, rig, operator, weight_n, shunt=shunt, adopt=adopt), json)
+    end_with_answer(_give("calibrate", connect, rig, operator, weight_n, shunt=shunt, adopt=adopt), json)
 
 
 def identify(
@@ -66,7 +80,7 @@ def identify(
         file.write_bytes(msgspec.json.format(msgspec.json.encode(answer["entry"]), indent=2) + b"\n")
     if answer.get("accepted") and not json:
         _show(answer["entry"]["figures"]["rows"])
-    _end(answer, json)
+    end_with_answer(answer, json)
 
 
 def gains(
@@ -87,7 +101,7 @@ def gains(
         text = strict_yaml.text_of(file)
     except strict_yaml.FileError as error:
         end(USAGE, str(error))
-    _end(_give("gains", connect, rig, operator, gain_file=text, name=file.name), json)
+    end_with_answer(_give("gains", connect, rig, operator, gain_file=text, name=file.name), json)
 
 
 def _show(rows: list[dict[str, Any]]) -> None:
@@ -123,12 +137,3 @@ def _give(
         except KeyboardInterrupt:
             client.command("hold", name)  # any command ends a trial; HOLD changes nothing else
             end(BAD, f"interrupted; {verb} was ended, the stroke is held")
-
-
-def _end(answer: dict[str, Any], json: bool) -> None:
-    accepted = bool(answer.get("accepted"))
-    if json:
-        say_json(answer)
-    elif accepted:
-        say(str(answer["text"]))
-    end(DONE if accepted else BAD, None if accepted or json else str(answer.get("text", answer)))

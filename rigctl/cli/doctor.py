@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Connect, Json, Rig, end, say, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, Connect, Json, Rig, end, load_rig_file, say, say_json
 
 if TYPE_CHECKING:
-    from rigctl.cli.doctor_host import Finding
+    from rigctl.cli.doctor_host import DoctorFinding
     from rigctl.config.settings import RigSettings
 
 File = Annotated[pathlib.Path | None, typer.Argument(metavar="[FILE]", help="Rig file [the running daemon's].")]
@@ -28,7 +28,7 @@ def doctor(file: File = None, json: Json = False, connect: Connect = None, rig: 
     """
     from rigctl.cli.doctor_host import Severity
 
-    settings = _load(file) if file is not None else None
+    settings = load_rig_file(file) if file is not None else None
     findings = examine(settings, connect, rig)
     if json:
         say_json([finding.as_dict() for finding in findings])
@@ -41,7 +41,7 @@ def doctor(file: File = None, json: Json = False, connect: Connect = None, rig: 
     end(BAD if any(finding.severity is Severity.FAILS for finding in findings) else DONE)
 
 
-def examine(settings: RigSettings | None, connect: str | None, rig: str | None) -> list[Finding]:
+def examine(settings: RigSettings | None, connect: str | None, rig: str | None) -> list[DoctorFinding]:
     """Every finding; without a rig file the daemon's settings are used."""
     from rigctl.cli import doctor_can, doctor_daemon, doctor_host
     from rigctl.ipc.runtime_folder import BASE
@@ -60,7 +60,7 @@ def examine(settings: RigSettings | None, connect: str | None, rig: str | None) 
     return findings + (doctor_daemon.without(own) if own is not None else [])
 
 
-def lines(finding: Finding, width: int) -> list[str]:
+def lines(finding: DoctorFinding, width: int) -> list[str]:
     """A finding as text, no line longer than ``width``."""
     mark = finding.severity.value
     text = f"{finding.name} - {finding.found}"
@@ -76,22 +76,13 @@ def lines(finding: Finding, width: int) -> list[str]:
     return found
 
 
-def summary(findings: Sequence[Finding]) -> str:
+def summary(findings: Sequence[DoctorFinding]) -> str:
     """Number of findings of each severity, in one line."""
     counted = {"ok": 0, "warning": 0, "fails": 0}
     for finding in findings:
         counted[finding.severity.value] += 1
     warnings = f"{counted['warning']} warning{'s' if counted['warning'] != 1 else ''}"
     return f"{counted['ok']} ok, {warnings}, {counted['fails']} failing"
-
-
-def _load(file: pathlib.Path) -> RigSettings:
-    from rigctl.config import rig_file as config
-
-    try:
-        return config.load(file)
-    except config.ConfigError as error:
-        end(USAGE, "\nrigctl: ".join(error.findings))
 
 
 def _ask(

@@ -7,7 +7,7 @@ import pathlib
 import subprocess
 from typing import Any
 
-from rigctl.cli.doctor_host import Finding, fails, good, warning
+from rigctl.cli.doctor_host import DoctorFinding, fails, good, warning
 from rigctl.config.settings import CanSettings
 
 LIMIT_S = 5.0
@@ -17,7 +17,7 @@ drive; a send to a full queue is counted and reported at once, and the drive's o
 STATES = ("ERROR-ACTIVE", "ERROR-WARNING")
 
 
-def link(can: CanSettings) -> list[Finding]:
+def link(can: CanSettings) -> list[DoctorFinding]:
     """Findings on the link of the rig file."""
     if can.interface != "socketcan":
         return [_without_kernel(can)]
@@ -29,7 +29,7 @@ def link(can: CanSettings) -> list[Finding]:
     return judge(can, answer.stdout) if answer.returncode == 0 else [_missing(can)]
 
 
-def judge(can: CanSettings, shown: str) -> list[Finding]:
+def judge(can: CanSettings, shown: str) -> list[DoctorFinding]:
     """Findings from the output of `ip`."""
     try:
         found: dict[str, Any] = json.loads(shown)[0]
@@ -50,7 +50,7 @@ def judge(can: CanSettings, shown: str) -> list[Finding]:
     return findings
 
 
-def _without_kernel(can: CanSettings) -> Finding:
+def _without_kernel(can: CanSettings) -> DoctorFinding:
     if can.interface != "rigsim":
         return good("can link", f"no kernel CAN: {can.interface}:{can.channel}")
     if pathlib.Path(can.channel).is_socket():
@@ -58,15 +58,15 @@ def _without_kernel(can: CanSettings) -> Finding:
     return warning("can link", f"no kernel CAN, and no simulated rig at {can.channel}", "one", "python -m hil serve")
 
 
-def _missing(can: CanSettings) -> Finding:
+def _missing(can: CanSettings) -> DoctorFinding:
     return fails("can link", f"no interface {can.channel}", "one", "plug in the adapter, load its driver (ip link)")
 
 
-def _down(can: CanSettings) -> Finding:
+def _down(can: CanSettings) -> DoctorFinding:
     return fails("can link", f"{can.channel} is down", "up", f"ip link set {can.channel} up")
 
 
-def _bit_rate(can: CanSettings, data: dict[str, Any]) -> Finding:
+def _bit_rate(can: CanSettings, data: dict[str, Any]) -> DoctorFinding:
     rate = data.get("bittiming", {}).get("bitrate") or data.get("bittiming_bitrate")
     wanted = f"{can.bitrate_bit_s} bit/s"
     if not rate:
@@ -78,7 +78,7 @@ def _bit_rate(can: CanSettings, data: dict[str, Any]) -> Finding:
     return fails("can bit rate", f"{rate} bit/s", wanted, fix)
 
 
-def _state(can: CanSettings, data: dict[str, Any], *, up: bool) -> list[Finding]:
+def _state(can: CanSettings, data: dict[str, Any], *, up: bool) -> list[DoctorFinding]:
     state, errors = data.get("state"), data.get("berr_counter") or {}
     if state is None or not up:
         return []
@@ -91,8 +91,8 @@ def _state(can: CanSettings, data: dict[str, Any], *, up: bool) -> list[Finding]
     return [fails("can state", found, STATES[0], again)]
 
 
-def _restart(can: CanSettings, data: dict[str, Any]) -> Finding:
-    """Finding on the automatic restart: a bus must not resume by itself after a fault that no one has examined."""
+def _restart(can: CanSettings, data: dict[str, Any]) -> DoctorFinding:
+    """The automatic restart: a bus must not resume by itself after a fault that no one has examined."""
     restart = data.get("restart_ms")
     if not restart:
         return good("can restart-ms", "0: after a bus-off an operator decides")
@@ -100,7 +100,7 @@ def _restart(can: CanSettings, data: dict[str, Any]) -> Finding:
     return warning("can restart-ms", f"{restart}", "0, so that after a bus-off an operator decides", fix)
 
 
-def _counters(counted: dict[str, Any]) -> Finding:
+def _counters(counted: dict[str, Any]) -> DoctorFinding:
     names = ("bus_error", "error_warning", "error_passive", "bus_off", "restarts", "arbitration_lost")
     figures = {name: int(counted.get(name, 0)) for name in names}
     found = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in figures.items())
@@ -110,7 +110,7 @@ def _counters(counted: dict[str, Any]) -> Finding:
     return warning("can counters", found, "0 since the link came up", "check cable, termination and bit rate")
 
 
-def _queue(can: CanSettings, length: int) -> Finding:
+def _queue(can: CanSettings, length: int) -> DoctorFinding:
     if length == QUEUE:
         return good("can queue", f"txqueuelen {length}")
     wanted = f"{QUEUE}: frames that wait in a longer one reach the drive late"

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from rigctl import __version__
-from rigctl.cli.doctor_host import Finding, fails, good, warning
+from rigctl.cli.doctor_host import DoctorFinding, fails, good, warning
 from rigctl.commission import preflight
 from rigctl.config.settings import LoopSettings, RigSettings
 from rigctl.control.checks import Check
@@ -55,19 +55,19 @@ _OF_IO = Check.E_STOP_IO | Check.E_STOP_IO_UNSEEN
 WITHOUT_DAEMON = (Check.CALIBRATION, Check.TARE, Check.DISK, Check.MARGINS)
 
 
-def running(state: Mapping[str, Any], active: Mapping[str, Any], settings: RigSettings | None) -> list[Finding]:
+def running(state: Mapping[str, Any], active: Mapping[str, Any], settings: RigSettings | None) -> list[DoctorFinding]:
     """The preflight of a running daemon, from its state; ``settings``: those of the rig file, if one is given."""
     findings = [_loop(state), _version(active), _same_file(active, settings)]
-    told = state.get("preflight")
-    if not isinstance(told, dict):
+    shown = state.get("preflight")
+    if not isinstance(shown, dict):
         return [*findings, fails("preflight", "the daemon says nothing of it", "a verdict", "start the daemon anew")]
-    failing, waived = told.get("failing", {}), told.get("waived", {})
+    failing, waived = shown.get("failing", {}), shown.get("waived", {})
     findings.append(_read_back(state))
     fitted = (active.get("settings") or {}).get("io") is not None
     return findings + [_check(check, failing, waived) for check in TITLES if fitted or not check & _OF_IO]
 
 
-def without(settings: RigSettings) -> list[Finding]:
+def without(settings: RigSettings) -> list[DoctorFinding]:
     """The part of the preflight that needs no daemon, and the real time that the system would grant its loop."""
     try:
         entries = ledger.read(settings)
@@ -81,7 +81,7 @@ def without(settings: RigSettings) -> list[Finding]:
     return [*(_check(check, failing, waived) for check in WITHOUT_DAEMON), *_realtime(settings.loop)]
 
 
-def _check(check: Check, failing: Mapping[str | None, str], waived: Mapping[str | None, str]) -> Finding:
+def _check(check: Check, failing: Mapping[str | None, str], waived: Mapping[str | None, str]) -> DoctorFinding:
     title = TITLES[check]
     if why := failing.get(check.name):
         found, _, fix = why.partition(": ")
@@ -91,30 +91,30 @@ def _check(check: Check, failing: Mapping[str | None, str], waived: Mapping[str 
     return good(title, "yes")
 
 
-def _loop(state: Mapping[str, Any]) -> Finding:
+def _loop(state: Mapping[str, Any]) -> DoctorFinding:
     if not state.get("loop_alive"):
         return fails("loop", "no fresh record", "running", "see the daemon's log")
     late = state.get("lateness_us") or {}
     return good("loop", f"running, {state.get('mode')}, lateness p99.9 {late.get('p999', '?')} us")
 
 
-def _read_back(state: Mapping[str, Any]) -> Finding:
+def _read_back(state: Mapping[str, Any]) -> DoctorFinding:
     """The devices' safety settings at the loop's last complete read-back."""
-    title, told, now_ns = "devices: settings read back", state.get("read_back"), state.get("t_ns")
-    if not isinstance(told, dict) or not isinstance(now_ns, int):
+    title, shown, now_ns = "devices: settings read back", state.get("read_back"), state.get("t_ns")
+    if not isinstance(shown, dict) or not isinstance(now_ns, int):
         return good(title, "at the start; again at every arm")
-    ago_s = (now_ns - told["t_ns"]) / 1e9
-    return good(title, f"{told['settings']} in {told['took_s']:.2f} s, {ago_s:.0f} s ago")
+    ago_s = (now_ns - shown["t_ns"]) / 1e9
+    return good(title, f"{shown['settings']} in {shown['took_s']:.2f} s, {ago_s:.0f} s ago")
 
 
-def _version(active: Mapping[str, Any]) -> Finding:
+def _version(active: Mapping[str, Any]) -> DoctorFinding:
     found = str(active.get("version", "unknown"))
     if found == __version__:
         return good("daemon", f"rigctl {found}")
     return warning("daemon", f"rigctl {found}", f"rigctl {__version__}, as this command", "start the daemon anew")
 
 
-def _same_file(active: Mapping[str, Any], settings: RigSettings | None) -> Finding:
+def _same_file(active: Mapping[str, Any], settings: RigSettings | None) -> DoctorFinding:
     if settings is None:
         return good("rig file", "as the daemon read it")
     now = settings.model_dump(mode="json")
@@ -135,7 +135,7 @@ def _design(settings: RigSettings) -> dict[str, Any]:
         return {"accepted": False, "waiver": None, "verdict": f"no design: {error}"}
 
 
-def _realtime(loop: LoopSettings) -> list[Finding]:
+def _realtime(loop: LoopSettings) -> list[DoctorFinding]:
     """The real time that the system grants, tried in another process so that this one stays as it is."""
     command = [sys.executable, "-m", "rigctl.cli.doctor_try"]
     try:
@@ -147,7 +147,7 @@ def _realtime(loop: LoopSettings) -> list[Finding]:
     return [_granted(item, loop.realtime_waiver) for item in applied]
 
 
-def _granted(item: Mapping[str, Any], waiver: str | None) -> Finding:
+def _granted(item: Mapping[str, Any], waiver: str | None) -> DoctorFinding:
     name = f"real time: {item['name']}"
     if item["ok"]:
         return good(name, item["in_force"])

@@ -35,7 +35,7 @@ class Severity(Enum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class DoctorFinding:
     """One check: what was found, what is wanted, and how to fix a difference."""
 
     name: str
@@ -53,22 +53,22 @@ class Finding:
         }  # fmt: skip
 
 
-def good(name: str, found: str) -> Finding:
+def good(name: str, found: str) -> DoctorFinding:
     """A finding that needs no action."""
-    return Finding(name, Severity.OK, found)
+    return DoctorFinding(name, Severity.OK, found)
 
 
-def warning(name: str, found: str, wanted: str, fix: str = "") -> Finding:
+def warning(name: str, found: str, wanted: str, fix: str = "") -> DoctorFinding:
     """A finding that allows arming, though the rig may run worse."""
-    return Finding(name, Severity.WARNING, found, wanted, fix)
+    return DoctorFinding(name, Severity.WARNING, found, wanted, fix)
 
 
-def fails(name: str, found: str, wanted: str, fix: str = "") -> Finding:
+def fails(name: str, found: str, wanted: str, fix: str = "") -> DoctorFinding:
     """A finding that refuses arming or the daemon's start."""
-    return Finding(name, Severity.FAILS, found, wanted, fix)
+    return DoctorFinding(name, Severity.FAILS, found, wanted, fix)
 
 
-def host(settings: RigSettings | None, root: pathlib.Path = ROOT) -> list[Finding]:
+def host(settings: RigSettings | None, root: pathlib.Path = ROOT) -> list[DoctorFinding]:
     """Findings that apply to every rig; ``settings`` give the loop's processor."""
     cpu = settings.loop.cpu if settings is not None else None
     locked = settings is None or settings.loop.lock_memory
@@ -85,7 +85,7 @@ def host(settings: RigSettings | None, root: pathlib.Path = ROOT) -> list[Findin
     ]
 
 
-def clock_source(root: pathlib.Path) -> Finding:
+def clock_source(root: pathlib.Path) -> DoctorFinding:
     """The kernel's clock source: a read from a register takes 20 ns, one over a bus some microseconds."""
     found = _read(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
     if not found:
@@ -95,7 +95,7 @@ def clock_source(root: pathlib.Path) -> Finding:
     return warning("clock source", found, "tsc", "see dmesg for why the kernel gave up tsc; kernel option tsc=reliable")
 
 
-def governor(root: pathlib.Path, cpu: int | None) -> Finding:
+def governor(root: pathlib.Path, cpu: int | None) -> DoctorFinding:
     """The frequency governor: a processor that saves power wakes late."""
     base = root / "sys/devices/system/cpu"
     pattern = f"cpu{cpu}" if cpu is not None else "cpu[0-9]*"
@@ -107,7 +107,7 @@ def governor(root: pathlib.Path, cpu: int | None) -> Finding:
     return warning("cpu governor", ", ".join(found), "performance", "cpupower frequency-set -g performance")
 
 
-def kernel(root: pathlib.Path) -> Finding:
+def kernel(root: pathlib.Path) -> DoctorFinding:
     """Whether the kernel has PREEMPT_RT."""
     version = f"{platform.release()} {_read(root / 'proc/sys/kernel/version') or platform.version()}"
     if _read(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
@@ -115,7 +115,7 @@ def kernel(root: pathlib.Path) -> Finding:
     return warning("kernel", version, "PREEMPT_RT", "install the real-time kernel (Debian: linux-image-rt-amd64)")
 
 
-def isolation(root: pathlib.Path, cpu: int | None) -> Finding:
+def isolation(root: pathlib.Path, cpu: int | None) -> DoctorFinding:
     """Whether the loop's processor is isolated."""
     isolated = _read(root / "sys/devices/system/cpu/isolated")
     if cpu is None:
@@ -137,7 +137,7 @@ def cpus(text: str) -> set[int]:
     return found
 
 
-def memory(root: pathlib.Path) -> Finding:
+def memory(root: pathlib.Path) -> DoctorFinding:
     """Memory for the daemon's processes and rings."""
     available = _meminfo(root).get("MemAvailable")
     if available is None:
@@ -148,7 +148,7 @@ def memory(root: pathlib.Path) -> Finding:
     return fails("memory", found, f"{LEAST_MEMORY_MIB} MiB", "end other programs, or fit more memory")
 
 
-def swap(root: pathlib.Path, *, locked: bool) -> Finding:
+def swap(root: pathlib.Path, *, locked: bool) -> DoctorFinding:
     """Swap: a page on the disk comes back late; locked pages stay in memory."""
     figures = _meminfo(root)
     total, free = figures.get("SwapTotal", 0), figures.get("SwapFree", 0)
@@ -160,7 +160,7 @@ def swap(root: pathlib.Path, *, locked: bool) -> Finding:
     return warning("swap", used, "none, or loop.lock_memory", "swapoff -a, or lock_memory: true")
 
 
-def clock_sync(synchronised: bool, error_ms: float) -> Finding:
+def clock_sync(synchronised: bool, error_ms: float) -> DoctorFinding:
     """The wall clock, which due dates and recorded times use, and the loop does not."""
     if synchronised:
         return good("wall clock", f"synchronised, at most {error_ms:.0f} ms off")
@@ -189,7 +189,7 @@ def _adjtimex() -> tuple[bool, float]:
     return not found.status & _STA_UNSYNC, found.maxerror * 1e-3
 
 
-def python() -> Finding:
+def python() -> DoctorFinding:
     """The Python interpreter."""
     found = f"{platform.python_implementation()} {platform.python_version()} ({platform.python_compiler()})"
     if sysconfig.get_config_var("Py_DEBUG"):
@@ -199,7 +199,7 @@ def python() -> Finding:
     return good("python", found)
 
 
-def versions() -> Finding:
+def versions() -> DoctorFinding:
     """Versions of this program and its libraries."""
     known = []
     for package in PACKAGES:
@@ -210,7 +210,7 @@ def versions() -> Finding:
     return good("versions", f"rigctl {__version__}, {', '.join(known)}")
 
 
-def other_daemons(settings: RigSettings | None, base: pathlib.Path) -> Finding:
+def other_daemons(settings: RigSettings | None, base: pathlib.Path) -> DoctorFinding:
     """Daemons of other rigs on this computer, by the pid in their locks; one may use the loop's processor."""
     found, clash = [], []
     for rig, pid in runtime.daemons(base):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import getpass
+import math
 import os
 import pathlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
@@ -16,6 +17,7 @@ from rigctl.ipc import output_file
 
 if TYPE_CHECKING:
     from rigctl.client.connection import Client
+    from rigctl.config.settings import RigSettings
 
 DONE, BAD, USAGE = 0, 1, 2
 
@@ -39,6 +41,23 @@ Operator = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="Who gives the command [RIGCTL_OPERATOR, login name].", callback=_said),
 ]
+
+
+def finite_number(unit: str) -> Callable[[str], float]:
+    """A parser of finite, signed numbers of ``unit``."""
+
+    def parsed(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise typer.BadParameter(f"found {text!r}, expected a number of {unit}")
+        return value
+
+    return parsed
+
+
 Wait = Annotated[bool, typer.Option("--wait", help="Return when it is over, or has failed.")]
 
 
@@ -72,13 +91,40 @@ def end(code: int, complaint: str | None = None) -> NoReturn:
     raise typer.Exit(code)
 
 
+def end_with_answer(answer: dict[str, Any], json: bool) -> NoReturn:
+    """Print the answer to a command and end: 0 accepted, 1 refused."""
+    accepted = bool(answer.get("accepted"))
+    if json:
+        say_json(answer)
+    elif accepted:
+        say(str(answer["text"]))
+    end(DONE if accepted else BAD, None if accepted or json else str(answer.get("text", answer)))
+
+
+@contextlib.contextmanager
+def wrong_usage(*errors: type[Exception]) -> Iterator[None]:
+    """A block of which these errors end the command, with their one line."""
+    try:
+        yield
+    except errors as error:
+        end(USAGE, str(error))
+
+
+def load_rig_file(file: pathlib.Path, *, study: bool = False) -> RigSettings:
+    """Settings of a rig file; an invalid one ends the command. ``study``: see `rigctl.config.rig_file.load`."""
+    from rigctl.config import rig_file as config
+
+    try:
+        return config.load(file, study=study)
+    except config.ConfigError as error:
+        end(USAGE, "\nrigctl: ".join(error.findings))
+
+
 def check_output(option: str, file: pathlib.Path | None) -> None:
     """End the command if an output file cannot be written."""
-    try:
-        if file is not None:
+    if file is not None:
+        with wrong_usage(output_file.OutputError):
             output_file.check(option, file)
-    except output_file.OutputError as error:
-        end(USAGE, str(error))
 
 
 @contextlib.contextmanager

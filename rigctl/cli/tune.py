@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, check_output, end, say
+from rigctl.cli.options import BAD, DONE, USAGE, check_output, end, load_rig_file, say, wrong_usage
 from rigctl.ipc import output_file
 
 if TYPE_CHECKING:
@@ -40,17 +40,10 @@ def tune(
 ) -> None:
     """Compute gains from the plant in a rig file; show and judge their margins over the family of plants."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from rigctl.config import rig_file as config
-
-    try:
-        settings = config.load(file, study=True)
-    except config.ConfigError as error:
-        end(USAGE, "\nrigctl: ".join(error.findings))
+    settings = load_rig_file(file, study=True)
     _check_outputs(file, {"--json": None if json == STANDARD_OUTPUT else json, "--plot": plot, "--gains": gains})
-    searched = _search(file, settings) if auto else None
-    if searched is not None:
-        settings = searched.settings
-    found = searched.design if searched is not None else _design(file, settings)
+    searched, found = _designed(file, settings, auto)
+    settings = searched.settings if searched is not None else settings
     advice = _advice(settings, found, searched)
     _write(file, settings, found, advice, json, plot, gains)
     if json != STANDARD_OUTPUT:
@@ -94,20 +87,13 @@ def _check_outputs(file: pathlib.Path, outputs: dict[str, pathlib.Path | None]) 
                 end(USAGE, f"--gains: {path} is there and is no gain file, expected a new file or a gain file")
 
 
-def _design(file: pathlib.Path, settings: RigSettings) -> Design:
+def _designed(file: pathlib.Path, settings: RigSettings, auto: bool) -> tuple[Found | None, Design]:
+    from rigctl.design import search
     from rigctl.design.margins import design_and_check
 
     try:
-        return design_and_check(settings)
-    except (ArithmeticError, ValueError) as error:  # no gains, or numbers no plant has
-        end(USAGE, f"{file}: no design: {' '.join(str(error).split())}")
-
-
-def _search(file: pathlib.Path, settings: RigSettings) -> Found:
-    from rigctl.design import search
-
-    try:
-        return search.auto(settings)
+        searched = search.auto(settings) if auto else None
+        return searched, searched.design if searched is not None else design_and_check(settings)
     except (ArithmeticError, ValueError) as error:  # no gains, or numbers no plant has
         end(USAGE, f"{file}: no design: {' '.join(str(error).split())}")
 
@@ -162,7 +148,7 @@ def _write(
     made = gain_file.provenance(settings, file, datetime.now(UTC))
     said = {"rig": settings.rig, **found.as_dict(), **advice, "provenance": made.model_dump()}
     text = msgspec.json.format(msgspec.json.encode(said), indent=2).decode()
-    try:
+    with wrong_usage(output_file.OutputError):
         if json is not None and json != STANDARD_OUTPUT:
             output_file.write(json, text + "\n")
         if plot is not None:
@@ -173,7 +159,5 @@ def _write(
         if gains is not None:
             with output_file.writing(gains):
                 gain_file.write(gains, found, made)
-    except output_file.OutputError as error:
-        end(USAGE, str(error))
     if json == STANDARD_OUTPUT:
         say(text)

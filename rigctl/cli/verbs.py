@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import time
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rigctl.cli.lease import give
-from rigctl.cli.options import BAD, DONE, Connect, Json, Operator, Rig, Wait, daemon, end, operator_name, say
-from rigctl.cli.options import say_json as put_json
+from rigctl.cli.options import (
+    Connect,
+    Json,
+    Operator,
+    Rig,
+    Wait,
+    daemon,
+    end_with_answer,
+    finite_number,
+    operator_name,
+    say,
+)
 from rigctl.wire import state_words as figures
 
 if TYPE_CHECKING:
@@ -22,33 +31,14 @@ if TYPE_CHECKING:
 SILENCE_S = 5.0
 
 
-def newtons_of(text: str) -> float:
-    """A finite number from text."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise typer.BadParameter(f"found {text!r}, expected a number of newtons")
-    return value
-
-
-Newtons = Annotated[float, typer.Argument(metavar="NEWTONS", parser=newtons_of, help="Vertical tension to hold.")]
-
-
-def millimetres_of(text: str) -> float:
-    """A finite, signed number from text."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise typer.BadParameter(f"found {text!r}, expected a number of millimetres")
-    return value
+Newtons = Annotated[
+    float, typer.Argument(metavar="NEWTONS", parser=finite_number("newtons"), help="Vertical tension to hold.")
+]
 
 
 Millimetres = Annotated[
-    float, typer.Argument(metavar="MM", parser=millimetres_of, help="Stroke, as measured at the cylinder.")
+    float,
+    typer.Argument(metavar="MM", parser=finite_number("millimetres"), help="Stroke, as measured at the cylinder."),
 ]
 
 NearEnd = Annotated[
@@ -100,7 +90,7 @@ def hold(json: Json = False, connect: Connect = None, rig: Rig = None, operator:
     if answer is None:
         _give("hold", json, connect, rig, operator)
     else:
-        _tell(answer, json)
+        end_with_answer(answer, json)
 
 
 def disarm(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
@@ -149,19 +139,7 @@ def _give(
             if not json:
                 say(str(answer["text"]))
             answer = _finish(client, verb, answer, states)
-    _tell(answer, json)
-
-
-def _tell(answer: dict[str, Any], json: bool) -> NoReturn:
-    """Print the answer and end the command."""
-    accepted = bool(answer.get("accepted"))
-    if json:
-        put_json(answer)
-    elif accepted:
-        say(str(answer["text"]))
-    else:
-        end(BAD, str(answer.get("text", answer)))
-    end(DONE if accepted else BAD)
+    end_with_answer(answer, json)
 
 
 def _standing(state: dict[str, Any]) -> str:
@@ -171,15 +149,15 @@ def _standing(state: dict[str, Any]) -> str:
 def _finish(client: Client, verb: str, answer: dict[str, Any], states: Feed) -> dict[str, Any]:
     """Follow the state until the command has ended or failed."""
     goal, passing = _ENDS[verb]
-    heard = time.monotonic()
+    newest = time.monotonic()
     while True:
         state = states.wait(0.2)
         if state is None:
-            if time.monotonic() - heard > SILENCE_S:
+            if time.monotonic() - newest > SILENCE_S:
                 text = f"{verb.upper()}: no data for {SILENCE_S:.0f} s from {client.endpoint}, outcome unknown"
                 return {**answer, "accepted": False, "reason": "no_data", "text": text}
             continue
-        heard = time.monotonic()
+        newest = time.monotonic()
         mode = state.get("mode")
         if state.get("t_ns", 0) < answer.get("t_ns", 0) or mode in (passing, None):
             continue

@@ -45,7 +45,7 @@ class IdentificationError(ValueError):
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimated:
     """A value and its expanded uncertainty at 95 %."""
 
     value: float
@@ -53,7 +53,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Signals:
+class TrialSignals:
     """Columns of the records, one value per tick: s, mm, mm/s, mm/s, N. ``speed`` and ``tension`` as measured."""
 
     period_s: float
@@ -62,19 +62,21 @@ class Signals:
     speed: Array
     tension: Array
 
-    def part(self, where: slice) -> Signals:
+    def part(self, where: slice) -> TrialSignals:
         """The signals over some of the ticks."""
-        return Signals(self.period_s, self.command[where], self.stroke[where], self.speed[where], self.tension[where])
+        return TrialSignals(
+            self.period_s, self.command[where], self.stroke[where], self.speed[where], self.tension[where]
+        )
 
 
 @dataclass(frozen=True)
 class Drive:
     """Lag and delay in s, steady speed over commanded speed, age of the reported speed in s; fitted stroke in mm."""
 
-    lag_s: Estimate
-    delay_s: Estimate
-    gain: Estimate
-    speed_age_s: Estimate
+    lag_s: Estimated
+    delay_s: Estimated
+    gain: Estimated
+    speed_age_s: Estimated
     stroke: Array
 
 
@@ -82,8 +84,8 @@ class Drive:
 class Rope:
     """Stiffness in N/mm and backlash in mm."""
 
-    stiffness_n_mm: Estimate
-    backlash_mm: Estimate
+    stiffness_n_mm: Estimated
+    backlash_mm: Estimated
 
 
 def pairs_of(command: Array) -> list[slice]:
@@ -104,7 +106,7 @@ def pairs_of(command: Array) -> list[slice]:
     return [where for where, stroke in zip(found, strokes, strict=True) if stroke >= SHORTEST * max(strokes)]
 
 
-def drive(signals: Signals) -> Drive:
+def drive(signals: TrialSignals) -> Drive:
     """Fit lag, delay and gain of the drive."""
     everything = _fit_drive(signals, None)
     # A pair is affected by the step before it only in its first ticks, much less than half of a rest.
@@ -119,10 +121,10 @@ def drive(signals: Signals) -> Drive:
     rounded_s = ROUNDING_MM / float(np.abs(signals.command).max())
     rounded_share = ROUNDING_MM / float(np.ptp(fitted)) / math.sqrt(len(pairs))
     return Drive(
-        Estimate(lag_s, math.hypot(float(errors[0]), DRIVE_CYCLE_S, rounded_s)),
-        Estimate((delay - LATCH_TICKS) * period, math.hypot(float(errors[1]) * period, DRIVE_CYCLE_S, rounded_s)),
-        Estimate(gain, math.hypot(float(errors[2]), gain * rounded_share)),
-        Estimate(float(ages.mean()) * period, float(_scatter(ages[:, None])[0]) * period),
+        Estimated(lag_s, math.hypot(float(errors[0]), DRIVE_CYCLE_S, rounded_s)),
+        Estimated((delay - LATCH_TICKS) * period, math.hypot(float(errors[1]) * period, DRIVE_CYCLE_S, rounded_s)),
+        Estimated(gain, math.hypot(float(errors[2]), gain * rounded_share)),
+        Estimated(float(ages.mean()) * period, float(_scatter(ages[:, None])[0]) * period),
         fitted if exact else signals.stroke,
     )
 
@@ -141,14 +143,14 @@ def student_t(freedom: int) -> float:
     return float(z + sum(term / freedom**power for power, term in enumerate(terms, 1)))
 
 
-def _moved(signals: Signals, lag_s: float, delay: float) -> Array:
+def _moved(signals: TrialSignals, lag_s: float, delay: float) -> Array:
     """Stroke in mm of a drive with unit gain: the response and its integral, ds = u dt - tau dv."""
     held = delayed(signals.command, delay)
     swift = response(signals.command, signals.period_s / lag_s, delay)
     return held * signals.period_s - lag_s * swift
 
 
-def _speed_delay(signals: Signals, known: tuple[float, float, float]) -> float:
+def _speed_delay(signals: TrialSignals, known: tuple[float, float, float]) -> float:
     """Delay in ticks of the reported speed, with lag and gain known."""
     lag_s, delay, gain = known
 
@@ -159,7 +161,7 @@ def _speed_delay(signals: Signals, known: tuple[float, float, float]) -> float:
     return _least(cost, max(0.0, delay - 5.0), delay + 20.0)
 
 
-def _fit_drive(signals: Signals, start: tuple[float, float, float] | None) -> tuple[float, float, float]:
+def _fit_drive(signals: TrialSignals, start: tuple[float, float, float] | None) -> tuple[float, float, float]:
     """Lag in s, whole delay in ticks, gain: least squares, Gauss-Newton in the first two."""
 
     def solve(lag_s: float, delay: float) -> tuple[Array, float]:
@@ -198,7 +200,7 @@ def _scaled(shape: Array, stroke: Array) -> tuple[Array, float]:
     return stroke - columns @ weights, float(weights[0])
 
 
-def _first_look(signals: Signals) -> tuple[float, float]:
+def _first_look(signals: TrialSignals) -> tuple[float, float]:
     """Best lag in s and delay in ticks of a coarse grid; whole ticks, so that one response serves all delays."""
     left: dict[tuple[float, float], float] = {}
     for lag_s in _LAGS_S:
@@ -210,7 +212,7 @@ def _first_look(signals: Signals) -> tuple[float, float]:
     return min(left, key=left.__getitem__)
 
 
-def rope(signals: Signals, drive: Drive, noise_n: float) -> Rope:
+def rope(signals: TrialSignals, drive: Drive, noise_n: float) -> Rope:
     """Fit stiffness and backlash; the first pair is left out, since the nut's place in its play is unknown there.
 
     ``noise_n``: upper bound of the cell's noise. A larger residual means that the model of a spring behind a play does
@@ -229,12 +231,12 @@ def rope(signals: Signals, drive: Drive, noise_n: float) -> Rope:
     shares = drive.gain.error / drive.gain.value, misfit
     random_n_mm = math.hypot(float(errors[0]), *(stiffness * share for share in shares))
     return Rope(
-        Estimate(stiffness, random_n_mm + abs(stiffness) * pitch_mm / reach_mm),  # a bound adds linearly
-        Estimate(backlash, math.hypot(float(errors[1]), pitch_mm, reach_mm * misfit)),
+        Estimated(stiffness, random_n_mm + abs(stiffness) * pitch_mm / reach_mm),  # a bound adds linearly
+        Estimated(backlash, math.hypot(float(errors[1]), pitch_mm, reach_mm * misfit)),
     )
 
 
-def _fit_rope(signals: Signals, part: slice, reach_mm: float) -> tuple[float, float, float, float]:
+def _fit_rope(signals: TrialSignals, part: slice, reach_mm: float) -> tuple[float, float, float, float]:
     """Stiffness, backlash, rms of the residual and rms explained by the stroke in N.
 
     The play is found by search for the least residual, the rest by linear least squares.
@@ -275,7 +277,7 @@ def _least(cost: Callable[[float], float], low: float, high: float) -> float:
     return 0.5 * (low + high)
 
 
-def noise(values: Array, period_s: float) -> Estimate:
+def noise(values: Array, period_s: float) -> Estimated:
     """Rms at rest about a straight line over each ``_NOISE_WINDOW_S``; slower changes are motion, not noise."""
     length = max(8, round(_NOISE_WINDOW_S / period_s))
     count = len(values) // length
@@ -290,4 +292,4 @@ def noise(values: Array, period_s: float) -> Estimate:
         squares += float(residual @ residual)
     freedom = count * (length - 2)
     rms = math.sqrt(squares / freedom)
-    return Estimate(rms, 2.0 * rms / math.sqrt(2.0 * freedom))
+    return Estimated(rms, 2.0 * rms / math.sqrt(2.0 * freedom))

@@ -31,7 +31,7 @@ MIB = 1 << 20
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PreflightVerdict:
     """Failing checks with the words for the operator, and waived checks with the waiver's words."""
 
     failing: Mapping[Check, str] = field(default_factory=dict)
@@ -68,7 +68,7 @@ def judge(
     control: Mapping[str, Any],
     folders: Sequence[Folder],
     now: datetime,
-) -> Verdict:
+) -> PreflightVerdict:
     """Judge every check.
 
     ``active`` and ``control`` are the daemon's files of these names; a check fails if its values are missing there.
@@ -85,7 +85,7 @@ def judge(
         (Check.DRIVE_SUPERVISION, _supervision(control), None),
     )
     failing = {check: why for check, why, words in found if why and not words}
-    return Verdict(failing, {check: " ".join(words.split()) for check, why, words in found if why and words})
+    return PreflightVerdict(failing, {check: " ".join(words.split()) for check, why, words in found if why and words})
 
 
 def folders(settings: RigSettings) -> list[Folder]:
@@ -185,12 +185,12 @@ class Preflight:
         runtime: Runtime,
         settings: RigSettings,
         standing: Callable[[], Standing],
-        told: Callable[[], Mapping[Check, str]] = dict,
+        details: Callable[[], Mapping[Check, str]] = dict,
     ) -> None:
-        """``standing``: the ledger's standing now. ``told``: details of the loop's own checks."""
-        self._told = told
+        """``standing``: the ledger's standing now. ``details``: details of the loop's own checks."""
+        self._details = details
         self._runtime, self._settings, self._standing = runtime, settings, standing
-        self._newest: tuple[int, Verdict] | None = None
+        self._newest: tuple[int, PreflightVerdict] | None = None
         self._first, self._stop = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._serve, name="preflight", daemon=True)
         self._thread.start()
@@ -200,11 +200,13 @@ class Preflight:
         """End the thread."""
         self._stop.set()
 
-    def verdict(self, now_ns: int) -> Verdict:
+    def verdict(self, now_ns: int) -> PreflightVerdict:
         """The newest verdict; only `Check.HOST` fails in it if it is stale at ``now_ns`` (CLOCK_MONOTONIC)."""
         if self._newest is None or now_ns - self._newest[0] > STALE_NS:
-            return Verdict({Check.HOST: "tare, margins, real time and disk cannot be looked at: does a disk hang?"})
-        return replace(self._newest[1], known=self._told())
+            return PreflightVerdict(
+                {Check.HOST: "tare, margins, real time and disk cannot be looked at: does a disk hang?"}
+            )
+        return replace(self._newest[1], known=self._details())
 
     def _serve(self) -> None:
         while not self._stop.is_set():
@@ -215,7 +217,7 @@ class Preflight:
             self._stop.wait(LOOK_AGAIN_S if found.failing else LOOK_S)
 
 
-def look(runtime: Runtime, settings: RigSettings, standing: Standing, now: datetime) -> Verdict:
+def look(runtime: Runtime, settings: RigSettings, standing: Standing, now: datetime) -> PreflightVerdict:
     """Read files and disks and judge them."""
     read: dict[str, dict[str, Any]] = {ACTIVE: {}, CONTROL: {}}
     for name in read:

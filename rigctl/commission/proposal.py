@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.commission import identification
-from rigctl.commission.identification import Drive, Estimate, IdentificationError, Signals
+from rigctl.commission.identification import Drive, Estimated, IdentificationError, TrialSignals
 from rigctl.config.quantity import count
 from rigctl.config.settings import RigSettings
 from rigctl.control.trials import QUIET_S
@@ -21,7 +21,7 @@ DELAY_ERROR_S = 2e-3
 SKIPPED_S = 0.01  # longest gap of the loop: the rig moves on meanwhile, and half a lag spoils the measurement
 
 
-def signals_of(records: npt.NDArray[Any], period_s: float) -> Signals:
+def signals_of(records: npt.NDArray[Any], period_s: float) -> TrialSignals:
     """The columns for an identification, tick by tick; a skipped tick repeats the values before it.
 
     Raises:
@@ -39,20 +39,20 @@ def signals_of(records: npt.NDArray[Any], period_s: float) -> Signals:
         )
     known = records[np.searchsorted(ticks, np.arange(ticks[-1] + 1), side="right") - 1]
     columns = (known[name].astype(float) for name in ("command_mm_s", "stroke_mm", "speed_mm_s", "tension_n"))
-    return Signals(period_s, *columns)
+    return TrialSignals(period_s, *columns)
 
 
 @dataclass(frozen=True)
-class Row:
+class ProposedValue:
     """One line of a proposal; ``why``: reason without a ``found``."""
 
     key: str
     unit: str
     before: float | None = None
-    found: Estimate | None = None
+    found: Estimated | None = None
     why: str = ""
 
-    def told(self, *, share: float = math.inf, error: float = math.inf) -> Row:
+    def checked(self, *, share: float = math.inf, error: float = math.inf) -> ProposedValue:
         """The same row, without its figure if the uncertainty exceeds ``share`` of it or ``error``."""
         found = self.found
         if found is None or found.error <= min(error, share * abs(found.value)):
@@ -70,7 +70,7 @@ class Row:
         }  # fmt: skip
 
 
-def rows(signals: Signals, settings: RigSettings) -> list[dict[str, Any]]:
+def rows(signals: TrialSignals, settings: RigSettings) -> list[dict[str, Any]]:
     """Rows of key, unit, ``before`` (null: no such key), ``found`` with ``error`` (95 %), or null and ``why``.
 
     Raises:
@@ -80,47 +80,47 @@ def rows(signals: Signals, settings: RigSettings) -> list[dict[str, Any]]:
     rest = slice(0, round((QUIET_S - LAST_QUIET_S) / signals.period_s))
     cell, speed = (identification.noise(values[rest], signals.period_s) for values in (signals.tension, signals.speed))
     found = [
-        Row("plant.cylinder_lag_s", "s", plant.cylinder_lag_s, drive.lag_s).told(share=LAG_SHARE),
-        Row("plant.command_delay_s", "s", plant.command_delay_s, drive.delay_s).told(error=DELAY_ERROR_S),
-        Row("drive speed / command", "", None, drive.gain).told(share=STIFFNESS_SHARE),
-        Row("age of the drive's speed", "s", None, drive.speed_age_s).told(error=DELAY_ERROR_S),
+        ProposedValue("plant.cylinder_lag_s", "s", plant.cylinder_lag_s, drive.lag_s).checked(share=LAG_SHARE),
+        ProposedValue("plant.command_delay_s", "s", plant.command_delay_s, drive.delay_s).checked(error=DELAY_ERROR_S),
+        ProposedValue("drive speed / command", "", None, drive.gain).checked(share=STIFFNESS_SHARE),
+        ProposedValue("age of the drive's speed", "s", None, drive.speed_age_s).checked(error=DELAY_ERROR_S),
         *_of_rope(signals, settings, drive, cell),
-        Row("tension_cell.noise_n", "N", settings.tension_cell.noise_n, cell),
-        Row("drive speed noise", "mm/s", None, speed),
+        ProposedValue("tension_cell.noise_n", "N", settings.tension_cell.noise_n, cell),
+        ProposedValue("drive speed noise", "mm/s", None, speed),
     ]
     return [row.as_json() for row in found]
 
 
-def _of_rope(signals: Signals, settings: RigSettings, drive: Drive, cell: Estimate) -> list[Row]:
+def _of_rope(signals: TrialSignals, settings: RigSettings, drive: Drive, cell: Estimated) -> list[ProposedValue]:
     """Stiffness, the key of the rig file that follows from it, and backlash."""
     plant = settings.plant
-    stiffness = Row("stiffness", "N/mm", plant.stiffness_n_mm)
-    backlash = Row("backlash", "mm")
+    stiffness = ProposedValue("stiffness", "N/mm", plant.stiffness_n_mm)
+    backlash = ProposedValue("backlash", "mm")
     if np.median(signals.tension) < settings.tension.slack_n:
         slack = "the rope is slack"
         stiffness, backlash = replace(stiffness, why=slack), replace(backlash, why=slack)
     else:
         rope = identification.rope(signals, drive, cell.value + cell.error)
-        stiffness = replace(stiffness, found=rope.stiffness_n_mm).told(share=STIFFNESS_SHARE)
+        stiffness = replace(stiffness, found=rope.stiffness_n_mm).checked(share=STIFFNESS_SHARE)
         backlash = replace(backlash, found=rope.backlash_mm, why=stiffness.why)
         if stiffness.found is None:
             backlash = replace(backlash, found=None)
     if plant.spring_n_mm is None:
-        part = Row("plant.rope_n_mm", "N/mm", plant.rope_n_mm, stiffness.found, stiffness.why)
+        part = ProposedValue("plant.rope_n_mm", "N/mm", plant.rope_n_mm, stiffness.found, stiffness.why)
     else:
         spring = _spring(stiffness.found, plant.rope_n_mm) if stiffness.found is not None else None
         why = "" if spring is not None else stiffness.why or "stiffer than the rope of the rig file alone"
-        part = Row("plant.spring_n_mm", "N/mm", plant.spring_n_mm, spring, why)
+        part = ProposedValue("plant.spring_n_mm", "N/mm", plant.spring_n_mm, spring, why)
     return [stiffness, part, backlash]
 
 
-def _spring(stiffness: Estimate, rope_n_mm: float) -> Estimate | None:
+def _spring(stiffness: Estimated, rope_n_mm: float) -> Estimated | None:
     """Spring that gives this stiffness in series with the rope, equation (17); None if the rope alone is softer."""
     compliance = 1.0 / stiffness.value - 1.0 / rope_n_mm if stiffness.value > 0.0 else 0.0
     if compliance <= 0.0:
         return None
     spring = 1.0 / compliance
-    return Estimate(spring, stiffness.error * (spring / stiffness.value) ** 2)
+    return Estimated(spring, stiffness.error * (spring / stiffness.value) ** 2)
 
 
 def in_words(found: list[dict[str, Any]]) -> str:

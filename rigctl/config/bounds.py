@@ -265,7 +265,7 @@ def as_study(data: dict[str, Any]) -> dict[str, Any]:
     return {**data, "safety": {**safety, "waiver": safety.get("waiver") or STUDY}} if isinstance(safety, dict) else data
 
 
-class Finding(NamedTuple):
+class BeyondBound(NamedTuple):
     """A setting that is out of its bound."""
 
     key: str
@@ -273,7 +273,7 @@ class Finding(NamedTuple):
     allowed: str
 
 
-def findings(settings: RigSettings) -> Iterator[Finding]:
+def findings(settings: RigSettings) -> Iterator[BeyondBound]:
     """Every setting that is out of its bound, waived or not."""
     figures = _Figures(settings)
     for bound in BOUNDS:
@@ -284,11 +284,11 @@ def findings(settings: RigSettings) -> Iterator[Finding]:
             continue
         limit = bound.limit(figures)
         if not bound.allows(found, limit):
-            yield Finding(bound.key, found, bound.allowed(limit))
+            yield BeyondBound(bound.key, found, bound.allowed(limit))
     yield from _of_limits(settings)
 
 
-def _of_limits(settings: RigSettings) -> Iterator[Finding]:
+def _of_limits(settings: RigSettings) -> Iterator[BeyondBound]:
     """Rows of `limits` with an action that can never trip, or only far too late."""
     slope, cell_n = settings.inclinometer.range_deg, OVERRANGE * settings.tension_cell.range_n
     reach = {
@@ -303,9 +303,9 @@ def _of_limits(settings: RigSettings) -> Iterator[Finding]:
         most_ms = FAST_MS if WATCHED[row.signal].fast else SLOW_MS
         if row.persistence_ms > most_ms:
             why = f"at most {most_ms} for {row.signal} with action {row.action}: later it protects nothing"
-            yield Finding(f"limits.{i}.persistence_ms", row.persistence_ms, why)
+            yield BeyondBound(f"limits.{i}.persistence_ms", row.persistence_ms, why)
         low, high, what = reach.get(row.signal, (-math.inf, math.inf, ""))
         if row.high is not None and row.high > high:
-            yield Finding(f"limits.{i}.high", row.high, f"at most {high:g} ({what}; beyond it the row never trips)")
+            yield BeyondBound(f"limits.{i}.high", row.high, f"at most {high:g} ({what}; beyond it the row never trips)")
         if row.low is not None and row.low < low:
-            yield Finding(f"limits.{i}.low", row.low, f"at least {low:g} ({what}; beyond it the row never trips)")
+            yield BeyondBound(f"limits.{i}.low", row.low, f"at least {low:g} ({what}; beyond it the row never trips)")

@@ -436,8 +436,8 @@ class RigSettings(Settings):
             key, signal = f"limits.{place}.signal", watched.signal
             comes = drive.status_rate_hz is not None or WATCHED[signal].age != STATUS
             require(comes, key, signal, "none of the drive's status without its status_rate_hz")
-            told = drive.temperature_object is not None or signal != "drive_temperature_c"
-            require(told, key, signal, "none of it: cylinder.temperature_object is null")
+            measured = drive.temperature_object is not None or signal != "drive_temperature_c"
+            require(measured, key, signal, "none of it: cylinder.temperature_object is null")
         room = self.cylinder.stroke_max_mm - self.cylinder.stroke_min_mm
         margin = self.preflight.stroke_margin_mm
         require(2 * margin < room, "preflight.stroke_margin_mm", margin, f"less than half the stroke ({room / 2:g} mm)")

@@ -31,15 +31,15 @@ def unit_of(name: str) -> str:
     return next((unit for suffix, unit in _UNITS.items() if name.endswith(suffix)), "")
 
 
-class Slot(NamedTuple):
+class KeyType(NamedTuple):
     """Schema of one place in a file: a type and its constraints."""
 
     annotation: Any
     constraints: tuple[Any, ...] = ()
 
     @classmethod
-    def of(cls, info: FieldInfo) -> Slot:
-        """The slot of a field."""
+    def of(cls, info: FieldInfo) -> KeyType:
+        """The type of a field."""
         return cls(info.annotation, tuple(info.metadata))._bare()
 
     @property
@@ -71,23 +71,23 @@ class Slot(NamedTuple):
                 found |= dict.fromkeys(get_args(kind.annotation), choice)
         return found
 
-    def child(self, part: str | int) -> Slot | None:
-        """The slot at ``part`` within this one; None where none is allowed."""
+    def child(self, part: str | int) -> KeyType | None:
+        """The type at ``part`` within this one; None where none is allowed."""
         if self.model is not None:
             info = self.model.model_fields.get(str(part))
-            return Slot.of(info) if info else None
+            return KeyType.of(info) if info else None
         for choice in self.choices:
             origin, arguments = get_origin(choice), get_args(choice)
             if origin is list and isinstance(part, int):
-                return Slot(arguments[0])._bare()
+                return KeyType(arguments[0])._bare()
             if origin is dict and isinstance(part, str):
-                return Slot(arguments[1])._bare()
+                return KeyType(arguments[1])._bare()
         return None
 
-    def key(self) -> Slot | None:
-        """The slot of its keys, where the user chooses them."""
+    def key(self) -> KeyType | None:
+        """The type of its keys, where the user chooses them."""
         names = [get_args(choice)[0] for choice in self.choices if get_origin(choice) is dict]
-        return Slot(names[0])._bare() if names else None
+        return KeyType(names[0])._bare() if names else None
 
     def allowed(self, name: str = "") -> str:
         """Accepted values in words; ``name`` gives the unit."""
@@ -102,7 +102,7 @@ class Slot(NamedTuple):
         if self.model is not None or origin is dict:
             return _SECTION
         if origin is list:
-            inner = Slot(get_args(choice)[0])._bare()
+            inner = KeyType(get_args(choice)[0])._bare()
             what = "sections" if inner.model or inner.kinds else {float: "numbers"}.get(inner.annotation, "text")
             return f"a list of {what}"
         if origin is Literal:
@@ -132,15 +132,15 @@ class Slot(NamedTuple):
             text += f" of at least {bounds['min_length']} {unit}"
         return text
 
-    def _bare(self) -> Slot:
-        """The slot without ``Annotated``, whose arguments become constraints."""
+    def _bare(self) -> KeyType:
+        """The type without ``Annotated``, whose arguments become constraints."""
         if get_origin(self.annotation) is not Annotated:
             return self
         inner, *more = get_args(self.annotation)
         found: list[Any] = list(self.constraints)
         for item in more:
             found += item.metadata if isinstance(item, FieldInfo) else [item]
-        return Slot(inner, tuple(found))
+        return KeyType(inner, tuple(found))
 
 
 def key_of(path: Path) -> str:
@@ -175,27 +175,27 @@ class Wording:
         """One finding: ``path`` holds ``found``; ``words`` give the allowed values."""
         return f"{self.place(path)}: found {on_one_line(str(found))}, expected {words}"
 
-    def _resolve(self, loc: Path) -> tuple[Path, Slot | None]:
-        """Pydantic's place in the model as a path in the file, with its slot.
+    def _resolve(self, loc: Path) -> tuple[Path, KeyType | None]:
+        """Pydantic's place in the model as a path in the file, with its type.
 
         They differ where a section is one of several kinds: pydantic names the kind on the way.
         """
         path: list[str | int] = []
-        slot: Slot | None = Slot(self._root)
+        kind: KeyType | None = KeyType(self._root)
         for part in loc:
-            if slot is not None and part == "[key]":
-                return tuple(path), slot
-            if slot is not None and part in slot.kinds and slot.model is None:
-                slot = Slot(slot.kinds[str(part)])
+            if kind is not None and part == "[key]":
+                return tuple(path), kind
+            if kind is not None and part in kind.kinds and kind.model is None:
+                kind = KeyType(kind.kinds[str(part)])
                 continue
             path.append(part)
-            if slot is not None:
-                slot = slot.key() if loc[len(path) :] == ("[key]",) else slot.child(part)
-        return tuple(path), slot
+            if kind is not None:
+                kind = kind.key() if loc[len(path) :] == ("[key]",) else kind.child(part)
+        return tuple(path), kind
 
     def _known_keys(self, loc: Path) -> list[str]:
-        slot = self._resolve(loc)[1]
-        return sorted(set(slot.model.model_fields if slot and slot.model else {}) - self._hidden)
+        kind = self._resolve(loc)[1]
+        return sorted(set(kind.model.model_fields if kind and kind.model else {}) - self._hidden)
 
     def _close_key(self, loc: Path) -> str | None:
         close = difflib.get_close_matches(str(loc[-1]), self._known_keys(loc[:-1]), n=1, cutoff=0.5)
@@ -203,8 +203,8 @@ class Wording:
 
     def _line(self, error: Mapping[str, Any]) -> str:
         loc: Path = tuple(error["loc"])
-        path, slot = self._resolve(loc)
-        words = slot.allowed(str(path[-1]) if path else "") if slot else "no such key"
+        path, kind = self._resolve(loc)
+        words = kind.allowed(str(path[-1]) if path else "") if kind else "no such key"
         context = error.get("ctx", {})
         if isinstance(value := error.get("input"), strict_yaml.Unreadable):
             return self.say(path, value.text, value.allowed)
@@ -215,10 +215,10 @@ class Wording:
             case "missing":
                 return self.say(path, "nothing", words)
             case "union_tag_not_found":
-                return self.say((*path, "kind"), "nothing", _either(list(slot.kinds if slot else ())))
+                return self.say((*path, "kind"), "nothing", _either(list(kind.kinds if kind else ())))
             case "union_tag_invalid":
                 found = repr(error["input"]["kind"])
-                return self.say((*path, "kind"), found, _either(list(slot.kinds if slot else ())))
+                return self.say((*path, "kind"), found, _either(list(kind.kinds if kind else ())))
             case "disagree":
                 key = [int(part) if part.isdigit() else part for part in context["key"].split(".") if part]
                 return self.say((*path, *key), context["found"], context["allowed"])

@@ -84,7 +84,7 @@ def stop_running(snapshot: Snapshot, settings: RigSettings) -> bool:
     return bool(awaited(snapshot, settings))
 
 
-class Step(Enum):
+class ArmingStep(Enum):
     """State of the sequence before the drive's power."""
 
     WAIT = auto()
@@ -114,29 +114,29 @@ class Sequence:
         self._anchor_mm, self.tested = None, None
         self._over = not self._settings.cylinder.brake_test
 
-    def step(self, t_ns: int, snapshot: Snapshot, *, slack: bool) -> Step:
+    def step(self, t_ns: int, snapshot: Snapshot, *, slack: bool) -> ArmingStep:
         """One tick; READY lets the drive be switched on."""
         if self._anchor_mm is not None and not self._over:
             return self._test(t_ns, snapshot)
         if awaited(snapshot, self._settings):
-            return Step.LATE if t_ns >= self._until_ns else Step.WAIT
+            return ArmingStep.LATE if t_ns >= self._until_ns else ArmingStep.WAIT
         if self._over or snapshot.brake_slip_known:
-            return Step.READY
+            return ArmingStep.READY
         self.tension_n, self.moved_mm = snapshot.tension_n, 0.0
         if slack:
             self.tested, self._over = False, True
-            return Step.READY
+            return ArmingStep.READY
         self._anchor_mm, self._test_ns = snapshot.stroke_mm, t_ns
-        return Step.WAIT
+        return ArmingStep.WAIT
 
-    def _test(self, t_ns: int, snapshot: Snapshot) -> Step:
+    def _test(self, t_ns: int, snapshot: Snapshot) -> ArmingStep:
         """The closed brake carries the load and the motor has no power, so the stroke must not move."""
         assert self._anchor_mm is not None
         self.moved_mm = snapshot.stroke_mm - self._anchor_mm
         if not abs(self.moved_mm) <= BRAKE_TEST_MM:
             self._over = True
-            return Step.SLIPPED
+            return ArmingStep.SLIPPED
         if t_ns - self._test_ns >= BRAKE_TEST_NS:
             self.tested, self._over = True, True
             self._until_ns = t_ns + AWAIT_NS
-        return Step.WAIT
+        return ArmingStep.WAIT

@@ -49,10 +49,10 @@ _HELD = f"""
 HOLD, FAULT and DISARMED keep the stroke. It is latched where it comes to rest once such a mode begins, again when the
 drive is armed, after a trial that moved it, and when a fault is reset. With the drive on, a position loop brings the
 stroke back to its latch at no more than {AUTHORITY_MM_S:g} mm/s (a drive that needs more trips DRIVE_NOT_FOLLOWING);
-a drive that goes on needing more than {CREEP_MM_S:g} mm/s is told. Beyond {SAID_MM:g} mm from the latch it is told
-once, beyond {NOT_HELD_MM:g} mm the drive is taken off power and its brake closes (STROKE_NOT_HELD): the stroke then
-stands within 1 mm. A correction of {DOUBT_MM:g} mm and more that the tension or the drive's reported speed shows to
-have moved the load, while its position stood still, ends the same way (POSITION_DRIFTS).
+an event reports a drive that goes on needing more than {CREEP_MM_S:g} mm/s, and once a stroke more than {SAID_MM:g} mm
+from the latch. Beyond {NOT_HELD_MM:g} mm the drive is taken off power and its brake closes (STROKE_NOT_HELD): the
+stroke then stands within 1 mm. A correction of {DOUBT_MM:g} mm and more that the tension or the drive's reported speed
+shows to have moved the load, while its position stood still, ends the same way (POSITION_DRIFTS).
 """
 _ESCALATION = """
 ## When a reaction does not help
@@ -87,7 +87,7 @@ def document() -> str:
 
 
 def _next(action: Action | None) -> str:
-    return "nothing stronger is left: it is told" if action is None else f"`{action.name.lower()}`"
+    return "nothing stronger is left: it is reported" if action is None else f"`{action.name.lower()}`"
 
 
 def _brackets(guard: Guard | None) -> str:
@@ -111,7 +111,7 @@ def _cell(mode: Mode, verb: Verb) -> str:
 
 
 def _situation(enabled: bool) -> Situation:
-    return Situation(drive_enabled=enabled, unloaded=True, value=1.0, target_max_n=1.0)
+    return Situation(drive_enabled=enabled, unloaded=True, wanted_n=1.0, measured_mm=1.0, target_max_n=1.0)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ class LastStroke:
 
 
 @dataclass(frozen=True)
-class Finding:
+class StrokeVerdict:
     """Verdict on the drive's position; ``last_mm`` is NaN where there is no last known stroke."""
 
     believed: bool
@@ -45,7 +45,7 @@ class Homed:
         self._seen_mm = self._seen_mm_s = math.nan
         self._seen_ns = 0
 
-    def look(self, stroke_mm: float, speed_mm_s: float, now_ns: int) -> Finding | None:
+    def look(self, stroke_mm: float, speed_mm_s: float, now_ns: int) -> StrokeVerdict | None:
         """Take a new sample of the drive; returns a finding where it is new, else None."""
         before_mm, passed_ns = self._seen_mm, now_ns - self._seen_ns
         usual_mm = 0.5 * (speed_mm_s + self._seen_mm_s) * passed_ns * 1e-9 if passed_ns <= GAP_NS else 0.0
@@ -57,16 +57,16 @@ class Homed:
         jump_mm = abs(stroke_mm - before_mm - usual_mm)
         if jump_mm <= TOLERANCE_MM + spare_mm:
             return None
-        self.known, self.doubted, told = False, True, self.jump_mm > 0.0
+        self.known, self.doubted, reported = False, True, self.jump_mm > 0.0
         self.jump_mm = max(self.jump_mm, jump_mm)
-        return None if told else Finding(False, stroke_mm, before_mm, f"{before_mm:.2f} mm the sample before")
+        return None if reported else StrokeVerdict(False, stroke_mm, before_mm, f"{before_mm:.2f} mm the sample before")
 
-    def confirm(self, stroke_mm: float) -> Finding:
+    def confirm(self, stroke_mm: float) -> StrokeVerdict:
         """An operator has measured the stroke: the position is right."""
         self.known, self.doubted, self.jump_mm = True, False, 0.0
-        return Finding(True, stroke_mm, math.nan, "confirmed by an operator")
+        return StrokeVerdict(True, stroke_mm, math.nan, "confirmed by an operator")
 
-    def _first(self, stroke_mm: float) -> Finding:
+    def _first(self, stroke_mm: float) -> StrokeVerdict:
         """Compare the first sample with the last known stroke."""
         last, last_mm = self._last, math.nan if self._last.mm is None else self._last.mm
         if not self._absolute:
@@ -79,4 +79,4 @@ class Homed:
         self.doubted = not self.known
         why = against or ("as when last known" if last.mm is not None else "none on record to compare it with")
         waived = f", waived: {self._waiver}" if against and self.known else ""
-        return Finding(self.known, stroke_mm, last_mm, why + waived)
+        return StrokeVerdict(self.known, stroke_mm, last_mm, why + waived)

@@ -6,9 +6,7 @@ starts a loop. With an invalid file the stroke is unknown and an operator has to
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
 from typing import Any
 
 import msgspec
@@ -17,7 +15,8 @@ from rigctl.config import input_file
 from rigctl.config.one_line import printable
 from rigctl.config.settings import RigSettings
 from rigctl.control.homed import LastStroke
-from rigctl.ipc.ledger import sync_folder, utc
+from rigctl.ipc import whole_file
+from rigctl.ipc.ledger import utc
 from rigctl.ipc.record import Flag
 from rigctl.ipc.runtime_folder import Runtime
 
@@ -25,10 +24,9 @@ IN_FORCE = "stroke.json"  # in the runtime folder
 KEPT_MM = 0.02  # a stroke that differs by less is not written again
 _LARGEST_MM = 1e4
 _LARGEST_BYTES = 4096
-_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
-class _File(msgspec.Struct, forbid_unknown_fields=True):
+class _StrokeFile(msgspec.Struct, forbid_unknown_fields=True):
     rig: str
     stroke_mm: float
     when: str
@@ -38,7 +36,7 @@ def read(settings: RigSettings) -> LastStroke:
     """The file's content; a damaged file gives the reason why the stroke is unknown."""
     path = settings.last_stroke
     try:
-        found: _File = input_file.decoded(input_file.read(path, largest=_LARGEST_BYTES, links=True), _File)
+        found: _StrokeFile = input_file.decoded(input_file.read(path, largest=_LARGEST_BYTES, links=True), _StrokeFile)
     except FileNotFoundError:
         return LastStroke()
     except OSError as error:
@@ -58,24 +56,8 @@ def write(settings: RigSettings, stroke_mm: float, wall_ns: int, *, sync: bool =
     Raises:
         OSError: the file could not be written and is unchanged.
     """
-    path = settings.last_stroke
-    part = path.with_name(f"{path.name}.new")
-    data = msgspec.json.encode(_File(settings.rig, round(stroke_mm, 4), utc(wall_ns))) + b"\n"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.unlink(missing_ok=True)
-        with os.fdopen(os.open(part, _NEW, 0o640), "wb") as file:
-            file.write(data)
-            file.flush()
-            if sync:
-                os.fsync(file.fileno())
-        part.replace(path)
-        if sync:
-            sync_folder(path.parent)
-    except OSError:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise
+    data = msgspec.json.encode(_StrokeFile(settings.rig, round(stroke_mm, 4), utc(wall_ns))) + b"\n"
+    whole_file.replace(settings.last_stroke, data, mode=0o640, sync=sync)
 
 
 def of_record(record: Any) -> float | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
-from rigctl.control.homed import Finding
+from rigctl.control.homed import StrokeVerdict
 from rigctl.control.inbox import Inbox, Notices
 from rigctl.control.machine import Change, Machine
 from rigctl.control.modes import Refusal
@@ -17,7 +17,7 @@ from rigctl.control.outbox import Outbox
 from rigctl.control.readback import Lost
 from rigctl.control.safety import Trip
 from rigctl.control.tension import TensionLaw
-from rigctl.ipc.record import RECORD, Flag, Quality
+from rigctl.ipc.record import RECORD, REPLY, Flag, Quality
 from rigctl.ipc.ring import RingReader, RingWriter
 from rigctl.ipc.runtime_folder import Runtime
 
@@ -43,8 +43,8 @@ class Rings:
     def of(cls, runtime: Runtime) -> Rings:
         """The loop's ends of a runtime folder's rings."""
         return cls(
-            runtime.record_writer(), runtime.event_writer(), runtime.reply_writer(), runtime.frame_writer(),
-            runtime.command_reader(), runtime.hold_reader(),
+            runtime.records.writer(), runtime.events.writer(), runtime.replies.writer(), runtime.frames.writer(),
+            runtime.commands.reader(), runtime.holds.reader(),
         )  # fmt: skip
 
 
@@ -150,7 +150,7 @@ class Logbook:
         """Write an event; `Kind` gives the meaning of its numbers."""
         self._rings.events.write(t_ns, kind, a, b, value, limit, text)
 
-    def stroke(self, t_ns: int, found: Finding) -> None:
+    def stroke(self, t_ns: int, found: StrokeVerdict) -> None:
         """Whether the drive's position is believed, and why."""
         text = found.why.encode()[:80]
         self.event(t_ns, Kind.STROKE, int(found.believed), 0, number(found.reads_mm), found.last_mm, text)
@@ -163,11 +163,14 @@ class Logbook:
             self._noticed[kind, a, b] = t_ns + NOTICE_NS
             self.event(t_ns, kind, a, b, text=text)
 
-    def reply(
-        self, t_ns: int, id_: int, refusal: Refusal, checks: int, mode: int, value: float, spread: float = 0.0
-    ) -> None:
-        """Answer to the command ``id_``."""
-        self._rings.replies.write(t_ns, id_, refusal is Refusal.NONE, refusal, checks, mode, value, spread)
+    def reply(self, t_ns: int, id_: int, refusal: Refusal, checks: int, mode: int, **figures: float) -> None:
+        """Answer to the command ``id_``; ``figures``: by the names of their fields in `REPLY`."""
+        finite = {name: number(value) for name, value in figures.items()}
+        self._rings.replies.write(
+            *REPLY.values(
+                t_ns=t_ns, id=id_, accepted=refusal is Refusal.NONE, reason=refusal, checks=checks, mode=mode, **finite
+            )
+        )
 
     def trip(self, t_ns: int, kind: Kind, trip: Trip) -> None:
         """A trip of a row of the safety table, with value, limit and action."""

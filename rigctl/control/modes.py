@@ -6,8 +6,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any, NamedTuple
 
 from rigctl.control.homed import TOLERANCE_MM
+from rigctl.ipc.record import COMMAND
 
 
 class Mode(IntEnum):
@@ -51,20 +53,45 @@ class Verb(IntEnum):
     TARE = 8  # TARE, CALIBRATE and IDENTIFY measure first and answer at their end, see rigctl.control.trials
     CALIBRATE = 9
     IDENTIFY = 10
-    GAINS = 11  # the new gains follow as settings, once their margins have been judged
-    CONFIRM_STROKE = 12  # the measured stroke agrees with the drive's position; value: mm
+    GAINS = 11  # the new gains follow as LAW_GAINS, once their margins have been judged
+    CONFIRM_STROKE = 12  # the measured stroke agrees with the drive's position
 
 
 class Setting(IntEnum):
     """Settings the gateway sends once they are on record; on the ring of the verbs, but not for operators."""
 
-    ZERO = 128  # value: N
-    SCALE = 129  # value: factor
-    OVERDUE = 130  # value: 1 the calibration is overdue, 0 it is not
-    K_TENSION = 131  # three gains in this order, the last puts all in force; see rigctl.control.tension.Gains
-    K_SPEED = 132
-    K_INTEGRAL = 133
-    HOST_CHECKS = 134  # value: bits of rigctl.control.checks.HOST_CHECKS that fail; sent before every ARM
+    ZERO = 128
+    SCALE = 129
+    OVERDUE = 130
+    HOST_CHECKS = 134  # sent before every ARM; 131 to 133 are in older recordings, see rigctl.replay.former_commands
+    LAW_GAINS = 135
+
+
+VALUES: dict[int, tuple[str, ...]] = {
+    Verb.ARM: ("near_end",),
+    Verb.TARGET: ("target_n",),
+    Verb.CALIBRATE: ("weight_n",),
+    Verb.IDENTIFY: ("tight",),
+    Verb.CONFIRM_STROKE: ("stroke_mm",),
+    Setting.ZERO: ("zero_n",),
+    Setting.SCALE: ("scale", "overdue"),
+    Setting.OVERDUE: ("overdue",),
+    Setting.HOST_CHECKS: ("host_checks",),
+    Setting.LAW_GAINS: ("k_tension", "k_speed", "k_integral"),
+}
+"""Fields of a ``COMMAND`` slot that a command or setting uses, beside time and id."""
+
+
+class SettingOrder(NamedTuple):
+    """A setting with the values for its fields, in the order of `VALUES`."""
+
+    setting: Setting
+    values: tuple[float, ...]
+
+
+def command_slot(t_ns: int, id_: int, code: int, *values: float) -> tuple[Any, ...]:
+    """A ``COMMAND`` slot for its ring; ``values`` in the order of `VALUES`, those that ``code`` does not use drop."""
+    return COMMAND.values(t_ns=t_ns, id=id_, verb=code, **dict(zip(VALUES.get(code, ()), values, strict=False)))
 
 
 class Refusal(IntEnum):
@@ -104,7 +131,9 @@ class Situation:
     drive_faulted: bool = False
     slack: bool = False
     unloaded: bool = False  # the cell reads no more than a tare may take away
-    value: float = 0.0  # of the command
+    wanted_n: float = 0.0  # target of a TARGET
+    measured_mm: float = 0.0  # stroke of a CONFIRM_STROKE
+    needs_tight: bool = False  # of an IDENTIFY
     stroke_mm: float = math.nan  # NaN: unknown now
     target_min_n: float = 0.0
     target_max_n: float = 0.0
@@ -120,7 +149,7 @@ def preflight_passed(situation: Situation) -> Refusal:
 
 
 def cause_gone(situation: Situation) -> Refusal:
-    """The latched fault's cause is no longer seen, and the stop it began has ended."""
+    """No cause of the latched fault stands, and the stop it began has ended."""
     # A reset during the stop would also cancel the power off that follows if the drive does not obey.
     if situation.cause_present:
         return Refusal.CAUSE_PRESENT
@@ -128,18 +157,18 @@ def cause_gone(situation: Situation) -> Refusal:
 
 
 def rope_tight(situation: Situation) -> Refusal:
-    """There is something to release."""
+    """The rope is tight, so that there is tension to release."""
     return Refusal.ALREADY if situation.slack else Refusal.NONE
 
 
 def no_fault_latched(situation: Situation) -> Refusal:
-    """A ramp down that a limit began is not called off but by a hold."""
+    """No fault is latched: only a hold ends the ramp down that a limit began."""
     return Refusal.FAULT_LATCHED if situation.fault_latched else Refusal.NONE
 
 
 def target_in_bounds(situation: Situation) -> Refusal:
     """The target is between tension.target_min_n and target_max_n."""
-    inside = situation.target_min_n <= situation.value <= situation.target_max_n
+    inside = situation.target_min_n <= situation.wanted_n <= situation.target_max_n
     return Refusal.NONE if inside else Refusal.OUT_OF_RANGE
 
 
@@ -148,19 +177,19 @@ def rope_unloaded(situation: Situation) -> Refusal:
     return Refusal.NONE if situation.unloaded else Refusal.LOADED
 
 
-def rope_as_asked(situation: Situation) -> Refusal:
-    """An identification under tension needs some."""
-    return Refusal.SLACK if situation.value and situation.slack else Refusal.NONE
+def rope_tight_if_needed(situation: Situation) -> Refusal:
+    """The rope is tight, or the identification does not need it to be."""
+    return Refusal.SLACK if situation.needs_tight and situation.slack else Refusal.NONE
 
 
-def stroke_as_said(situation: Situation) -> Refusal:
-    """The operator's measurement of the stroke is what the drive's position says."""
-    agrees = abs(situation.value - situation.stroke_mm) <= TOLERANCE_MM
+def stroke_as_measured(situation: Situation) -> Refusal:
+    """The drive's position is the stroke that the operator has measured."""
+    agrees = abs(situation.measured_mm - situation.stroke_mm) <= TOLERANCE_MM
     return Refusal.NONE if agrees else Refusal.STROKE_DIFFERS
 
 
 def drive_at_fault(situation: Situation) -> Refusal:
-    """The drive's own fault, from before this daemon, is seen, so that it can be cleared."""
+    """The drive reports a fault of its own, from before this daemon, that a reset can clear."""
     if not situation.drive_faulted:
         return Refusal.WRONG_MODE
     return cause_gone(situation)
@@ -218,12 +247,12 @@ TRIED_IN = {
 }
 FILED = frozenset({*TRIED_IN, Verb.GAINS})  # their results are put on record before they take effect
 
-_TRIAL_GUARD: dict[Verb, Guard] = {Verb.TARE: rope_unloaded, Verb.IDENTIFY: rope_as_asked}
+_TRIAL_GUARD: dict[Verb, Guard] = {Verb.TARE: rope_unloaded, Verb.IDENTIFY: rope_tight_if_needed}
 
 WITHOUT_EVENT: dict[tuple[Mode, Verb], Guard | None] = {
     (Mode.DISARMED, Verb.ARM): preflight_passed,  # no event yet: ENABLED follows from the drive
     (Mode.DISARMED, Verb.RESET): drive_at_fault,
-    **{(mode, Verb.CONFIRM_STROKE): stroke_as_said for mode in (Mode.DISARMED, Mode.FAULT)},
+    **{(mode, Verb.CONFIRM_STROKE): stroke_as_measured for mode in (Mode.DISARMED, Mode.FAULT)},
     (Mode.FAULT, Verb.DISARM): None,  # power off, brake closed; the fault stays latched
     **{(mode, Verb.TARGET): target_in_bounds for mode in Mode},
     **{(mode, Verb.GAINS): None for mode in Mode},

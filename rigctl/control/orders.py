@@ -23,8 +23,8 @@ from rigctl.ipc.correction import Correction, tare_limit_n
 from rigctl.ipc.record import COMMAND_LIFETIME_NS
 
 _VERBS, _SETTINGS = frozenset(map(int, Verb)), frozenset(map(int, Setting))
+_Values = dict[str, float]  # of a command, by the names in `modes.VALUES`
 LOOK_NS = 500_000_000  # period of the preflight for display while the rig is not armed
-_GAINS = (Setting.K_TENSION, Setting.K_SPEED, Setting.K_INTEGRAL)
 
 
 class Orders:
@@ -57,18 +57,18 @@ class Orders:
         self._settings, self._machine, self._observer = settings, machine, observer
         self._law, self._watch, self._logbook, self._supervised = law, watch, logbook, supervised
         self._readback, self._homed = readback, homed
-        self._arm: tuple[int, float, int] | None = None  # id, value and time of an ARM that waits for the read-back
+        self._arm: tuple[int, _Values, int] | None = None  # id, values and time of an ARM that waits for the read-back
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._look_ns = 0
         self._near_end = False  # the last ARM was given to drive away from an end of the stroke
-        self._found = (0.0, 0.0)  # value and spread of the last trial
+        self._found: _Values = {}  # figures of the last trial
         self._held_ns = 0  # when the last HOLD from the ring of holds was given
         self._sequence = arming.Sequence(settings)  # from an accepted ARM to the drive's power
-        self._gains: list[float] = []  # of a set that is not complete yet
 
     def take(self, slot: object, t_ns: int) -> bool:
         """Take one slot of the command ring; returns whether an operator gave it."""
-        given_ns, id_, code, value = (slot[name].item() for name in ("t_ns", "id", "verb", "value"))  # type: ignore[index]
+        given_ns, id_, code = (slot[name].item() for name in ("t_ns", "id", "verb"))  # type: ignore[index]
+        values = {name: slot[name].item() for name in modes.VALUES.get(code, ())}  # type: ignore[index]
         if code not in _VERBS and code not in _SETTINGS:
             self._reply(t_ns, id_, Refusal.UNKNOWN)
         elif abs(t_ns - given_ns) > COMMAND_LIFETIME_NS:
@@ -76,10 +76,9 @@ class Orders:
         elif code in _VERBS and given_ns < self._held_ns:  # an older command that waited must not undo a HOLD
             self._reply(t_ns, id_, Refusal.ABORTED)
         elif code in _SETTINGS:
-            refusal = self._set(Setting(code), value, t_ns)
-            self._reply(t_ns, id_, refusal, value=value)
+            self._set(id_, Setting(code), values, t_ns)
         else:
-            self._obey(id_, Verb(code), value, t_ns)
+            self._obey(id_, Verb(code), values, t_ns)
         return code in _VERBS
 
     def take_hold(self, slot: object, t_ns: int) -> None:
@@ -91,7 +90,7 @@ class Orders:
             self._reply(t_ns, id_, Refusal.EXPIRED)
         else:
             self._held_ns = given_ns
-            self._obey(id_, Verb.HOLD, 0.0, t_ns)
+            self._obey(id_, Verb.HOLD, {}, t_ns)
 
     def attend(self, t_ns: int) -> None:
         """Go on with a waiting ARM, the preflight for display, and the trial, which is answered once it has ended."""
@@ -109,7 +108,7 @@ class Orders:
             verdict = trial.see(self._observer.inbox, self._observer.snapshot)
             if verdict is None:
                 return
-            self._found = number(trial.value), number(trial.spread)
+            self._found = trial.figures
             machine.end_trial(verdict)
         self.trial = None
 
@@ -119,14 +118,14 @@ class Orders:
         if not machine.awaiting:
             return
         step = sequence.step(t_ns, snapshot, slack=self._observer.slack)
-        if step is arming.Step.SLIPPED:
+        if step is arming.ArmingStep.SLIPPED:
             machine.refuse_arming(Refusal.BRAKE_SLIPPED)
             trip = Trip(Fault.BRAKE_SLIPS, sequence.moved_mm, arming.BRAKE_TEST_MM, Action.HOLD)
             if machine.trip(trip, t_ns):
                 self._logbook.trip(t_ns, Kind.TRIP, trip)
-        elif step is arming.Step.LATE or self.failed_checks(near_end=self._near_end) & ~arming.AWAITED_CHECKS:
+        elif step is arming.ArmingStep.LATE or self.failed_checks(near_end=self._near_end) & ~arming.AWAITED_CHECKS:
             machine.refuse_arming(Refusal.PREFLIGHT)
-        elif step is arming.Step.READY:
+        elif step is arming.ArmingStep.READY:
             machine.switch_on(t_ns)
             if sequence.tested is not None:
                 held = int(sequence.tested)
@@ -135,26 +134,26 @@ class Orders:
     def reply(self, t_ns: int, answers: Sequence[Answer]) -> None:
         """Reply to the commands that the machine has answered."""
         for given in answers:
-            checks, value, spread = 0, number(self._observer.tension_n), 0.0
+            checks, figures = 0, {"tension_n": self._observer.tension_n}
             if given.refusal is Refusal.PREFLIGHT:
                 failing = self.failed_checks(near_end=self._near_end)
                 checks = int(failing & ~arming.AWAITED_CHECKS or failing)  # name AWAITED_CHECKS only if alone
             elif given.refusal is Refusal.BRAKE_SLIPPED:
-                value = number(self._sequence.moved_mm)
+                figures = {"moved_mm": self._sequence.moved_mm}
             elif given.refusal is Refusal.STOP_RUNNING:
-                value = number(self._observer.inbox.speed_mm_s)
+                figures = {"speed_mm_s": self._observer.inbox.speed_mm_s}
             elif given.refusal is Refusal.CAUSE_PRESENT:
-                value = float(self._watch.present(self._observer.snapshot))
+                figures = {"cause": float(self._watch.present(self._observer.snapshot))}
                 checks = self._watch.blocking(self._observer.snapshot)
             elif given.refusal is Refusal.LOADED:
-                value = number(self._observer.inbox.reading_n)
+                figures = {"reading_n": self._observer.inbox.reading_n}
             elif given.verb is Verb.CONFIRM_STROKE:
-                value = number(self._observer.snapshot.stroke_mm)
+                figures = {"stroke_mm": self._observer.snapshot.stroke_mm}
             elif given.verb in (Verb.TARGET, Verb.TENSION):
-                value = self._law.target_n
+                figures = {"target_n": self._law.target_n}
             elif given.verb in modes.TRIED_IN and given.refusal is Refusal.NONE:
-                value, spread = self._found
-            self._reply(t_ns, given.id, given.refusal, checks, value, spread)
+                figures = self._found
+            self._reply(t_ns, given.id, given.refusal, checks, **figures)
 
     def correct(self, correction: Correction, t_ns: int) -> None:
         """Put zero and scale of the cell in force."""
@@ -175,18 +174,18 @@ class Orders:
     def _verified_at_start(self) -> bool:
         return self._supervised and not self._observer.inbox.restarted
 
-    def _obey(self, id_: int, verb: Verb, value: float, t_ns: int) -> None:
+    def _obey(self, id_: int, verb: Verb, values: _Values, t_ns: int) -> None:
         machine = self._machine
         if verb is Verb.RESET and machine.mode is Mode.DISARMED and self._arm is None:
             self._readback.forget()  # ARM reads all of it again
             self._observer.look_at_settings()
         if verb is Verb.ARM and self._arm is None and machine.mode is Mode.DISARMED and not machine.arming:
             judged_later = Check.DRIVE_SUPERVISION | arming.AWAITED_CHECKS
-            others = self.failed_checks(near_end=value == 1.0) & ~judged_later
+            others = self.failed_checks(near_end=values["near_end"] == 1.0) & ~judged_later
             if self._readback.size and self._verified_at_start and not others and not machine.stopping:
                 machine.end_trial(Refusal.ABORTED)
                 self.trial = None
-                self._arm = id_, value, t_ns
+                self._arm = id_, values, t_ns
                 self._readback.begin_all(t_ns)
                 return
         elif verb is Verb.ARM and self._arm is not None:
@@ -201,11 +200,11 @@ class Orders:
             self._arm = None
             self._readback.give_up()
             return
-        self._carry_out(id_, verb, value, t_ns)
+        self._carry_out(id_, verb, values, t_ns)
 
-    def _go_on_arming(self, waiting: tuple[int, float, int], t_ns: int) -> None:
+    def _go_on_arming(self, waiting: tuple[int, _Values, int], t_ns: int) -> None:
         """Arm once everything is read back, or refuse; the other checks are evaluated again."""
-        id_, value, since_ns = waiting
+        id_, values, since_ns = waiting
         verdict = self._readback.verdict(t_ns)
         if verdict is None and self._machine.mode is Mode.DISARMED and not self._machine.stopping:
             return
@@ -213,12 +212,12 @@ class Orders:
         self._readback.give_up()
         if verdict:
             self._logbook.event(t_ns, Kind.READ_BACK, self._readback.size, value=(t_ns - since_ns) * 1e-9)
-        self._carry_out(id_, Verb.ARM, value, t_ns)
+        self._carry_out(id_, Verb.ARM, values, t_ns)
 
-    def _carry_out(self, id_: int, verb: Verb, value: float, t_ns: int) -> None:
+    def _carry_out(self, id_: int, verb: Verb, values: _Values, t_ns: int) -> None:
         machine, observer, settings = self._machine, self._observer, self._settings
         if verb is Verb.ARM and not machine.arming:
-            self._near_end = value == 1.0
+            self._near_end = values["near_end"] == 1.0
         near_end = verb is Verb.ARM and self._near_end
         failing = self.failed_checks(near_end=near_end)
         stops = machine.action >= Action.QUICK_STOP or observer.snapshot.drive_faulted
@@ -226,7 +225,9 @@ class Orders:
             failed_checks=int(failing & ~arming.AWAITED_CHECKS),
             stop_running=stops and arming.stop_running(observer.snapshot, settings),
             fault_latched=machine.fault is not Fault.NONE,
-            value=value,
+            wanted_n=values.get("target_n", 0.0),
+            measured_mm=values.get("stroke_mm", 0.0),
+            needs_tight=bool(values.get("tight", 0.0)),
             stroke_mm=observer.snapshot.stroke_mm if observer.snapshot.drive_age_ns <= self._stale_ns else math.nan,
             cause_present=self._watch.present(observer.snapshot) is not Fault.NONE,
             drive_enabled=observer.snapshot.drive_enabled and machine.drive_wanted,
@@ -250,54 +251,56 @@ class Orders:
                 observer.acknowledge_slip()
             self._logbook.event(t_ns, Kind.RESET, fault)
         if verb is Verb.TARGET and done:
-            self._law.target_n = value
+            self._law.target_n = values["target_n"]
         elif verb is Verb.CONFIRM_STROKE and done:
             self._logbook.stroke(t_ns, self._homed.confirm(observer.snapshot.stroke_mm))
 
-    def _set(self, setting: Setting, value: float, t_ns: int) -> Refusal:
-        """Put a setting in force, within its bounds; one that changes the cell's reading only in DISARMED or HOLD."""
-        if setting is Setting.OVERDUE:
-            self.overdue = value != 0.0
-            return Refusal.NONE
-        if setting is Setting.HOST_CHECKS:
-            return self._take_host_checks(value)
-        if setting in _GAINS:
-            return self._set_gain(setting, value, t_ns)
+    def _set(self, id_: int, setting: Setting, values: _Values, t_ns: int) -> None:
+        """Put a setting in force, within its bounds, and reply."""
+        match setting:
+            case Setting.OVERDUE:
+                self.overdue = values["overdue"] != 0.0
+                refusal = Refusal.NONE
+            case Setting.HOST_CHECKS:
+                refusal = self._set_host_checks(values["host_checks"])
+            case Setting.LAW_GAINS:
+                refusal = self._set_gains(Gains(**values), t_ns)
+            case _:
+                refusal = self._set_correction(values, t_ns)
+        figures = {"reading_n": self._observer.inbox.reading_n} if refusal is Refusal.LOADED else {}
+        self._reply(t_ns, id_, refusal, **figures)
+
+    def _set_correction(self, values: _Values, t_ns: int) -> Refusal:
+        """Put zero or scale of the cell in force; the reading jumps, so only in DISARMED or HOLD."""
         inbox = self._observer.inbox
         if self._machine.mode not in (Mode.DISARMED, Mode.HOLD) or self._machine.stopping:
             return Refusal.WRONG_MODE
-        if setting is Setting.ZERO and not abs(inbox.reading_n) <= tare_limit_n(self._settings):
+        if "zero_n" in values and not abs(inbox.reading_n) <= tare_limit_n(self._settings):
             return Refusal.LOADED
-        now = inbox.correction
-        wanted = replace(now, zero_n=value) if setting is Setting.ZERO else replace(now, scale=value)
+        overdue = values.pop("overdue", math.nan)
+        wanted = replace(inbox.correction, **values)
         if not wanted.fits(self._settings):
             return Refusal.OUT_OF_RANGE
+        if not math.isnan(overdue):
+            self._observer.snapshot.calibration_overdue = overdue != 0.0
         self.correct(wanted, t_ns)
         return Refusal.NONE
 
-    def _take_host_checks(self, value: float) -> Refusal:
+    def _set_host_checks(self, bits: float) -> Refusal:
         """Take the failing bits of the checks that the loop cannot make itself."""
-        known = value >= 0.0 and value.is_integer() and not int(value) & ~int(HOST_CHECKS)
-        self.host_checks = int(value) if known else int(Check.HOST)
+        known = bits >= 0.0 and bits.is_integer() and not int(bits) & ~int(HOST_CHECKS)
+        self.host_checks = int(bits) if known else int(Check.HOST)
         self.shown_checks = self.shown_checks & ~int(HOST_CHECKS) | self.host_checks
         return Refusal.NONE if known else Refusal.OUT_OF_RANGE
 
-    def _set_gain(self, setting: Setting, value: float, t_ns: int) -> Refusal:
-        """Gains come one by one, in their order; the last puts the whole set in force, in any mode, bumpless."""
-        place = _GAINS.index(setting)
-        if not math.isfinite(value) or value < 0.0 or place > len(self._gains):
-            self._gains.clear()
+    def _set_gains(self, gains: Gains, t_ns: int) -> Refusal:
+        """Put a set of gains in force, in any mode, bumpless."""
+        if not all(math.isfinite(gain) and gain >= 0.0 for gain in gains.in_order):
             return Refusal.OUT_OF_RANGE
-        self._gains[place:] = [value]
-        if len(self._gains) == len(_GAINS):
-            gains = Gains(*self._gains)
-            self._gains.clear()
-            self._law.change_gains(gains)
-            text = f"{gains.k_tension:.6g} {gains.k_speed:.6g} {gains.k_integral:.6g}".encode()
-            self._logbook.event(t_ns, Kind.GAINS, text=text)
+        self._law.change_gains(gains)
+        text = f"{gains.k_tension:.6g} {gains.k_speed:.6g} {gains.k_integral:.6g}".encode()
+        self._logbook.event(t_ns, Kind.GAINS, text=text)
         return Refusal.NONE
 
-    def _reply(
-        self, t_ns: int, id_: int, refusal: Refusal, checks: int = 0, value: float = 0.0, spread: float = 0.0
-    ) -> None:
-        self._logbook.reply(t_ns, id_, refusal, checks, self._machine.mode, value, spread)
+    def _reply(self, t_ns: int, id_: int, refusal: Refusal, checks: int = 0, **figures: float) -> None:
+        self._logbook.reply(t_ns, id_, refusal, checks, self._machine.mode, **figures)

@@ -47,8 +47,8 @@ class Readback:
         self._table = tuple(table)
         self._every, self._left = sdo.every_ticks(settings), 0
         self._place = 0  # index of the next object
-        self._asked: Watched | None = None
-        self._asked_ns = self._tries = 0
+        self._under_way: Watched | None = None
+        self._sent_ns = self._tries = 0
         self._recent: dict[int, tuple[tuple[int, int], tuple[int, int]]] = {}  # last two objects requested, by node
         self._all_since_ns = 0  # 0: no ARM waits
         self._unread = 0
@@ -85,7 +85,7 @@ class Readback:
         """Read every object, from now on."""
         self.lost.clear()
         self._place, self._unread, self._all_since_ns = 0, len(self._table), t_ns
-        self._asked, self._left = None, 0
+        self._under_way, self._left = None, 0
 
     def give_up(self) -> None:
         """No ARM waits any more."""
@@ -108,37 +108,37 @@ class Readback:
         """
         self._left = max(0, self._left - 1)
         if not (self._table and (armed or self._unread)):
-            self._asked = None
+            self._under_way = None
             return None
-        asked = self._asked
-        if asked is not None:
-            if t_ns - self._asked_ns < asked.timeout_ms * 1_000_000:
+        item = self._under_way
+        if item is not None:
+            if t_ns - self._sent_ns < item.timeout_ms * 1_000_000:
                 return None
             if self._tries >= TRIES:
-                self._lose(asked, None, f"no answer to {TRIES} requests")
+                self._lose(item, None, f"no answer to {TRIES} requests")
                 self._done()
         if self._left:
             return None
         self._left = self._every
-        return self._ask(t_ns)
+        return self._send(t_ns)
 
     def take(self, node: int, data: bytes | bytearray, t_ns: int) -> bool:
         """Take an SDO answer; returns whether it is to one of our requests. A late or repeated answer is."""
         where = sdo.answered(data)
         if where is None or where not in self._recent.get(node, ()):
             return t_ns < self._foreign_ns
-        asked = self._asked
-        if asked is None or (asked.node, asked.index, asked.sub) != (node, *where):
+        item = self._under_way
+        if item is None or (item.node, item.index, item.sub) != (node, *where):
             return True
-        answer = sdo.upload_answer(data, asked.size)
+        answer = sdo.upload_answer(data, item.size)
         if answer.abort:
-            self._lose(asked, None, f"refused, abort code 0x{answer.abort:08X}")
+            self._lose(item, None, f"refused, abort code 0x{answer.abort:08X}")
         elif not answer.expedited:
-            self._lose(asked, None, "answered in several frames")
-        elif answer.value != asked.wanted:
-            self._lose(asked, answer.value)
+            self._lose(item, None, "answered in several frames")
+        elif answer.value != item.wanted:
+            self._lose(item, answer.value)
         else:
-            self.lost.pop(asked, None)
+            self.lost.pop(item, None)
         self.read += 1
         self._done()
         return True
@@ -151,27 +151,27 @@ class Readback:
         """Another master has accessed this object: read it next."""
         for i, item in enumerate(self._table):
             if not self._unread and (item.node, item.index, item.sub) == (node, *(where or ())):
-                self._place = i - (self._asked is not None)  # the answer under way will move it by one
+                self._place = i - (self._under_way is not None)  # the answer under way will move it by one
 
-    def _ask(self, t_ns: int) -> tuple[int, bytes]:
-        if self._asked is None:
-            self._asked, self._tries = self._table[self._place], 0
-        asked = self._asked
+    def _send(self, t_ns: int) -> tuple[int, bytes]:
+        if self._under_way is None:
+            self._under_way, self._tries = self._table[self._place], 0
+        item = self._under_way
         self._tries += 1
-        self._asked_ns = t_ns
-        now, before = (asked.index, asked.sub), self._recent.get(asked.node)
+        self._sent_ns = t_ns
+        now, before = (item.index, item.sub), self._recent.get(item.node)
         if before is None or before[0] != now:
-            self._recent[asked.node] = now, (before[0] if before else now)
-        return asked.node, sdo.upload_request(asked.index, asked.sub)
+            self._recent[item.node] = now, (before[0] if before else now)
+        return item.node, sdo.upload_request(item.index, item.sub)
 
     def _done(self) -> None:
-        self._asked = None
+        self._under_way = None
         self._place = (self._place + 1) % len(self._table)
         self._unread = max(0, self._unread - 1)
 
     def _lose(self, item: Watched, found: int | None, why: str = "") -> None:
         known, lost = self.lost.get(item), Lost(item, found, why)
-        told = any(other.found is None and other.item.node == item.node for other in self.lost.values())
+        known_silent = any(other.found is None and other.item.node == item.node for other in self.lost.values())
         self.lost[item] = lost
-        if lost != known and not (found is None and told):  # a silent device is reported once
+        if lost != known and not (found is None and known_silent):  # a silent device is reported once
             self._newest = lost

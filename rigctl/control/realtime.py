@@ -67,17 +67,17 @@ def die_with_parent(signal_number: int) -> None:
 
 
 def _scheduler(priority: int) -> Applied:
-    asked = f"SCHED_FIFO {priority}, reset on fork"
+    wanted = f"SCHED_FIFO {priority}, reset on fork"
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     policy, level = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
     ok = policy == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK and level == priority
     return Applied(
         "scheduler",
-        asked,
+        wanted,
         f"SCHED_FIFO {level}" if policy & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO else "SCHED_OTHER",
         ok,
-        "" if ok else f"{asked} not allowed: run as root, or raise RLIMIT_RTPRIO to {priority} (limits.conf: rtprio)",
+        "" if ok else f"{wanted} not allowed: run as root, or raise RLIMIT_RTPRIO to {priority} (limits.conf: rtprio)",
     )
 
 

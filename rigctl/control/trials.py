@@ -34,7 +34,7 @@ DITHER = 0.02  # each pair is shorter than the one before, so that rounding in t
 
 
 class Trial(Protocol):
-    """A trial under way; ``value`` and ``spread`` go into its answer."""
+    """A trial under way."""
 
     moves: bool
     """The trial moves the stroke on purpose."""
@@ -44,12 +44,8 @@ class Trial(Protocol):
         """Speed wanted now."""
 
     @property
-    def value(self) -> float:
-        """Result of the trial."""
-
-    @property
-    def spread(self) -> float:
-        """Spread of the result."""
+    def figures(self) -> dict[str, float]:
+        """Result for the reply, by the names of its fields in `rigctl.ipc.record.REPLY`."""
 
     def see(self, inbox: Inbox, snapshot: Snapshot) -> Refusal | None:
         """One tick."""
@@ -72,13 +68,18 @@ class Average:
         self.wanted_mm_s = 0.0
 
     @property
-    def value(self) -> float:
-        """Mean in N; NaN without samples."""
+    def figures(self) -> dict[str, float]:
+        """Mean and rms about it."""
+        return {"reading_n": self.mean_n, "rms_n": self.rms_n}
+
+    @property
+    def mean_n(self) -> float:
+        """NaN without samples."""
         return self._first + self._sum / self.samples if self.samples else math.nan
 
     @property
-    def spread(self) -> float:
-        """Rms about the mean in N; NaN without samples."""
+    def rms_n(self) -> float:
+        """About the mean; NaN without samples."""
         if not self.samples:
             return math.nan
         mean = self._sum / self.samples
@@ -104,7 +105,7 @@ class Average:
             return None
         if self.samples < FEWEST_SAMPLES:
             return Refusal.NO_SAMPLES
-        return Refusal.UNSTEADY if self.spread > self._spread_n else Refusal.NONE
+        return Refusal.UNSTEADY if self.rms_n > self._spread_n else Refusal.NONE
 
 
 class Excitation:
@@ -135,12 +136,11 @@ class Excitation:
         self._rest_n = self._start_n
         self._ticks = 0
         self.wanted_mm_s = 0.0
-        self.spread = 0.0
 
     @property
-    def value(self) -> float:
-        """Time taken, in s."""
-        return self._ticks / self._rate
+    def figures(self) -> dict[str, float]:
+        """Time taken."""
+        return {"duration_s": self._ticks / self._rate}
 
     def see(self, inbox: Inbox, _snapshot: Snapshot) -> Refusal | None:
         """Choose this tick's speed, within the bounds."""

@@ -51,9 +51,9 @@ class LiveStage:
 
     def command(self, verb: Verb) -> None:
         """See `Stage`."""
-        self._heard(self._live_rig.command(verb, OPERATOR))
+        self._accepted(self._live_rig.command(verb, OPERATOR))
 
-    def _heard(self, answer: dict[str, Any]) -> None:
+    def _accepted(self, answer: dict[str, Any]) -> None:
         if not answer["accepted"]:
             raise DemoError(answer["text"])
         self._renew_ns = time.monotonic_ns() + round(answer["lease"]["left_s"] / 3 * 1e9)
@@ -102,7 +102,7 @@ class LiveStage:
         time.sleep(seconds)
         if self._renew_ns and time.monotonic_ns() >= self._renew_ns:
             try:
-                self._heard(self._client.take_lease(OPERATOR))
+                self._accepted(self._client.take_lease(OPERATOR))
             except NoDaemonError as error:
                 raise DemoError(str(error)) from None
         self.records.append(self._reader.read())
@@ -148,7 +148,7 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
             live_rig = stack.enter_context(start_live_rig(settings, pathlib.Path(folder), "--truth", str(truth_file)))
             where = ("--connect", settings.telemetry.listen, "--rig", settings.rig)
             counter = stack.enter_context(process("rigctl.client.counter", *where, stdout=subprocess.PIPE))
-            records = Runtime.of(settings.rig).record_reader(from_start=True)
+            records = Runtime.of(settings.rig).records.reader(from_start=True)
             with _simulator(live_rig.settings) as simulator:
                 stage = LiveStage(live_rig, records, simulator)
                 try:
@@ -190,7 +190,7 @@ def _by_pause(stage: LiveStage, settings: RigSettings) -> PausedError | None:
 
 def _recording(settings: RigSettings) -> pathlib.Path | None:
     """First part of the daemon's recording."""
-    told = Runtime.of(settings.rig).known(RECORDED).get("recording")
-    if not told or not told.get("file"):
+    written = Runtime.of(settings.rig).known(RECORDED).get("recording")
+    if not written or not written.get("file"):
         return None
-    return parts.of_same_run(pathlib.Path(told["folder"]) / told["file"])[0]
+    return parts.of_same_run(pathlib.Path(written["folder"]) / written["file"])[0]

@@ -47,7 +47,7 @@ class LiveRig:
     daemon: subprocess.Popen[bytes]
 
     def command(self, verb: Verb, operator: str, value: float | None = None) -> dict[str, Any]:
-        """Give a command; returns its answer. It is repeated while a new daemon has not heard every device yet.
+        """Give a command; returns its answer. It is repeated until a new daemon has samples of every device.
 
         Raises:
             LiveRigError: it was refused, or the daemon did not answer.

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import struct
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -97,18 +98,33 @@ class RemoteNode:
     def read(self, index: int, sub: int = 0) -> int:
         """Value of an object."""
         try:
-            return self._upload(self._variable(index, sub))
-        except canopen.SdoAbortedError as error:
-            raise StartupError(f"{self.where(index, sub)}: cannot be read: {error}") from None
-        except _GARBLED:
-            raise self._garbled(index, sub) from None
-        except canopen.SdoCommunicationError:
+            with self._errors_named(index, sub):
+                return self._upload(self._variable(index, sub))
+        except SilentError:
             raise SilentError(
                 f"{self.name} (node {self.id}) does not answer on {self._channel} within "
                 f"{self._device.sdo_timeout_ms} ms ({self._section}.sdo_timeout_ms): is the rig on and connected?"
             ) from None
+
+    @contextlib.contextmanager
+    def _errors_named(self, index: int, sub: int, refused: str = "cannot be read") -> Iterator[None]:
+        """A transfer of an object, whose errors name device and object; ``refused``: what an abort means.
+
+        Raises:
+            SilentError: the device does not answer.
+            StartupError: any other error.
+        """
+        where = self.where(index, sub)
+        try:
+            yield
+        except canopen.SdoAbortedError as error:
+            raise StartupError(f"{where}: {refused}: {error}") from None
+        except _GARBLED:
+            raise StartupError(f"{where}: answered with what is no SDO answer on {self._channel}") from None
+        except canopen.SdoCommunicationError:
+            raise SilentError(f"{self.name} (node {self.id}) stopped answering on {self._channel}") from None
         except KeyError:
-            raise StartupError(f"{self.where(index, sub)}: not in its EDS file") from None
+            raise StartupError(f"{where}: not in its EDS file") from None
 
     def _upload(self, variable: Any) -> int:
         """An object's value; canopen's own upload has no bound on the segments a device sends."""
@@ -122,16 +138,8 @@ class RemoteNode:
 
     def write(self, value: int, index: int, sub: int = 0, *, verify: bool = True) -> int:
         """Write an object and read it back."""
-        try:
+        with self._errors_named(index, sub, f"{value:#x} refused"):
             self._variable(index, sub).raw = value
-        except canopen.SdoAbortedError as error:
-            raise StartupError(f"{self.where(index, sub)}: {value:#x} refused: {error}") from None
-        except _GARBLED:
-            raise self._garbled(index, sub) from None
-        except canopen.SdoCommunicationError:
-            raise self._silent() from None
-        except KeyError:
-            raise StartupError(f"{self.where(index, sub)}: not in its EDS file") from None
         return self.expect(value, index, sub) if verify else value
 
     def expect(self, value: int, index: int, sub: int = 0) -> int:
@@ -155,36 +163,21 @@ class RemoteNode:
     def enforce(self, name: str, wanted: int, index: int, sub: int) -> StopSetting:
         """Write a setting and read it back; a refusal or another value is no error here but in the result."""
         what = f"0x{index:04X}:{sub:02X}" if sub else f"0x{index:04X}"
-        try:
-            variable = self._variable(index, sub)
-        except KeyError:
+        if not self.has(index, sub):
             return StopSetting(name, what, wanted, None, "not in its EDS file")
-        why = ""
-        try:
-            variable.raw = wanted
-        except canopen.SdoAbortedError as error:
-            why = f"refused: {error}"
-        except _GARBLED:
-            raise self._garbled(index, sub) from None
-        except canopen.SdoCommunicationError:
-            raise self._silent() from None
-        try:
-            found = StopSetting(name, what, wanted, self._upload(variable), why)
-            if found.ok:
-                self.watch(wanted, index, sub, name)
-            return found
-        except canopen.SdoAbortedError as error:
-            return StopSetting(name, what, wanted, None, f"cannot be read: {error}")
-        except _GARBLED:
-            raise self._garbled(index, sub) from None
-        except canopen.SdoCommunicationError:
-            raise self._silent() from None
-
-    def _garbled(self, index: int, sub: int) -> StartupError:
-        return StartupError(f"{self.where(index, sub)}: answered with what is no SDO answer on {self._channel}")
-
-    def _silent(self) -> StartupError:
-        return SilentError(f"{self.name} (node {self.id}) stopped answering on {self._channel}")
+        variable, why = self._variable(index, sub), ""
+        with self._errors_named(index, sub):
+            try:
+                variable.raw = wanted
+            except canopen.SdoAbortedError as error:
+                why = f"refused: {error}"
+            try:
+                found = StopSetting(name, what, wanted, self._upload(variable), why)
+            except canopen.SdoAbortedError as error:
+                return StopSetting(name, what, wanted, None, f"cannot be read: {error}")
+        if found.ok:
+            self.watch(wanted, index, sub, name)
+        return found
 
     def await_boot(self, until_s: float, say: Callable[[str], None]) -> None:
         """Wait until the device answers, at most until ``until_s`` (time.monotonic).
@@ -218,11 +211,11 @@ class RemoteNode:
             )
         found = Device(self.name, self.id, device_type, *(self.read(od.IDENTITY, sub) for sub in (1, 2, 3, 4)))
         for sub, what in enumerate(("vendor", "product"), 1):
-            asked = getattr(self._device, what)
-            if asked is not None and getattr(found, what) != asked:
+            expected = getattr(self._device, what)
+            if expected is not None and getattr(found, what) != expected:
                 raise StartupError(
                     f"{self.where(od.IDENTITY, sub)}: found {what} {getattr(found, what):#x}, "
-                    f"expected {asked:#x} ({self._section}.{what} in the rig file)"
+                    f"expected {expected:#x} ({self._section}.{what} in the rig file)"
                 )
         return found
 
@@ -265,20 +258,17 @@ class RemoteNode:
     def _remap(self, layout: od.PdoLayout, mapped: tuple[int, ...]) -> od.PdoLayout:
         """Write the mapping of a PDO that is switched off; returns the layout in use."""
         index = layout.mapping_object
-        try:
-            self._variable(index, 0).raw = 0
-        except canopen.SdoAbortedError as error:  # the mapping is fixed
+        with self._errors_named(index, 0):
             try:
-                return layout.as_mapped(mapped)
-            except ValueError as missing:
-                raise StartupError(
-                    f"{self.where(index, 0)}: a mapping that cannot be changed ({error}) has {missing}: "
-                    "use another PDO or object of the device, or another device"
-                ) from None
-        except _GARBLED:
-            raise self._garbled(index, 0) from None
-        except canopen.SdoCommunicationError:
-            raise self._silent() from None
+                self._variable(index, 0).raw = 0
+            except canopen.SdoAbortedError as error:  # the mapping is fixed
+                try:
+                    return layout.as_mapped(mapped)
+                except ValueError as missing:
+                    raise StartupError(
+                        f"{self.where(index, 0)}: a mapping that cannot be changed ({error}) has {missing}: "
+                        "use another PDO or object of the device, or another device"
+                    ) from None
         self.expect(0, index)
         for sub, entry in enumerate(layout.mapping, 1):
             self.write(entry, index, sub)

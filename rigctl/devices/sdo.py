@@ -44,7 +44,7 @@ class Watched:
 
 
 @dataclass(frozen=True)
-class Answer:
+class UploadAnswer:
     """An upload's answer: an object's bit pattern or the abort code; more frames follow if not ``expedited``."""
 
     value: int = 0
@@ -74,14 +74,14 @@ def answered(data: bytes | bytearray) -> tuple[int, int] | None:
     return _MULTIPLEXER.unpack_from(data, 1)
 
 
-def upload_answer(data: bytes | bytearray, size: int) -> Answer:
+def upload_answer(data: bytes | bytearray, size: int) -> UploadAnswer:
     """Content of such an answer, for an object of ``size`` bytes."""
     (value,) = _VALUE.unpack_from(data, 4)
     if data[0] & _SPECIFIER == _ABORT:
-        return Answer(abort=value or 1)
+        return UploadAnswer(abort=value or 1)
     if not data[0] & _EXPEDITED:
-        return Answer(expedited=False)
-    return Answer(value & (1 << 8 * _used(data, size)) - 1)
+        return UploadAnswer(expedited=False)
+    return UploadAnswer(value & (1 << 8 * _used(data, size)) - 1)
 
 
 def _used(data: bytes | bytearray, size: int) -> int:

@@ -59,7 +59,7 @@ class PlainDevice:
 
 
 @dataclass(frozen=True)
-class Report:
+class StartupReport:
     """Result of start-up; ``supervision`` holds the drive's own stop settings as read back.
 
     ``watched``: every object that was verified, the drive's first, for `rigctl.control.readback`.
@@ -108,7 +108,7 @@ def refuse_rival(bus: can.BusABC, settings: RigSettings) -> None:
             )
 
 
-def bring_up(bus: can.BusABC, settings: RigSettings, say: Callable[[str], None] = lambda _line: None) -> Report:
+def bring_up(bus: can.BusABC, settings: RigSettings, say: Callable[[str], None] = lambda _line: None) -> StartupReport:
     """Configure the CANopen devices and start them; the drive stays off, its brake closed.
 
     ``say``: called with one line for each wait.
@@ -131,35 +131,35 @@ def bring_up(bus: can.BusABC, settings: RigSettings, say: Callable[[str], None] 
             network.notifier.stop()
 
 
-def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[str], None]) -> Report:
+def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[str], None]) -> StartupReport:
     nodes = {device: RemoteNode(network, settings, device, _DEVICES[device][0]) for device in settings.canopen_nodes}
     for node in nodes.values():
         node.remote.nmt.state = "PRE-OPERATIONAL"
     until_s = time.monotonic() + settings.can.boot_wait_s
     for node in nodes.values():
         node.await_boot(until_s, say)
-    asked = wanted(settings).frames
+    pdos = wanted(settings).frames
     frames = {}
     devices = [node.identity(_DEVICES[device][1]) for device, node in nodes.items()]
     if cell := nodes.get("tension_cell"):
         cell.expect(od.SI_UNIT_NEWTON, od.AI_PHYSICAL_UNIT, 1)
         cell.expect(od.CELL_DECIMAL_DIGITS, od.AI_DECIMAL_DIGITS, 1)
-        frames["tension_cell"] = cell.map_pdo(asked["tension_cell"], 1)
+        frames["tension_cell"] = cell.map_pdo(pdos["tension_cell"], 1)
     if slope := nodes.get("inclinometer"):
         slope.expect(od.SLOPE_RESOLUTION_MDEG, od.SLOPE_RESOLUTION)
-        frames["inclinometer"] = slope.map_pdo(asked["inclinometer"], settings.inclinometer_divisor)
+        frames["inclinometer"] = slope.map_pdo(pdos["inclinometer"], settings.inclinometer_divisor)
     if encoder := nodes.get("rail_encoder"):
-        frames["rail_encoder"] = _check_encoder(encoder, settings, asked["rail_encoder"])
+        frames["rail_encoder"] = _check_encoder(encoder, settings, pdos["rail_encoder"])
     if settings.io is not None:
-        frames["io"] = _ask_for_inputs(nodes["io"], settings.io, asked["io"])
+        frames["io"] = _map_inputs(nodes["io"], settings.io, pdos["io"])
     drive = nodes["cylinder"]
     units = _units(drive, settings)
-    frames["cylinder"] = drive.map_pdo(asked["cylinder"], 1)
-    if DRIVE_SPEED in asked:
-        frames[DRIVE_SPEED] = drive.map_pdo(asked[DRIVE_SPEED], 1)
-    if DRIVE_STATUS in asked:
-        frames[DRIVE_STATUS] = _ask_for_status(drive, settings, asked[DRIVE_STATUS])
-    frames[COMMAND] = drive.map_pdo(asked[COMMAND], 1)
+    frames["cylinder"] = drive.map_pdo(pdos["cylinder"], 1)
+    if DRIVE_SPEED in pdos:
+        frames[DRIVE_SPEED] = drive.map_pdo(pdos[DRIVE_SPEED], 1)
+    if DRIVE_STATUS in pdos:
+        frames[DRIVE_STATUS] = _map_status(drive, settings, pdos[DRIVE_STATUS])
+    frames[COMMAND] = drive.map_pdo(pdos[COMMAND], 1)
     process_data = ProcessData(frames, units)
     _check_load(settings, process_data)
     drive.write(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_OF_OPERATION)
@@ -171,7 +171,7 @@ def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[s
     for node in nodes.values():
         node.remote.nmt.state = "OPERATIONAL"
     watched = [item for node in (drive, *(n for n in nodes.values() if n is not drive)) for item in node.verified]
-    return Report((*devices, *_plain_devices(settings)), supervision, process_data, tuple(watched))
+    return StartupReport((*devices, *_plain_devices(settings)), supervision, process_data, tuple(watched))
 
 
 def _check_load(settings: RigSettings, process_data: ProcessData) -> None:
@@ -206,12 +206,12 @@ def _units(drive: RemoteNode, settings: RigSettings) -> DriveUnits:
         speed_mm_s = 1.0 / cylinder.speed_units_per_mm_s if cylinder.speed_units_per_mm_s else speed_mm_s
         ramp = cylinder.ramp_units_per_mm_s2
         return DriveUnits(position_mm, speed_mm_s, 1.0 / ramp if ramp else speed_mm_s)
-    told = drive.read(od.SI_UNIT_POSITION) if drive.has(od.SI_UNIT_POSITION) else 0
-    if told >> 16 & 0xFF == _METRE:
+    si_unit = drive.read(od.SI_UNIT_POSITION) if drive.has(od.SI_UNIT_POSITION) else 0
+    if si_unit >> 16 & 0xFF == _METRE:
         unit_mm = _si_unit_mm(drive, od.SI_UNIT_POSITION, 0)
         if not math.isclose(unit_mm * per_mm, 1.0, rel_tol=_SAME_SCALE):
             raise StartupError(
-                f"{drive.where(od.SI_UNIT_POSITION, 0)}: found {told:#x}, {1.0 / unit_mm:g} units per mm, "
+                f"{drive.where(od.SI_UNIT_POSITION, 0)}: found {si_unit:#x}, {1.0 / unit_mm:g} units per mm, "
                 f"expected {per_mm:.9g} ({source})"
             )
     return in_increments(settings, per_mm)
@@ -263,7 +263,7 @@ def _check_encoder(encoder: RemoteNode, settings: RigSettings, layout: od.PdoLay
     return encoder.map_pdo(layout, divisor)
 
 
-def _ask_for_inputs(node: RemoteNode, io: IoSettings, layout: od.PdoLayout) -> od.PdoLayout:
+def _map_inputs(node: RemoteNode, io: IoSettings, layout: od.PdoLayout) -> od.PdoLayout:
     """Have the node send the emergency stop's input on events and by its timer, not inverted and not masked."""
     device_type = node.read(od.DEVICE_TYPE)
     if not device_type & od.DIGITAL_INPUTS_FITTED:
@@ -291,7 +291,7 @@ def _plain_devices(settings: RigSettings) -> list[PlainDevice]:
     ]
 
 
-def _ask_for_status(drive: RemoteNode, settings: RigSettings, layout: od.PdoLayout) -> od.PdoLayout:
+def _map_status(drive: RemoteNode, settings: RigSettings, layout: od.PdoLayout) -> od.PdoLayout:
     """Have the drive send motor current, temperature and inputs in its second TPDO; current is per rated current."""
     rated_a = settings.cylinder.rated_current_a
     assert rated_a is not None  # the settings require it with a status rate

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from rigctl.commission import proposal
 from rigctl.commission.identification import IdentificationError
 from rigctl.config.settings import CalibrationSettings, RigSettings
-from rigctl.control.modes import Setting, Verb
+from rigctl.control.modes import Setting, SettingOrder, Verb
 from rigctl.control.tension import Gains
 from rigctl.ipc.correction import SCALE_BOUND, Correction
 from rigctl.ipc.ledger import Entry, Standing, entry
@@ -30,11 +30,12 @@ class FindingError(ValueError):
 
 @dataclass(frozen=True)
 class Measured:
-    """The loop's figures: mean and rms of the cell's reading in N, and the wall-clock time."""
+    """The loop's figures, and the wall-clock time: TARE, CALIBRATE mean and rms of the cell's reading in N."""
 
     mean_n: float
     rms_n: float
     wall_ns: int
+    duration_s: float = math.nan  # IDENTIFY
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Finding:
     entry: Entry
     text: str
     good: bool = True
-    settings: tuple[tuple[Setting, float], ...] = ()
+    order: SettingOrder | None = None  # puts it in force in the loop
 
 
 def impossible(settings: RigSettings, request: Request) -> str | None:
@@ -71,7 +72,7 @@ def tare(settings: RigSettings, request: Request, now: Standing, measured: Measu
         before=_pair(now), after=_pair(after), figures={"mean_n": measured.mean_n, "rms_n": measured.rms_n},
     )  # fmt: skip
     text = f"zero {now.zero_n:+z.3f} -> {after.zero_n:+z.3f} N (rms {measured.rms_n:.3f} N)"
-    return Finding(written, text, settings=((Setting.ZERO, after.zero_n),))
+    return Finding(written, text, order=SettingOrder(Setting.ZERO, (after.zero_n,)))
 
 
 def calibrate(settings: RigSettings, request: Request, now: Standing, measured: Measured) -> Finding:
@@ -109,10 +110,10 @@ def calibrate(settings: RigSettings, request: Request, now: Standing, measured: 
     found = f"read {reading_n:z.2f} N, reference {reference_n:g} N: {deviation_pct:+.3f} %"
     if request.adopt:
         found += f", scale {now.scale:.5f} -> {scale:.5f}"
-        return Finding(written, found, settings=((Setting.OVERDUE, 0.0), (Setting.SCALE, scale)))
+        return Finding(written, found, order=SettingOrder(Setting.SCALE, (scale, 0.0)))
     found += f", {'within' if passed else 'NOT within'} {section.tolerance_pct:g} %"
     blocked = not passed and section.waiver is None
-    return Finding(written, found, good=passed, settings=((Setting.OVERDUE, float(blocked)),))
+    return Finding(written, found, good=passed, order=SettingOrder(Setting.OVERDUE, (float(blocked),)))
 
 
 def identify(settings: RigSettings, request: Request, records: npt.NDArray[Any], wall_ns: int) -> Finding:
@@ -143,8 +144,8 @@ def gains(
         figures={key: after[key] for key in ("ms_max", "limit", "waiver", "source")},
     )  # fmt: skip
     changed = ", ".join(f"{name} {old[name]:.4g} -> {new[name]:.4g}" for name in new)
-    told = zip((Setting.K_TENSION, Setting.K_SPEED, Setting.K_INTEGRAL), Gains(**new).in_order, strict=True)
-    return Finding(written, f"{changed}; {after['verdict']}", settings=tuple(told))
+    order = SettingOrder(Setting.LAW_GAINS, Gains(**new).in_order)
+    return Finding(written, f"{changed}; {after['verdict']}", order=order)
 
 
 def withdrawn(settings: RigSettings, given: Entry, wall_ns: int) -> Entry:

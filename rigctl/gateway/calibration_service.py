@@ -18,7 +18,7 @@ from typing import Any
 import numpy.typing as npt
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Setting, Verb
+from rigctl.control.modes import Setting, SettingOrder, Verb
 from rigctl.design.admission import NotAdmittedError, admit
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway import left_over
@@ -54,7 +54,7 @@ class CalibrationService:
         self._thread = threading.Thread(target=self._serve, name="calibration", daemon=True)
         self._showing = threading.Lock()
         self._look_ns = self._settle_ns = 0
-        self._seen_ledger = self._tell_overdue = False
+        self._seen_ledger = self._overdue_changed = False
         self._left_over: LeftOver | None = None
         self.standing = in_force(runtime)
         self._thread.start()
@@ -70,7 +70,8 @@ class CalibrationService:
 
     def file(self, request: Request, reply: Any, done: Callable[[Filed], None]) -> None:
         """Put on record what the loop's ``reply`` says, then call ``done`` in the calibration service's thread."""
-        measured = Measured(float(reply["value"]), float(reply["spread"]), time.time_ns())
+        figures = (float(reply[name]) for name in ("reading_n", "rms_n"))
+        measured = Measured(*figures, time.time_ns(), float(reply["duration_s"]))
         t_ns = int(reply["t_ns"])
         self._work.put(lambda: done(self._file(request, measured, t_ns)))
 
@@ -90,23 +91,23 @@ class CalibrationService:
         if filed.standing is not None:
             self._seen_ledger = False
 
-    def news(self, now_ns: int, wall_ns: int) -> Sequence[tuple[Setting, float]]:
+    def news(self, now_ns: int, wall_ns: int) -> Sequence[SettingOrder]:
         """Settings for the loop that follow from the ledger and its due date; computed twice a second."""
         if now_ns < self._look_ns:
             return ()
         self._look_ns = now_ns + LOOK_NS
         self.standing = in_force(self._runtime, self.standing)
-        told = [*self._bring_together(now_ns, wall_ns)]
+        orders = [*self._bring_together(now_ns, wall_ns)]
         passed = self.standing.due is not None and self.standing.due <= ledger.utc(wall_ns)
         if passed and not self.standing.overdue:
             self._show(replace(self.standing, overdue=True))
-            self._tell_overdue = True
-        if self._tell_overdue:
-            self._tell_overdue = False
-            told.append((Setting.OVERDUE, float(self.standing.correction.overdue)))
-        return told
+            self._overdue_changed = True
+        if self._overdue_changed:
+            self._overdue_changed = False
+            orders.append(SettingOrder(Setting.OVERDUE, (float(self.standing.correction.overdue),)))
+        return orders
 
-    def _bring_together(self, now_ns: int, wall_ns: int) -> Sequence[tuple[Setting, float]]:
+    def _bring_together(self, now_ns: int, wall_ns: int) -> Sequence[SettingOrder]:
         """Compare ledger and loop once after a start and after every missing answer; settings that make them agree."""
         if self._left_over is not None:
             return self._settle(self._left_over, now_ns)
@@ -121,13 +122,13 @@ class CalibrationService:
         found = left_over.find(self._settings, entries, has, self.standing, wall_ns)
         if found is None:
             return ()
-        if found.settings is None:
+        if found.orders is None:
             self._say("the ledger says something else than what is in force; it holds from the daemon's next start")
             return ()
         self._left_over, self._settle_ns = found, now_ns + SETTLE_NS
-        return found.settings
+        return found.orders
 
-    def _settle(self, found: LeftOver, now_ns: int) -> Sequence[tuple[Setting, float]]:
+    def _settle(self, found: LeftOver, now_ns: int) -> Sequence[SettingOrder]:
         """Show a left-over entry as in force once the loop uses it; withdraw the entry if the loop does not take it."""
         if left_over.loop_has(self._runtime) == found.pair:
             self._say(f"{found}, left over from before, is in force")
@@ -137,7 +138,7 @@ class CalibrationService:
         else:
             self._say(f"{found}, left over from before, was not taken by the loop: withdrawn from the ledger")
             self._work.put(lambda: self._strike_out(found.entry))
-        self._left_over, self._tell_overdue = None, True
+        self._left_over, self._overdue_changed = None, True
         return ()
 
     def _show(self, standing: Standing) -> None:
@@ -184,9 +185,9 @@ class CalibrationService:
         return Filed(finding, ledger.standing(settings, entries, measured.wall_ns), design=design)
 
     def _records_of(self, measured: Measured, t_ns: int) -> npt.NDArray[Any]:
-        """Records of an excitation that ended at ``t_ns``; the answer's value is its duration in s."""
-        records = self._runtime.record_reader(from_start=True).read()
-        return records[(records["t_ns"] <= t_ns) & (records["t_ns"] > t_ns - round(measured.mean_n * 1e9))]
+        """Records of an excitation that ended at ``t_ns``."""
+        records = self._runtime.records.reader(from_start=True).read()
+        return records[(records["t_ns"] <= t_ns) & (records["t_ns"] > t_ns - round(measured.duration_s * 1e9))]
 
     def _withdraw(self, filed: Filed) -> None:
         if filed.finding is not None:
@@ -199,7 +200,7 @@ class CalibrationService:
             entries = ledger.append(self._settings, findings.withdrawn(self._settings, given, wall_ns))
             if given.passed is not None:
                 self._show(ledger.standing(self._settings, entries, wall_ns))
-                self._tell_overdue = True
+                self._overdue_changed = True
 
     @staticmethod
     def _say(text: str) -> None:

@@ -6,7 +6,6 @@ One thread serves many commands at once.
 from __future__ import annotations
 
 import contextlib
-import math
 import queue
 import threading
 import time
@@ -20,7 +19,7 @@ import zenoh
 
 from rigctl.commission.preflight import Preflight
 from rigctl.config.one_line import on_one_line
-from rigctl.control.modes import FILED, Setting, Verb
+from rigctl.control.modes import FILED, Setting, SettingOrder, Verb, command_slot
 from rigctl.gateway.calibration_service import CalibrationService, Filed
 from rigctl.gateway.command_rate import Flow
 from rigctl.gateway.lease_service import LeaseService
@@ -56,11 +55,11 @@ class Pending:
     request: Request
     until_ns: int
     recorded: Recorded | None = None  # a finding on record that the loop has yet to take
-    sharing: tuple[Asked, ...] = ()  # HOLDs that arrived with it and get the same answer
+    sharing: tuple[ReceivedCommand, ...] = ()  # HOLDs that arrived with it and get the same answer
 
 
 @dataclass(frozen=True)
-class Asked:
+class ReceivedCommand:
     """A command that has arrived."""
 
     query: zenoh.Query
@@ -68,7 +67,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class LeaseAsked:
+class ReceivedLease:
     """A request to take or return the lease."""
 
     query: zenoh.Query
@@ -76,17 +75,17 @@ class LeaseAsked:
 
 
 @dataclass(frozen=True)
-class HoldAsked:
+class HoldWaits:
     """Wakes the server's thread: a HOLD waits in its own queue."""
 
 
 @dataclass(frozen=True)
-class Crowded:
+class RateReportDue:
     """Commands were refused because there were too many, and a report of it is due."""
 
 
 @dataclass(frozen=True)
-class LeaseLapsed:
+class LeaseExpired:
     """The lease has expired; the server's thread checks this again before it ends the lease."""
 
 
@@ -107,15 +106,7 @@ class Refused:
     message: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Told:
-    """A setting for the loop that comes from the daemon, not from an operator."""
-
-    setting: Setting
-    value: float
-
-
-_Any = Asked | HoldAsked | Crowded | LeaseAsked | LeaseLapsed | Recorded | Refused | Told | None
+_Work = ReceivedCommand | HoldWaits | RateReportDue | ReceivedLease | LeaseExpired | Recorded | Refused | SettingOrder
 
 
 def send_answer(query: zenoh.Query, key: str, message: dict[str, Any]) -> None:
@@ -138,9 +129,9 @@ def _payload_of(query: zenoh.Query) -> bytes | None:
     return bytes(query.payload)
 
 
-def _by_operator(asked: list[Asked]) -> list[Request]:
+def _by_operator(holds: list[ReceivedCommand]) -> list[Request]:
     """One request of each operator, for the record: of at most ``_NAMES_ON_RECORD``, though all are answered."""
-    return list({one.request.operator: one.request for one in asked}.values())[:_NAMES_ON_RECORD]
+    return list({one.request.operator: one.request for one in holds}.values())[:_NAMES_ON_RECORD]
 
 
 class CommandServer:
@@ -168,8 +159,8 @@ class CommandServer:
         self._calibration, self._leases = calibration, leases
         self._keys, self._commands, self._replies = keys, commands, replies
         self._newest_record, self._limits_n = newest, limits_n
-        self._asked: queue.SimpleQueue[_Any] = queue.SimpleQueue()
-        self._holds: deque[Asked] = deque()  # served before all others
+        self._work: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
+        self._holds: deque[ReceivedCommand] = deque()  # served before all others
         self._hold_ns = 0  # earliest time of the next HOLD for the loop
         self._flow = Flow(time.monotonic_ns())
         self._pending: dict[int, Pending] = {}
@@ -181,89 +172,89 @@ class CommandServer:
         self._thread.start()
         session.declare_queryable(self._keys.command("*"), self._take)
 
-    def tell(self, setting: Setting, value: float) -> None:
+    def send(self, order: SettingOrder) -> None:
         """Send the loop a setting that no operator gives."""
-        self._asked.put(Told(setting, value))
+        self._work.put(order)
 
     def look_at_lease(self, now_ns: int) -> None:
-        """Have a lapsed lease ended and refused commands reported, also while no command arrives."""
+        """Have an expired lease ended and refused commands reported, also while no command arrives."""
         if self._leases.has_lapsed(now_ns):
-            self._asked.put(LeaseLapsed())
+            self._work.put(LeaseExpired())
         if self._flow.due(now_ns):
-            self._asked.put(Crowded())
+            self._work.put(RateReportDue())
 
     def close(self) -> None:
         """End the thread; nothing is answered after it."""
-        self._asked.put(None)
+        self._work.put(None)
         self._thread.join(timeout=1.0)
 
     def _take(self, query: zenoh.Query) -> None:
         """Check, limit and queue, in Zenoh's thread: nothing here may wait. Commands over the limit go on no record."""
         key = str(query.key_expr)
         name = key.rsplit("/", 1)[-1]
-        asked: Asked | LeaseAsked | Refused
+        received: ReceivedCommand | ReceivedLease | Refused
         try:
             if key != self._keys.command(name):
                 raise RequestError(f"found the key {on_one_line(key)}, expected one rig and one command")
             payload = _payload_of(query)
             if (act := ACTS.get(name)) is not None:
-                asked = LeaseAsked(query, parse_lease(act, payload))
+                received = ReceivedLease(query, parse_lease(act, payload))
             else:
-                asked = Asked(query, parse(verb_of(name), payload))
-                wanted = asked.request
+                received = ReceivedCommand(query, parse(verb_of(name), payload))
+                wanted = received.request
                 if wanted.verb is Verb.HOLD and (
                     elsewhere := self._meant_for_another(wanted.run_id, "hold", wanted.operator)
                 ):
-                    asked = Refused(elsewhere)
+                    received = Refused(elsewhere)
         except RequestError as error:
-            asked = Refused(refused(on_one_line(name), "", "bad_request", str(error)))
-        if isinstance(asked, Asked) and asked.request.verb is Verb.HOLD:
-            self._holds.append(asked)
-            self._asked.put(HoldAsked())
+            received = Refused(refused(on_one_line(name), "", "bad_request", str(error)))
+        if isinstance(received, ReceivedCommand) and received.request.verb is Verb.HOLD:
+            self._holds.append(received)
+            self._work.put(HoldWaits())
             return
-        request = None if isinstance(asked, Refused) else asked.request
+        request = None if isinstance(received, Refused) else received.request
         operator, now = request.operator if request is not None else "", time.monotonic_ns()
         holder = request is not None and self._leases.is_holder(operator, request.lease, now)
         if why := self._flow.admit(operator, now, holder=holder):
             send_answer(query, key, refused(on_one_line(name), operator, "too_many", why))
             return
-        if isinstance(asked, Refused):
-            send_answer(query, key, asked.message)
-        self._asked.put(asked)
+        if isinstance(received, Refused):
+            send_answer(query, key, received.message)
+        self._work.put(received)
 
     def _serve(self) -> None:
         while True:
             with contextlib.suppress(queue.Empty):
-                asked = self._asked.get(timeout=POLL_S if self._pending or self._holds else None)
-                if asked is None:
+                work = self._work.get(timeout=POLL_S if self._pending or self._holds else None)
+                if work is None:
                     return
                 self._give_holds(time.monotonic_ns())
-                self._do(asked)
+                self._do(work)
             self._give_holds(time.monotonic_ns())
             self._collect(time.monotonic_ns())
 
-    def _do(self, asked: Asked | HoldAsked | Crowded | LeaseAsked | LeaseLapsed | Recorded | Refused | Told) -> None:
-        match asked:
-            case Crowded():
+    def _do(self, work: _Work) -> None:
+        match work:
+            case RateReportDue():
                 self._leases.note_crowd(self._flow.told(), time.monotonic_ns())
-            case Asked(query, request):
+            case ReceivedCommand(query, request):
                 if message := self._meant_for_another(request.run_id, request.verb.name.lower(), request.operator):
                     self._answer(query, request, message)
                     return
                 self._give(query, request)
-            case LeaseAsked(query, wanted):
+            case ReceivedLease(query, wanted):
                 message = self._meant_for_another(wanted.run_id, wanted.act.value, wanted.operator)
                 message = message or self._leases.decide(wanted, time.monotonic_ns())
                 send_answer(query, self._keys.command(wanted.act.value), message)
                 self._log.answered(time.monotonic_ns(), 0, self._holder(), message)
             case Refused(message):
                 self._log.answered(time.monotonic_ns(), 0, self._holder(), message)
-            case LeaseLapsed():
+            case LeaseExpired():
                 self._leases.expire(time.monotonic_ns())
             case Recorded():
-                self._put_in_force(asked)
-            case Told(setting, value):
-                self._write(setting, value)
+                self._put_in_force(work)
+            case SettingOrder(setting, values):
+                self._write(setting, *values)
 
     def _meant_for_another(self, run_id: str, name: str, operator: str) -> dict[str, Any] | None:
         """The refusal of a command that names another daemon's run; None if it is meant for this one or for any."""
@@ -272,11 +263,11 @@ class CommandServer:
         text = f"found the run id of another daemon, expected {self._run_id}; nothing was done here"
         return refused(name, operator, "other_run", text)
 
-    def _write(self, code: Verb | Setting, value: float) -> int:
+    def _write(self, code: Verb | Setting, *values: float) -> int:
         """Write a command for the loop; returns its id, which no earlier command of any gateway has."""
         now = time.monotonic_ns()
         self._last_id = max(self._last_id + 1, now)
-        self._commands.write(now, self._last_id, int(code), value)
+        self._commands.write(*command_slot(now, self._last_id, code, *values))
         return self._last_id
 
     def _give(self, query: zenoh.Query, request: Request) -> None:
@@ -305,11 +296,11 @@ class CommandServer:
         if not self._holds or now_ns < self._hold_ns:
             return
         self._hold_ns = now_ns + _HOLD_SPACING_NS
-        asked = [self._holds.popleft() for _ in range(len(self._holds))]
-        number = self._write(Verb.HOLD, math.nan)
-        first = asked[0]
-        self._pending[number] = Pending(first.query, first.request, now_ns + ANSWER_NS, sharing=tuple(asked[1:]))
-        for request in _by_operator(asked):
+        holds = [self._holds.popleft() for _ in range(len(self._holds))]
+        number = self._write(Verb.HOLD)
+        first = holds[0]
+        self._pending[number] = Pending(first.query, first.request, now_ns + ANSWER_NS, sharing=tuple(holds[1:]))
+        for request in _by_operator(holds):
             self._log.given(now_ns, number, "hold", request.operator, self._holder(), request.number)
             self._leases.note_hold(request, now_ns)
 
@@ -323,14 +314,12 @@ class CommandServer:
         message = recorded.message
         message |= {"text": f"{request.verb.name}: {finding.text}", "entry": msgspec.to_builtins(finding.entry)}
         message |= {} if finding.good else {"accepted": False, "reason": "bad_result"}
-        number = 0
-        for setting, value in finding.settings:
-            number = self._write(setting, value)
-        if number:
-            until_ns = time.monotonic_ns() + ANSWER_NS
-            self._pending[number] = Pending(recorded.query, request, until_ns, recorded)
-        else:
+        if finding.order is None:
             self._answer(recorded.query, request, message, recorded=recorded)
+            return
+        number = self._write(finding.order.setting, *finding.order.values)
+        until_ns = time.monotonic_ns() + ANSWER_NS
+        self._pending[number] = Pending(recorded.query, request, until_ns, recorded)
 
     def _collect(self, now_ns: int) -> None:
         for reply in self._replies.read():
@@ -370,7 +359,7 @@ class CommandServer:
         elif request.verb in FILED and message["accepted"]:
 
             def recorded(filed: Filed) -> None:
-                self._asked.put(Recorded(query, request, message, filed))
+                self._work.put(Recorded(query, request, message, filed))
 
             self._calibration.file(request, reply, recorded)
             return
@@ -380,7 +369,7 @@ class CommandServer:
     def _answer_sharing(self, given: Pending, answer_to: Callable[[Request], dict[str, Any]]) -> None:
         """Answer every operator who shares this HOLD; the answer is put on record once."""
         now = time.monotonic_ns()
-        for query, request in ((asked.query, asked.request) for asked in given.sharing):
+        for query, request in ((hold.query, hold.request) for hold in given.sharing):
             message = self._leases.with_lease(request.operator, request.lease, answer_to(request), now)
             send_answer(query, self._keys.command("hold"), message)
 

@@ -17,12 +17,12 @@ import msgspec
 import zenoh
 from pydantic import ValidationError
 
-from rigctl.commission.preflight import Preflight, Verdict
+from rigctl.commission.preflight import Preflight, PreflightVerdict
 from rigctl.config.settings import RigSettings
 from rigctl.control import limits, safety
 from rigctl.control.checks import HOST_CHECKS
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Setting
+from rigctl.control.modes import Setting, SettingOrder
 from rigctl.control.realtime import die_with_parent
 from rigctl.gateway.active import Active, Written
 from rigctl.gateway.calibration_service import CalibrationService
@@ -64,13 +64,13 @@ class StateView:
     def __init__(self, runtime: Runtime, settings: RigSettings, active: Active) -> None:
         self._rig, self._active = settings.rig, active
         self._recorder = Written(runtime, RECORDED)
-        self._records, self._events = runtime.record_reader(), runtime.event_reader(from_start=True)
+        self._records, self._events = runtime.records.reader(), runtime.events.reader(from_start=True)
         self._records.cursor = max(0, self._records.head - settings.loop.rate_hz)
         self._recent, self._trip = Recent(), Trip()
         self._causes = Causes((*safety.table(settings), *limits.rows(settings)))
         self.standing: Mapping[Fault, str] = {}
         """Causes of a fault that stand now, in words, the strongest first."""
-        self.doubts = Doubts(runtime.event_reader(from_start=True))
+        self.doubts = Doubts(runtime.events.reader(from_start=True))
         self._warnings: list[str] = []
         self._design: str | None = None
         self._kept: dict[str, Any] = {}
@@ -84,7 +84,7 @@ class StateView:
         samples_lost: int,
         standing: Standing,
         lease: dict[str, Any] | None,
-        verdict: Verdict,
+        verdict: PreflightVerdict,
         cursor: Cursor,
     ) -> bytes:
         """Read what is new and encode it; ``cursor``: how far events and notes are published with this state."""
@@ -158,7 +158,7 @@ def _declare_queryables(
     stream: int,
 ) -> None:
     known = msgspec.json.encode(schema(settings.rig))
-    records, events, notes = runtime.record_reader(), runtime.event_reader(), runtime.note_reader()
+    records, events, notes = runtime.records.reader(), runtime.events.reader(), runtime.notes.reader()
 
     def past_events(query: zenoh.Query) -> tuple[str, bytes]:
         offset = time.time_ns() - time.monotonic_ns()
@@ -193,8 +193,8 @@ class Gateway:
         self._period_ns = 1_000_000_000 // settings.telemetry.rate_hz
         self._per_call = max(1, settings.loop.rate_hz // settings.telemetry.rate_hz)
 
-        records = runtime.record_reader(from_start=True)
-        self._cursor = Cursor(runtime.gateway_cursor, runtime.records, records.head)
+        records = runtime.records.reader(from_start=True)
+        self._cursor = Cursor(runtime.gateway_cursor, runtime.records.path, records.head)
         self._active, self._active_sent = Active(runtime), b""
         self._view = view = StateView(runtime, settings, self._active)
         self._state = self._session.declare_publisher(keys.state, encoding=_JSON, congestion_control=_DROP)
@@ -202,11 +202,11 @@ class Gateway:
         fast = self._session.declare_publisher(keys.fast, congestion_control=_DROP)
         self._fast = FastStream(fast, records, self._cursor, now)
         publishers = event_publishers(self._session, keys)
-        events, notes = runtime.event_reader(from_start=True), runtime.note_reader(from_start=True)
+        events, notes = runtime.events.reader(from_start=True), runtime.notes.reader(from_start=True)
         self._events = EventStream(publishers, events, notes, self._cursor, now)
 
         limits_n = (settings.tension.target_min_n, settings.tension.target_max_n)
-        self._newest = newest = runtime.record_reader()
+        self._newest = newest = runtime.records.reader()
         self._calibration = calibration = CalibrationService(runtime, settings)
         self._preflight = Preflight(runtime, settings, lambda: calibration.standing, self._view.doubts.look)
         self._look_ns = 0
@@ -214,13 +214,13 @@ class Gateway:
         self._leases = LeaseService(runtime, settings.telemetry.lease_s, now)
         self._commands = CommandServer(
             keys,
-            runtime.command_writer(),
-            runtime.reply_reader(),
+            runtime.commands.writer(),
+            runtime.replies.reader(),
             lambda: newest_record(newest, view.standing),
             limits_n,
             self._calibration,
             self._leases,
-            RequestLog(runtime.request_writer()),
+            RequestLog(runtime.requests.writer()),
             self._preflight,
             str(self._active.written.get("run_id", "")),
         )
@@ -240,8 +240,8 @@ class Gateway:
         self._fast.publish(self._per_call, now)
         record = self._newest.latest()
         self._events.read(time.time_ns() - now, now, int(record["t_ns"]) if record is not None else 0)
-        for setting, value in self._calibration.news(now, time.time_ns()):
-            self._commands.tell(setting, value)
+        for order in self._calibration.news(now, time.time_ns()):
+            self._commands.send(order)
         verdict = self._preflight.verdict(now)
         self._tell_checks(verdict, now)
         self._commands.look_at_lease(now)
@@ -273,13 +273,13 @@ class Gateway:
             close(self._session)
             raise SessionError(f"another daemon named {settings.rig} answers behind {', '.join(joined)}: rename one")
 
-    def _tell_checks(self, verdict: Verdict, now_ns: int) -> None:
+    def _tell_checks(self, verdict: PreflightVerdict, now_ns: int) -> None:
         """Send the host checks whenever the loop's record shows others; a loop that has just started has none."""
         record = self._newest.latest()
         if record is None or int(record["checks"]) & int(HOST_CHECKS) == verdict.host_checks or now_ns < self._tell_ns:
             return
         self._tell_ns = now_ns + _LOOK_NS
-        self._commands.tell(Setting.HOST_CHECKS, float(verdict.host_checks))
+        self._commands.send(SettingOrder(Setting.HOST_CHECKS, (float(verdict.host_checks),)))
 
     def run(self, stop: Termination) -> None:
         """Publish on an absolute grid until ``stop``; missed periods are skipped."""

@@ -59,7 +59,7 @@ class LeaseService:
 
     def __init__(self, runtime: Runtime, duration_s: int, now_ns: int) -> None:
         """Continues the lease that the gateway before this one wrote down, if it is valid."""
-        self._runtime, self._notes = runtime, runtime.note_writer()
+        self._runtime, self._notes = runtime, runtime.notes.writer()
         duration_ns = duration_s * 1_000_000_000
         self._register = LeaseRegister(duration_ns, self._tell, self._read(duration_ns, now_ns))
 

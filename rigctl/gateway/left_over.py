@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
-from rigctl.control.modes import Setting
+from rigctl.control.modes import Setting, SettingOrder
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Entry, Standing, in_force
 from rigctl.ipc.runtime_folder import Runtime
@@ -23,11 +23,11 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True)
 class LeftOver:
-    """``entry`` is on record but not in force; ``settings`` puts it in force, None where that cannot be known."""
+    """``entry`` is on record but not in force; ``orders`` put it in force, None where that cannot be known."""
 
     entry: Entry
     standing: Standing
-    settings: tuple[tuple[Setting, float], ...] | None
+    orders: tuple[SettingOrder, ...] | None
 
     @property
     def pair(self) -> Pair:
@@ -41,10 +41,10 @@ class LeftOver:
 
 def loop_has(runtime: Runtime) -> Pair:
     """Zero in N and scale that the loop uses, from its newest CORRECTION event."""
-    events = runtime.event_reader(from_start=True).read()
-    told = events[events["kind"] == Kind.CORRECTION]
-    if len(told):
-        return float(told["value"][-1]), float(told["limit"][-1])
+    events = runtime.events.reader(from_start=True).read()
+    corrections = events[events["kind"] == Kind.CORRECTION]
+    if len(corrections):
+        return float(corrections["value"][-1]), float(corrections["limit"][-1])
     standing = in_force(runtime)
     return standing.zero_n, standing.scale
 
@@ -62,5 +62,5 @@ def find(settings: RigSettings, entries: Sequence[Entry], has: Pair, now: Standi
     if not own:
         return LeftOver(newest, wanted, None)
     changed = zip((Setting.ZERO, Setting.SCALE), pair, has, strict=True)
-    told = tuple((setting, value) for setting, value, old in changed if value != old)
-    return LeftOver(newest, wanted, told)
+    orders = tuple(SettingOrder(setting, (value,)) for setting, value, old in changed if value != old)
+    return LeftOver(newest, wanted, orders)

@@ -71,8 +71,8 @@ class HoldService:
             OSError: the socket cannot be created.
             RingError: the rings have another version.
         """
-        self._holds, self._replies = runtime.hold_writer(), runtime.reply_reader()
-        self._records = runtime.record_reader()
+        self._holds, self._replies = runtime.holds.writer(), runtime.replies.reader()
+        self._records = runtime.records.reader()
         self._peers: dict[int, Peer] = {}  # by file descriptor, the oldest first
         self._waiting: list[Peer] = []
         self._given: dict[int, Given] = {}

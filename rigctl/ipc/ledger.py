@@ -7,9 +7,7 @@ is believed.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import os
 import pathlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,6 +20,7 @@ from rigctl import __version__
 from rigctl.config import input_file
 from rigctl.config.one_line import printable
 from rigctl.config.settings import RigSettings
+from rigctl.ipc import whole_file
 from rigctl.ipc.correction import SCALE_BOUND, Correction, tare_limit_n
 from rigctl.ipc.runtime_folder import Runtime
 
@@ -53,7 +52,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     passed: bool | None = None
 
 
-class _File(msgspec.Struct, forbid_unknown_fields=True):
+class _LedgerFile(msgspec.Struct, forbid_unknown_fields=True):
     rig: str
     entries: list[Entry]
 
@@ -129,7 +128,7 @@ def read(settings: RigSettings) -> list[Entry]:
     if path is None:
         return []
     try:
-        found: _File = input_file.decoded(input_file.read(path, largest=_LARGEST_BYTES, links=True), _File)
+        found: _LedgerFile = input_file.decoded(input_file.read(path, largest=_LARGEST_BYTES, links=True), _LedgerFile)
     except FileNotFoundError:
         return []
     except OSError as error:
@@ -171,30 +170,12 @@ def append(settings: RigSettings, new: Entry) -> list[Entry]:
     if path is None:
         raise LedgerError("the rig file has no calibration section")
     entries = [*read(settings), new]
-    data = msgspec.json.format(msgspec.json.encode(_File(settings.rig, entries)), indent=1) + b"\n"
-    part = path.with_name(f"{path.name}.new")
+    data = msgspec.json.format(msgspec.json.encode(_LedgerFile(settings.rig, entries)), indent=1) + b"\n"
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-        sync_folder(path.parent)
+        whole_file.replace(path, data, mode=0o666)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
         raise LedgerError(f"{path}: cannot be written: {error.strerror}") from None
     return entries
-
-
-def sync_folder(folder: pathlib.Path) -> None:
-    """Write a folder to disk: without this a power cut may lose a new name in it."""
-    fd = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)
 
 
 def standing(settings: RigSettings, entries: Sequence[Entry], wall_ns: int) -> Standing:

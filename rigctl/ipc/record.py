@@ -6,6 +6,7 @@ All slots are little-endian and packed, and begin with the ring's sequence numbe
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -53,6 +54,18 @@ class Slot:
             [("seq", "<u8"), *((field.name, kinds.get(field.code) or f"S{field.code[:-1]}") for field in self.fields)]
         )
 
+    def values(self, **given: Any) -> tuple[Any, ...]:
+        """Values for a ``RingWriter``, in the order of the fields; a double that is not given is NaN.
+
+        Raises:
+            KeyError: a value of another kind is missing, or the slot has no such field.
+        """
+        found = tuple(given.pop(field.name, math.nan) if field.code == "d" else given.pop(field.name)
+                      for field in self.fields)  # fmt: skip
+        if given:
+            raise KeyError(*given)
+        return found
+
 
 NEVER_AGE_NS = 1 << 60
 """A larger age means that no sample has come yet; messages and exports have null in its place."""
@@ -99,13 +112,19 @@ COMMAND = Slot(
     (
         Field("t_ns", "q", "ns", "when it was given; an old one is not carried out"),
         Field("id", "Q", "", "comes back in the reply"),
-        Field("verb", "B", "", "see rigctl.control.modes.Verb and Setting"),
-        Field(
-            "value",
-            "d",
-            "",
-            "TARGET: newtons; IDENTIFY: 1 if the rope must be tight; ARM: 1 to drive away from an end; see Setting",
-        ),
+        Field("verb", "B", "", "see rigctl.control.modes.Verb and Setting; fields that it does not use are NaN"),
+        Field("target_n", "d", "N", "TARGET: vertical tension"),
+        Field("stroke_mm", "d", "mm", "CONFIRM_STROKE: as the operator has measured it"),
+        Field("weight_n", "d", "N", "CALIBRATE: known weight, for the audit log only"),
+        Field("near_end", "d", "", "ARM: 1 to drive away from an end of the stroke"),
+        Field("tight", "d", "", "IDENTIFY: 1 if the rope must be tight"),
+        Field("zero_n", "d", "N", "ZERO: reading of the unloaded cell"),
+        Field("scale", "d", "", "SCALE: factor of the cell's reading"),
+        Field("overdue", "d", "", "OVERDUE, SCALE: 1 the calibration is overdue, 0 it is not"),
+        Field("k_tension", "d", "mm/(s N)", "LAW_GAINS: see rigctl.control.tension.Gains"),
+        Field("k_speed", "d", "", "LAW_GAINS"),
+        Field("k_integral", "d", "mm/(s^2 N)", "LAW_GAINS"),
+        Field("host_checks", "d", "", "HOST_CHECKS: those that fail, bits, see rigctl.control.checks.HOST_CHECKS"),
     ),
 )
 
@@ -137,16 +156,24 @@ REPLY = Slot(
             "the faults whose causes are there, bits 1 << number",
         ),
         Field("mode", "B", "", "mode after the command"),
-        Field(
-            "value",
-            "d",
-            "",
-            "what the reply is about: target or tension; CAUSE_PRESENT: the fault whose cause is there; TARE, "
-            "CALIBRATE: mean reading of the cell in N; IDENTIFY: how long it took in s",
-        ),
-        Field("spread", "d", "N", "TARE, CALIBRATE: rms of the reading about its mean; else 0"),
+        Field("tension_n", "d", "N", "tension now; of this and the fields below a reply has the one it is about"),
+        Field("target_n", "d", "N", "TARGET, TENSION: the target in force"),
+        Field("stroke_mm", "d", "mm", "CONFIRM_STROKE: the drive's position"),
+        Field("duration_s", "d", "s", "IDENTIFY: how long it took"),
+        Field("cause", "d", "", "CAUSE_PRESENT: number of the fault whose cause is there"),
+        Field("moved_mm", "d", "mm", "BRAKE_SLIPPED: motion on the closed brake"),
+        Field("speed_mm_s", "d", "mm/s", "STOP_RUNNING: speed of the stroke"),
+        Field("reading_n", "d", "N", "TARE, CALIBRATE: mean reading of the cell; LOADED: its reading now"),
+        Field("rms_n", "d", "N", "TARE, CALIBRATE: rms of the reading about its mean"),
     ),
 )
+_FIGURES = tuple(field.name for field in REPLY.fields if field.code == "d" and field.name != "rms_n")
+
+
+def figure_of(reply: Any) -> float:
+    """The figure that a ``REPLY`` slot is about, 0 for none."""
+    return next((float(reply[name]) for name in _FIGURES if not math.isnan(reply[name])), 0.0)
+
 
 NOTE = Slot(
     "note",
@@ -165,7 +192,7 @@ REQUEST = Slot(
         Field("t_ns", "q", "ns", "when, CLOCK_MONOTONIC"),
         Field("answered", "B", "", "0 given to the loop, 1 answered"),
         Field("id", "Q", "", "of the command in the loop's ring; 0 where it did not get there"),
-        Field("verb", "32s", "", "what was asked"),
+        Field("verb", "32s", "", "the command's verb"),
         Field("value", "d", "", "of the command, NaN for none"),
         Field("operator", "256s", "", "who"),
         Field("holder", "256s", "", "who holds the lease"),

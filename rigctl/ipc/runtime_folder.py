@@ -23,6 +23,7 @@ import pathlib
 import shutil
 import stat
 import threading
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import msgspec
@@ -48,7 +49,7 @@ _Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 _Object = dict[str, Any]
 
 
-class _Active(msgspec.Struct):
+class _ActiveFile(msgspec.Struct):
     settings: _Object = {}
     version: str = ""
     started_wall_ns: _Count = 0
@@ -57,7 +58,7 @@ class _Active(msgspec.Struct):
     design: _Object = {}
 
 
-class _Applied(msgspec.Struct):
+class _AppliedEntry(msgspec.Struct):
     name: str
     in_force: str
     ok: bool
@@ -73,33 +74,33 @@ class _StopSetting(msgspec.Struct):
     why: str = ""
 
 
-class _Control(msgspec.Struct):
+class _ControlFile(msgspec.Struct):
     pid: _Count = 0
     host_checks: _Count = 0
-    realtime: list[_Applied] = []
+    realtime: list[_AppliedEntry] = []
     warnings: list[str] = []
     supervision: list[_StopSetting] = []
 
 
-class _Recording(msgspec.Struct):
+class _RecordingFile(msgspec.Struct):
     folder: str
     file: str | None
 
 
-class _Recorded(msgspec.Struct):
+class _RecorderFile(msgspec.Struct):
     run: _Count = 0
     pid: _Count = 0
     audit_log: str = ""
     entries: _Count = 0
     head: str = ""
     trip_dump: str | None = None
-    recording: _Recording | None = None
+    recording: _RecordingFile | None = None
     failures: _Count = 0
     warnings: list[str] = []
     t_ns: _Count = 0
 
 
-SHAPES: dict[str, Any] = {ACTIVE: _Active, "control.json": _Control, RECORDED: _Recorded}
+SHAPES: dict[str, Any] = {ACTIVE: _ActiveFile, "control.json": _ControlFile, RECORDED: _RecorderFile}
 """Shapes of the files that the daemon's processes share; the readers of other files check these themselves."""
 
 
@@ -124,8 +125,8 @@ def recorded() -> list[dict[str, Any]]:
         with contextlib.suppress(OSError, msgspec.MsgspecError):  # another user's, or just being deleted
             runtime = Runtime(folder)
             runs = pathlib.Path(f"/proc/{runtime.read_json(ACTIVE).get('pid', 0)}").exists()
-            if runs and (told := runtime.read_json(RECORDED)):
-                found.append(told)
+            if runs and (content := runtime.read_json(RECORDED)):
+                found.append(content)
     return found
 
 
@@ -164,11 +165,36 @@ def _digest(data: bytes) -> bytes:
     return hashlib.sha256(data).hexdigest().encode()
 
 
+@dataclass(frozen=True)
+class RingFile:
+    """A ring of the folder."""
+
+    path: pathlib.Path
+    slot: record.Slot
+
+    def reader(self, *, from_start: bool = False) -> RingReader:
+        """Reads slots written from now on; ``from_start``: from the oldest one still held."""
+        return RingReader(self.path, self.slot.dtype, from_start=from_start)
+
+    def writer(self) -> RingWriter:
+        """For the one process that writes this ring, see docs/architecture.md."""
+        return RingWriter(self.path, self.slot.layout)
+
+
 class Runtime:
     """Paths of one rig's rings and files; every process of the daemon opens what it needs."""
 
     def __init__(self, directory: str | pathlib.Path) -> None:
-        self.directory = pathlib.Path(directory)
+        self.directory = folder = pathlib.Path(directory)
+        self.records = RingFile(folder / "records", record.RECORD)
+        self.frames = RingFile(folder / "frames", record.FRAME)
+        self.events = RingFile(folder / "events", record.EVENT)
+        self.replies = RingFile(folder / "replies", record.REPLY)
+        self.commands = RingFile(folder / "commands", record.COMMAND)
+        self.notes = RingFile(folder / "notes", record.NOTE)
+        self.requests = RingFile(folder / "desk", record.REQUEST)
+        self.holds = RingFile(folder / "holds", record.HOLD)
+        self.supervision = RingFile(folder / "supervision", record.NOTE)
         self._claimed = -1  # descriptor of the folder
         self._rings: dict[pathlib.Path, tuple[int, bytes]] = {}  # inode and header of each
         self.cleared: list[str] = []
@@ -292,20 +318,14 @@ class Runtime:
         Raises:
             OSError: there is no room.
         """
-        sizes = {
-            self.records: (record.RECORD.dtype, settings.loop.rate_hz * settings.telemetry.history_s),
-            self.events: (record.EVENT.dtype, _SMALL_RING),
-            self.commands: (record.COMMAND.dtype, _SMALL_RING),
-            self.holds: (record.HOLD.dtype, _NOTES),
-            self.replies: (record.REPLY.dtype, _SMALL_RING),
-            self.notes: (record.NOTE.dtype, _NOTES),
-            self.requests: (record.REQUEST.dtype, _NOTES),
-            self.supervision: (record.NOTE.dtype, _NOTES),
-            self.frames: (record.FRAME.dtype, frames_held(settings)),
-        }
-        for path, (dtype, capacity) in sizes.items():
-            create(path, dtype, capacity, reserve=reserve)
-        self._rings = {path: identity(path) for path in sizes}
+        capacities = {
+            self.records: settings.loop.rate_hz * settings.telemetry.history_s,
+            self.events: _SMALL_RING, self.commands: _SMALL_RING, self.holds: _NOTES, self.replies: _SMALL_RING,
+            self.notes: _NOTES, self.requests: _NOTES, self.supervision: _NOTES, self.frames: frames_held(settings),
+        }  # fmt: skip
+        for ring, capacity in capacities.items():
+            create(ring.path, ring.slot.dtype, capacity, reserve=reserve)
+        self._rings = {ring.path: identity(ring.path) for ring in capacities}
 
     def remove(self) -> None:
         """Delete the folder; readers that still map a ring keep it until they release it.
@@ -329,54 +349,9 @@ class Runtime:
         self._claimed = -1
 
     @property
-    def records(self) -> pathlib.Path:
-        """Ring of ``record.RECORD``, written by the control process."""
-        return self.directory / "records"
-
-    @property
-    def events(self) -> pathlib.Path:
-        """Ring of ``record.EVENT``, written by the control process."""
-        return self.directory / "events"
-
-    @property
-    def commands(self) -> pathlib.Path:
-        """Ring of ``record.COMMAND``, written by the gateway."""
-        return self.directory / "commands"
-
-    @property
-    def holds(self) -> pathlib.Path:
-        """Ring of ``record.HOLD``, written by the hold service."""
-        return self.directory / "holds"
-
-    @property
     def hold_socket(self) -> pathlib.Path:
         """Socket on which the hold service takes HOLD from processes of this computer."""
         return self.directory / "hold.sock"
-
-    @property
-    def replies(self) -> pathlib.Path:
-        """Ring of ``record.REPLY``, written by the control process."""
-        return self.directory / "replies"
-
-    @property
-    def notes(self) -> pathlib.Path:
-        """Ring of ``record.NOTE``, written by the gateway."""
-        return self.directory / "notes"
-
-    @property
-    def requests(self) -> pathlib.Path:
-        """Ring of ``record.REQUEST``, written by the gateway."""
-        return self.directory / "desk"
-
-    @property
-    def supervision(self) -> pathlib.Path:
-        """Ring of ``record.NOTE``, written by the supervisor."""
-        return self.directory / "supervision"
-
-    @property
-    def frames(self) -> pathlib.Path:
-        """Ring of ``record.FRAME``, written by the control process."""
-        return self.directory / "frames"
 
     @property
     def gateway_cursor(self) -> pathlib.Path:
@@ -387,78 +362,6 @@ class Runtime:
     def gateway_socket(self) -> pathlib.Path:
         """Socket between the gateway's command session and its router."""
         return self.directory / "gateway.sock"
-
-    def record_reader(self, *, from_start: bool = False) -> RingReader:
-        """A reader of the records."""
-        return RingReader(self.records, record.RECORD.dtype, from_start=from_start)
-
-    def event_reader(self, *, from_start: bool = False) -> RingReader:
-        """A reader of the events."""
-        return RingReader(self.events, record.EVENT.dtype, from_start=from_start)
-
-    def note_reader(self, *, from_start: bool = False) -> RingReader:
-        """A reader of the notes."""
-        return RingReader(self.notes, record.NOTE.dtype, from_start=from_start)
-
-    def command_reader(self, *, from_start: bool = False) -> RingReader:
-        """A reader of the commands given from now on, or still held."""
-        return RingReader(self.commands, record.COMMAND.dtype, from_start=from_start)
-
-    def hold_reader(self, *, from_start: bool = False) -> RingReader:
-        """A reader of the holds given from now on, or still held."""
-        return RingReader(self.holds, record.HOLD.dtype, from_start=from_start)
-
-    def reply_reader(self, *, from_start: bool = False) -> RingReader:
-        """A reader of the replies given from now on, or still held."""
-        return RingReader(self.replies, record.REPLY.dtype, from_start=from_start)
-
-    def request_reader(self) -> RingReader:
-        """A reader of the commands the gateway received, from the oldest still held."""
-        return RingReader(self.requests, record.REQUEST.dtype, from_start=True)
-
-    def supervision_reader(self) -> RingReader:
-        """A reader of the supervisor's notes, from the oldest still held."""
-        return RingReader(self.supervision, record.NOTE.dtype, from_start=True)
-
-    def frame_reader(self) -> RingReader:
-        """A reader of the frames, from the oldest still held."""
-        return RingReader(self.frames, record.FRAME.dtype, from_start=True)
-
-    def record_writer(self) -> RingWriter:
-        """The writer of the records (control process)."""
-        return RingWriter(self.records, record.RECORD.layout)
-
-    def event_writer(self) -> RingWriter:
-        """The writer of the events (control process)."""
-        return RingWriter(self.events, record.EVENT.layout)
-
-    def command_writer(self) -> RingWriter:
-        """The writer of the commands (gateway)."""
-        return RingWriter(self.commands, record.COMMAND.layout)
-
-    def hold_writer(self) -> RingWriter:
-        """The writer of the holds (hold service)."""
-        return RingWriter(self.holds, record.HOLD.layout)
-
-    def reply_writer(self) -> RingWriter:
-        """The writer of the replies (control process)."""
-        return RingWriter(self.replies, record.REPLY.layout)
-
-    def note_writer(self) -> RingWriter:
-        """The writer of the notes (gateway)."""
-        return RingWriter(self.notes, record.NOTE.layout)
-
-    def request_writer(self) -> RingWriter:
-        """The writer of the commands received (gateway)."""
-        return RingWriter(self.requests, record.REQUEST.layout)
-
-    def supervision_writer(self) -> RingWriter:
-        """The writer of the supervisor's notes (supervisor)."""
-        return RingWriter(self.supervision, record.NOTE.layout)
-
-    def frame_writer(self) -> RingWriter:
-        """The writer of the frames (control process)."""
-        return RingWriter(self.frames, record.FRAME.layout)
 
     def write_json(self, name: str, value: Any) -> None:
         """Replace ``name`` at once, so that a reader sees the old file or the new one; a second line is its SHA-256.

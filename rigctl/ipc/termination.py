@@ -26,10 +26,10 @@ def on_signals(handler: Callable[[int, FrameType | None], object], *numbers: sig
 
 
 class Termination:
-    """Whether a signal has asked the process to end."""
+    """Whether a signal to end has come."""
 
     def __init__(self, *numbers: signal.Signals) -> None:
-        """``numbers``: signals that ask the process to end."""
+        """``numbers``: signals that end the process."""
         self.requested = False
         on_signals(self._on_signal, *numbers)
 

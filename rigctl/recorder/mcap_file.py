@@ -52,10 +52,10 @@ class Message(NamedTuple):
 def slot_readers(runtime: Runtime) -> dict[str, RingReader]:
     """Readers of the rings that are recorded as slots, by topic."""
     return {
-        "records": runtime.record_reader(from_start=True),
-        "frames": runtime.frame_reader(),
-        "commands": runtime.command_reader(from_start=True),
-        "holds": runtime.hold_reader(from_start=True),
+        "records": runtime.records.reader(from_start=True),
+        "frames": runtime.frames.reader(from_start=True),
+        "commands": runtime.commands.reader(from_start=True),
+        "holds": runtime.holds.reader(from_start=True),
     }
 
 

@@ -108,7 +108,7 @@ class Recorder:
         self._trips = Trips(runtime, settings, read.get("dumped", 0))
         self._trips.sweep()
         self._recording = Continuous(runtime, settings, self._run, wall_ns) if settings.recording.enabled else None
-        self._records = runtime.record_reader()
+        self._records = runtime.records.reader()
         self._kept_mm, self._keep_ns = math.nan, 0  # the stroke last written, and when it may be next
         self._failures = 0  # of the recording, already reported
         self._add(self._own(now_ns, wall_ns, "recorder_started", f"process {os.getpid()}", {"pid": os.getpid()}))

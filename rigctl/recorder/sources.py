@@ -14,10 +14,11 @@ import numpy as np
 from rigctl.config.quantity import significant
 from rigctl.control.events import Kind, failed_checks
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.control.modes import VALUES, Mode, Refusal, Setting, Verb
 from rigctl.control.safety import Action
 from rigctl.ipc import supervision
 from rigctl.ipc.notes import note_message
+from rigctl.ipc.record import figure_of
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.recorder.audit_log import Item
@@ -83,10 +84,12 @@ def _request(slot: np.void) -> Words:
 
 
 def _order(slot: np.void) -> Words:
-    code, value = int(slot["verb"]), _number(slot, "value")
+    code = int(slot["verb"])
     name = _name(Verb if code in Verb._value2member_map_ else Setting, code)
-    text = name + (f" {significant(value)}" if value is not None else "")
-    return "order", "", text, {"id": int(slot["id"]), "verb": code, "value": value}
+    values = {field: value for field in VALUES.get(code, ()) if (value := _number(slot, field)) is not None}
+    text = " ".join((name, *map(significant, values.values())))
+    more = values if len(values) > 1 else {}
+    return "order", "", text, {"id": int(slot["id"]), "verb": code, "value": next(iter(values.values()), None), **more}
 
 
 def _hold(slot: np.void) -> Words:
@@ -100,7 +103,7 @@ def _reply(slot: np.void) -> Words:
     mode, checks = _name(Mode, int(slot["mode"])), failed_checks(int(slot["checks"]))
     text = f"carried out, {mode}" if accepted else f"not carried out: {reason}, {mode}"
     details = {"id": int(slot["id"]), "accepted": accepted, "reason": reason, "mode": mode, "checks": checks}
-    return "reply", "", text, {**details, "value": _number(slot, "value"), "spread": _number(slot, "spread")}
+    return "reply", "", text, {**details, "value": figure_of(slot), "spread": _number(slot, "rms_n") or 0.0}
 
 
 def _doing(slot: np.void) -> Words:
@@ -130,13 +133,13 @@ class AuditedRing:
 
 
 SOURCES = (
-    AuditedRing("supervision", lambda runtime: runtime.supervision_reader(), _doing),
-    AuditedRing("commands", lambda runtime: runtime.command_reader(from_start=True), _order),
-    AuditedRing("holds", lambda runtime: runtime.hold_reader(from_start=True), _hold),
-    AuditedRing("events", lambda runtime: runtime.event_reader(from_start=True), _event),
-    AuditedRing("replies", lambda runtime: runtime.reply_reader(from_start=True), _reply),
-    AuditedRing("notes", lambda runtime: runtime.note_reader(from_start=True), _note),
-    AuditedRing("desk", lambda runtime: runtime.request_reader(), _request),
+    AuditedRing("supervision", lambda runtime: runtime.supervision.reader(from_start=True), _doing),
+    AuditedRing("commands", lambda runtime: runtime.commands.reader(from_start=True), _order),
+    AuditedRing("holds", lambda runtime: runtime.holds.reader(from_start=True), _hold),
+    AuditedRing("events", lambda runtime: runtime.events.reader(from_start=True), _event),
+    AuditedRing("replies", lambda runtime: runtime.replies.reader(from_start=True), _reply),
+    AuditedRing("notes", lambda runtime: runtime.notes.reader(from_start=True), _note),
+    AuditedRing("desk", lambda runtime: runtime.requests.reader(from_start=True), _request),
 )
 
 

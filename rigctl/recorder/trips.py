@@ -22,7 +22,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.ipc import ledger
+from rigctl.ipc import whole_file
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder.audit_log import moment
@@ -105,7 +105,7 @@ class Trips:
     def __init__(self, runtime: Runtime, settings: RigSettings, dumped: int) -> None:
         """``dumped``: number of the last event whose trip has a file."""
         self._runtime, self._settings = runtime, settings
-        self._events = runtime.event_reader()
+        self._events = runtime.events.reader()
         self._events.cursor = min(dumped, self._events.head)
         self._pending: list[Trigger] = []
         self.folder = settings.file(settings.audit.trips)
@@ -142,7 +142,7 @@ class Trips:
                 stream.flush()
                 os.fsync(stream.fileno())
             part.rename(path)
-            ledger.sync_folder(self.folder)
+            whole_file.sync_folder(self.folder)
         except OSError:
             with contextlib.suppress(OSError):
                 part.unlink(missing_ok=True)

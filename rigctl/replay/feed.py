@@ -11,7 +11,8 @@ import can
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.ipc.record import Flag, FrameFlag
+from rigctl.ipc.record import COMMAND, Flag, FrameFlag
+from rigctl.replay.former_commands import as_of_today
 
 Slots = npt.NDArray[np.void]
 BATCH_TICKS = 1000
@@ -32,7 +33,7 @@ class Tick:
     stopping: bool
     received: list[can.Message]
     sent: list[tuple[int, bytes]]
-    commands: list[tuple[Any, ...]]  # time, id, verb, value
+    commands: list[tuple[Any, ...]]  # slots without their numbers
     holds: list[tuple[Any, ...]]  # time, id, user, process
 
 
@@ -54,7 +55,7 @@ def ticks(records: Slots, frames: Slots, commands: Slots, holds: Slots, taken: t
     failures = np.diff(records["send_failures"].astype(np.int64), prepend=0).tolist()
     ended = (woke[:-1] + records["work_ns"][1:]).tolist() + woke[-1:].tolist()
     stopping = (records["flags"] & _STOPPING != 0).tolist()
-    ordered = _Given(commands, taken[0], ("t_ns", "id", "verb", "value"))
+    ordered = _Given(as_of_today(commands), taken[0], tuple(field.name for field in COMMAND.fields))
     held = _Given(holds, taken[1], ("t_ns", "id", "uid", "pid"))
     upto = zip(records["command_seq"].tolist(), records["hold_seq"].tolist(), strict=True)
     rows = zip(records["t_ns"].tolist(), woke.tolist(), ended, skipped, failures, stopping, upto, strict=True)

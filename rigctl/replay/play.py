@@ -158,7 +158,7 @@ def play(
             supervised=span.supervised, host_checks=span.host_checks, correction=span.correction, watched=span.watched,
             last_stroke=span.last_stroke, process_data=span.process_data,
         )  # fmt: skip
-        replayed, orders, holds = runtime.record_reader(), runtime.command_writer(), runtime.hold_writer()
+        replayed, orders, holds = runtime.records.reader(), runtime.commands.writer(), runtime.holds.writer()
         batch: list[Tick] = []
         now: list[list[tuple[int, bytes]]] = []
         at = 0

@@ -111,7 +111,7 @@ class Supervisor:
             self._start(records)
             while not self._stopping and not self._lost():
                 self._watch()
-                self._tell(events)
+                self._log_events(events)
                 self._feed_watchdog(records)
                 time.sleep(POLL_S)
             return self._stop(records, events)
@@ -128,8 +128,8 @@ class Supervisor:
         """Create the rings; returns readers of records and events."""
         try:
             self._runtime.make_rings(self.settings, reserve=True)
-            self._supervision = Supervision(self._runtime.supervision_writer())
-            return self._runtime.record_reader(), self._runtime.event_reader()
+            self._supervision = Supervision(self._runtime.supervision.writer())
+            return self._runtime.records.reader(), self._runtime.events.reader()
         except OSError as error:
             raise CannotRunError(self._no_room(error)) from None
 
@@ -331,7 +331,7 @@ class Supervisor:
                 self._look_at_active()
                 if child.name == "control":
                     self._put_calibration()
-                    self._put_last_stroke(self._runtime.record_reader().latest())
+                    self._put_last_stroke(self._runtime.records.reader().latest())
                 try:
                     self._spawn(child.name)
                 except OSError as error:
@@ -342,7 +342,7 @@ class Supervisor:
                 if child.name == "control":
                     self._send_gains()
 
-    def _tell(self, events: RingReader) -> None:
+    def _log_events(self, events: RingReader) -> None:
         for slot in events.read():
             kind, a, b, value, limit, text = (slot[n].item() for n in ("kind", "a", "b", "value", "limit", "text"))
             event = worded(kind, a, b, value, limit, text.decode(errors="replace"))
@@ -366,7 +366,7 @@ class Supervisor:
         """End control first: it holds the stroke and closes the brake; gateway and recorder end after reporting it."""
         _notify("STOPPING=1")
         clean = self._end("control")
-        self._tell(events)
+        self._log_events(events)
         last = records.latest()
         time.sleep(2.0 / self.settings.telemetry.rate_hz)
         self._end("gateway")

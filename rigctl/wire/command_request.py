@@ -17,7 +17,7 @@ from rigctl.control.checks import Check
 from rigctl.control.events import failed_checks, refusal_text
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.ipc.record import Flag
+from rigctl.ipc.record import Flag, figure_of
 from rigctl.ipc.ring import RingReader
 from rigctl.wire.lease import ACTS, ID_BYTES, is_id
 from rigctl.wire.state_message import ALIVE_NS
@@ -281,7 +281,7 @@ def answer(
 
     ``limits_n``: lowest and highest target. ``failing``: details of failing checks. ``waived``: words of the waivers.
     """
-    verb, mode, value = request.verb, Mode(int(reply["mode"])), float(reply["value"])
+    verb, mode, value = request.verb, Mode(int(reply["mode"])), figure_of(reply)
     name = verb.name.lower()
     about = {"mode": mode.name, "t_ns": int(reply["t_ns"]), "value": value if math.isfinite(value) else None}
     if reply["accepted"]:

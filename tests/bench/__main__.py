@@ -11,7 +11,7 @@ from typing import Any
 
 from rich.console import Console
 
-from rigctl.bench.loop import Rate, measure
+from rigctl.bench.loop import RateResult, measure
 from rigctl.cli import bench
 from rigctl.cli.progress import progress
 from rigctl.config import rig_file as config
@@ -29,7 +29,7 @@ def measure_lockstep() -> float:
     return summary.duration_s / (time.monotonic() - start)
 
 
-def show(measured: list[Rate], results: dict[str, Any], console: Console) -> None:
+def show(measured: list[RateResult], results: dict[str, Any], console: Console) -> None:
     bench.show(measured, console)
     alone = results["plant"]
     console.print(

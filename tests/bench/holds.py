@@ -70,7 +70,7 @@ class Subject:
 
     def __init__(self, file: pathlib.Path) -> None:
         self.endpoint, self.rig = daemons.endpoint(file), daemons.name_of(file)
-        self._records = Runtime.of(self.rig).record_reader()
+        self._records = Runtime.of(self.rig).records.reader()
 
     def hold(self) -> tuple[float, float] | None:
         """Milliseconds until the reply to HOLD, and until the tick that carried it out; None if no record shows it."""

@@ -51,7 +51,7 @@ def main() -> None:
 
     gateway.schema = with_unknown_type  # type: ignore[attr-defined]
     runtime.make_rings(RigSettings.model_validate(runtime.read_json("active.json")["settings"]))
-    writer = runtime.record_writer()
+    writer = runtime.records.writer()
     names = [field.name for field in fields]
 
     def write() -> None:

@@ -146,7 +146,7 @@ def state(file: pathlib.Path) -> dict[str, Any]:
 
 def frames_lost(file: pathlib.Path) -> int:
     """Device frames the loop has missed so far; a frame still on its way is not lost."""
-    records = Runtime.of(name_of(file)).record_reader(from_start=True).read()
+    records = Runtime.of(name_of(file)).records.reader(from_start=True).read()
     return int(records["frames_lost"][-IN_FLIGHT_TICKS:].min())
 
 

@@ -82,7 +82,7 @@ class Daemon:
         return process
 
     def start_loop(self, *options: str) -> subprocess.Popen[str]:
-        records = self.runtime.record_reader()
+        records = self.runtime.records.reader()
         loop = self.spawn("tests/builders/stand_in.py", str(self.runtime.directory), *options)
         until(lambda: records.head, "the first record")
         return loop

@@ -134,7 +134,7 @@ def identified(plant: RandomPlant) -> Result:
     if answer is not Refusal.NONE:
         refused = {"found": None, "error": None, "why": answer.name.lower()}
         return Result(plant, dict.fromkeys(KEYS, refused), span_n)
-    records = records[records["t_ns"] > rig.reply["t_ns"] - round(float(rig.reply["value"]) * 1e9)]
+    records = records[records["t_ns"] > rig.reply["t_ns"] - round(float(rig.reply["duration_s"]) * 1e9)]
     rows = {row["key"]: row for row in proposal.rows(proposal.signals_of(records, 1e-3), settings)}
     return Result(plant, {name: rows[key] for name, key in KEYS.items()}, span_n)
 

@@ -29,7 +29,7 @@ from rigctl.control.modes import (
     next_mode,
 )
 from rigctl.control.safety import Action
-from rigctl.ipc.record import RECORD
+from rigctl.ipc.record import RECORD, REPLY
 from rigctl.ipc.runtime_folder import Runtime
 
 PERIOD_NS = 1_000_000
@@ -41,8 +41,8 @@ class StandIn:
     """Modes and a tension that follows them."""
 
     def __init__(self, runtime: Runtime) -> None:
-        self.records, self.events = runtime.record_writer(), runtime.event_writer()
-        self.replies, self.commands = runtime.reply_writer(), runtime.command_reader()
+        self.records, self.events = runtime.records.writer(), runtime.events.writer()
+        self.replies, self.commands = runtime.replies.writer(), runtime.commands.reader()
         self.mode, self.fault, self.target, self.tension, self.stroke = Mode.DISARMED, Fault.NONE, 300.0, 0.0, 0.0
         self.arming: tuple[int, int] | None = None
         self.own, self.host = 0, int(Check.HOST)
@@ -62,22 +62,25 @@ class StandIn:
 
     def reply(self, now: int, number: int, decision: Decision, checks: int = 0) -> None:
         accepted = decision.refusal is Refusal.NONE
-        self.replies.write(now, number, accepted, int(decision.refusal), checks, int(self.mode), self.target, 0.0)
+        self.replies.write(*REPLY.values(
+            t_ns=now, id=number, accepted=accepted, reason=decision.refusal, checks=checks, mode=self.mode,
+            target_n=self.target,
+        ))  # fmt: skip
 
     def take(self, now: int, command: Any) -> None:
-        value, number = float(command["value"]), int(command["id"])
+        target, number = float(command["target_n"]), int(command["id"])
         if int(command["verb"]) == Setting.HOST_CHECKS:
-            self.host = int(value)
+            self.host = int(command["host_checks"])
             self.reply(now, number, Decision())
             return
         verb = Verb(int(command["verb"]))
-        if verb is Verb.TARGET and value == SILENT_N:
+        if verb is Verb.TARGET and target == SILENT_N:
             return
         situation = Situation(
             self.failed,
             drive_enabled=self.mode is not Mode.DISARMED,
             slack=self.tension < 5,
-            value=value,
+            wanted_n=target,
             target_min_n=50.0,
             target_max_n=350.0,
         )
@@ -88,12 +91,12 @@ class StandIn:
         if decision.event is not None and (self.mode, decision.event) in TRANSITIONS:
             self.move(now, decision.event)
         if decision.refusal is Refusal.NONE and verb is Verb.TARGET:
-            self.target = value
+            self.target = target
         if decision.refusal is Refusal.NONE and verb is Verb.RESET:
             self.event(now, Kind.RESET, self.fault)
             self.fault = Fault.NONE
         self.reply(now, number, decision, self.failed if decision.refusal is Refusal.PREFLIGHT else 0)
-        if verb is Verb.TARGET and value == TRIP_N:
+        if verb is Verb.TARGET and target == TRIP_N:
             self.fault = Fault.TENSION_HIGH
             self.event(now, Kind.TRIP, self.fault, Action.HOLD, 412.0, 400.0)
             self.move(now, Event.TRIP)

@@ -45,12 +45,12 @@ class Tape:
         self.records: list[Any] = []
         self.frames: list[Any] = []
         self._writers = (
-            self.runtime.record_writer(), self.runtime.frame_writer(), self.runtime.command_writer(),
-            self.runtime.event_writer(),
+            self.runtime.records.writer(), self.runtime.frames.writer(), self.runtime.commands.writer(),
+            self.runtime.events.writer(),
         )  # fmt: skip
         self._readers = (
-            self.runtime.record_reader(from_start=True), self.runtime.frame_reader(),
-            self.runtime.command_reader(from_start=True),
+            self.runtime.records.reader(from_start=True), self.runtime.frames.reader(from_start=True),
+            self.runtime.commands.reader(from_start=True),
         )  # fmt: skip
         self.recording = self.start()
 

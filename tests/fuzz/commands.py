@@ -12,7 +12,7 @@ import numpy as np
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Verb
+from rigctl.control.modes import Mode, Verb, command_slot
 from rigctl.control.tension import Gains
 from rigctl.ipc.ring import RingReader
 from rigctl.wire.command_request import Request, RequestError, parse, verb_of
@@ -67,7 +67,7 @@ def play(settings: RigSettings, gains: Gains, count: int, seed: int) -> Tally:
     tally, chance = Tally(), random.Random(seed)
     sent = 0
     with lockstep(settings, gains) as rig:
-        loop, ring, answers = rig.loop, rig.runtime.command_writer(), rig.runtime.reply_reader()
+        loop, ring, answers = rig.loop, rig.runtime.commands.writer(), rig.runtime.replies.reader()
         rig.run(0.2)
         answered = _take(answers)
         for _ in range(count):
@@ -79,7 +79,7 @@ def play(settings: RigSettings, gains: Gains, count: int, seed: int) -> Tally:
             found = tally.attempt("command", payload or b"", lambda n=name, p=payload: parsed(n, p), (RequestError,))  # type: ignore[misc]
             if isinstance(found, Request):
                 sent += 1
-                ring.write(rig.clock.now(), sent, found.verb, found.number)
+                ring.write(*command_slot(rig.clock.now(), sent, found.verb, found.number))
             ticks = chance.choice((1, 2, 3, 5, 8)) if chance.random() < 0.99 else chance.choice((300, 2000, 5000))
             _judge(rig, ticks, tally)
             answered += _take(answers)

@@ -278,7 +278,7 @@ def recorded(folder: pathlib.Path, rig: RigSettings) -> bytes:
     runtime.directory.mkdir()
     runtime.make_rings(settings)
     runtime.write_json(ACTIVE, {"settings": settings.model_dump(mode="json")})
-    records, frames, events = runtime.record_writer(), runtime.frame_writer(), runtime.event_writer()
+    records, frames, events = runtime.records.writer(), runtime.frames.writer(), runtime.events.writer()
     kept_by = Continuous(runtime, settings, _NOW_NS, _NOW_NS)
     for tick in range(1, 4):
         t_ns = tick * 10**9

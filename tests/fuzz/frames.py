@@ -17,7 +17,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.clock import SimulatedClock
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
-from rigctl.control.modes import Mode, Setting, Verb
+from rigctl.control.modes import Mode, Setting, Verb, command_slot
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.devices.objects import Controlword, NmtState
@@ -235,7 +235,7 @@ def _episode(settings: RigSettings, gains: Gains, found: Found, chance: random.R
         runtime = Runtime(pathlib.Path(folder))
         runtime.make_rings(settings)
         bus = RandomBus(settings, chance.randrange(2**32))
-        records, replies, commands = runtime.record_reader(), runtime.reply_reader(), runtime.command_writer()
+        records, replies, commands = runtime.records.reader(), runtime.replies.reader(), runtime.commands.writer()
         clock = SimulatedClock(settings.loop.period_ns, lambda _t: None)
         loop = Loop(settings, gains, bus, clock, Rings.of(runtime), supervised=True)
         judge = _Judge(settings, found, bus.echo)
@@ -244,7 +244,7 @@ def _episode(settings: RigSettings, gains: Gains, found: Found, chance: random.R
             bus.refill(tick)
             if chance.random() < 0.006:
                 sent += 1
-                commands.write(clock.now(), sent, *_command(settings, chance, loop))
+                commands.write(*command_slot(clock.now(), sent, *_command(settings, chance, loop)))
             loop.tick()
             judge.see(bus.sent, loop)
             bus.sent.clear()
@@ -273,7 +273,7 @@ ONWARD = {
 }
 
 
-def _command(settings: RigSettings, chance: random.Random, loop: Loop) -> tuple[int, float]:
+def _command(settings: RigSettings, chance: random.Random, loop: Loop) -> tuple[int, *tuple[float, ...]]:
     """Mostly a command that changes the mode; now and then an invalid code or value."""
     kind = chance.random()
     if loop.machine.mode is Mode.DISARMED and kind < 0.2:
@@ -285,7 +285,9 @@ def _command(settings: RigSettings, chance: random.Random, loop: Loop) -> tuple[
     if kind < 0.8:
         return chance.randrange(256), chance.choice((math.nan, math.inf, -math.inf, 1e300, -1.0, 0.0))
     if kind < 0.9:
-        return chance.choice(list(Setting)), chance.choice((0.0, 1.0, 0.5, chance.uniform(-20, 20)))
+        return chance.choice(list(Setting)), *(
+            chance.choice((0.0, 1.0, 0.5, chance.uniform(-20, 20))) for _ in range(3)
+        )
     return chance.choice(list(Verb)), chance.uniform(low, high)
 
 

@@ -187,7 +187,7 @@ def _runtime(folder: pathlib.Path, rig: RigSettings) -> Runtime:
     now = time.monotonic_ns()
     lease = {"holder": "anna", "id": "0" * 32, "since_ns": now - 10**9, "until_ns": now + 10**11}
     runtime.write_json(lease_keeper.IN_FORCE, lease)
-    Cursor(runtime.gateway_cursor, runtime.records, 0).close()
+    Cursor(runtime.gateway_cursor, runtime.records.path, 0).close()
     return runtime
 
 
@@ -227,7 +227,7 @@ def _of_the_daemon(runtime: Runtime, rig: RigSettings) -> list[File]:
         LeaseService(runtime, 300, time.monotonic_ns()).shown(time.monotonic_ns())
 
     def cursor() -> None:
-        found = Cursor(runtime.gateway_cursor, runtime.records, 0)
+        found = Cursor(runtime.gateway_cursor, runtime.records.path, 0)
         try:
             assert (found.fast_seq, found.event_seq, found.note_seq) == (0, 0, 0)
         finally:
@@ -239,7 +239,7 @@ def _of_the_daemon(runtime: Runtime, rig: RigSettings) -> list[File]:
         os.close(again.claim())
 
     def ring() -> None:
-        records = runtime.record_reader(from_start=True)
+        records = runtime.records.reader(from_start=True)
         records.read()
         records.latest()
         records.seek(5)

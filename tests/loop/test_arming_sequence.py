@@ -59,7 +59,7 @@ def test_reset_is_refused_until_the_stop_has_ended_and_says_so(rig: Lockstep, en
     quick_stopped_at_speed(rig, enter)
     rig.loop.tick()
     assert rig.command(Verb.RESET) is Refusal.STOP_RUNNING
-    assert abs(rig.reply["value"]) > 1.0
+    assert abs(rig.reply["speed_mm_s"]) > 1.0
     until_ns = rig.clock.now() + 1_000 * MS
     while rig.command(Verb.RESET) is not Refusal.NONE:
         assert rig.clock.now() < until_ns
@@ -176,7 +176,7 @@ def test_the_brake_is_tested_under_the_load_for_two_seconds_before_the_drive_has
 def test_a_brake_that_gives_way_slowly_is_found_latched_and_said(loaded: Lockstep) -> None:
     slips(loaded, 0.04)  # too slow for the standstill check and for the limit of a slipping brake
     assert loaded.command(Verb.ARM, limit_s=4.0) is Refusal.BRAKE_SLIPPED
-    assert abs(loaded.reply["value"]) == pytest.approx(arming.BRAKE_TEST_MM, abs=0.01)
+    assert abs(loaded.reply["moved_mm"]) == pytest.approx(arming.BRAKE_TEST_MM, abs=0.01)
     assert not loaded.rig.drive.control.enabled
     machine = loaded.loop.machine
     assert (machine.mode, machine.fault) == (Mode.FAULT, Fault.BRAKE_SLIPS)

@@ -34,7 +34,7 @@ class Shown:
     def __init__(self, rig: Lockstep) -> None:
         self._rig = rig
         self.view = StateView(rig.runtime, rig.settings, Active(rig.runtime))
-        self._cursor = Cursor(rig.runtime.gateway_cursor, rig.runtime.records, 0)
+        self._cursor = Cursor(rig.runtime.gateway_cursor, rig.runtime.records.path, 0)
 
     def state(self) -> dict[str, Any]:
         made = self.view.make(self._rig.clock.now(), 0, Standing(), None, Verdict(), self._cursor)

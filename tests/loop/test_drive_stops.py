@@ -54,7 +54,7 @@ def test_an_emergency_stop_is_seen_at_once_latched_and_ends_on_the_brake(
     if mode is not Mode.HOLD:
         assert rig.rig.truth.tension_n == pytest.approx(before, abs=5.0)  # 10 mm/s stopped at 500 mm/s2: 0.3 mm
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
-    assert rig.reply["value"] == Fault.E_STOP
+    assert rig.reply["cause"] == Fault.E_STOP
     rig.rig.drive.press_e_stop(False)
     rig.run(2 * status_period_s(rig))
     assert machine.fault is Fault.E_STOP  # latched

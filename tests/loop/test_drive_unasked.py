@@ -54,7 +54,7 @@ def test_a_tool_that_only_enables_trips_too_and_nobody_resets_or_arms_while_it_i
     rig.run(0.3)
     assert rig.loop.machine.fault is Fault.DRIVE_UNASKED
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
-    assert rig.reply["value"] == Fault.DRIVE_REFUSES  # stopped by now, but its remote bit is still off
+    assert rig.reply["cause"] == Fault.DRIVE_REFUSES  # stopped by now, but its remote bit is still off
     rig.rig.drive.take_over(None)
     rig.run(0.1)
     assert rig.command(Verb.RESET) is Refusal.NONE

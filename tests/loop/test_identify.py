@@ -39,7 +39,7 @@ def excite(rig: Lockstep) -> npt.NDArray[Any]:
     rig.read_records()
     assert rig.command(Verb.IDENTIFY, limit_s=LIMIT_S) is Refusal.NONE
     records = rig.read_records()
-    found: npt.NDArray[Any] = records[records["t_ns"] > rig.reply["t_ns"] - round(float(rig.reply["value"]) * 1e9)]
+    found: npt.NDArray[Any] = records[records["t_ns"] > rig.reply["t_ns"] - round(float(rig.reply["duration_s"]) * 1e9)]
     return found
 
 

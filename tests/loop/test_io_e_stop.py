@@ -87,7 +87,7 @@ def test_pressed_at_the_io_node_alone_the_loop_stops_the_drive_and_latches(
     if mode is not Mode.HOLD:
         assert stands.tension_n == pytest.approx(before.tension_n, abs=5.0)
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
-    assert rig.reply["value"] == Fault.E_STOP
+    assert rig.reply["cause"] == Fault.E_STOP
     node(rig).press_e_stop(False)
     rig.run(0.1)
     assert machine.fault is Fault.E_STOP  # latched
@@ -124,7 +124,7 @@ def test_in_fault_under_power_a_press_still_takes_the_drive_to_its_brake(rig: Lo
     assert (rig.loop.machine.fault, rig.loop.machine.action) == (Fault.CELL_STALE, Action.QUICK_STOP)
     assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
-    assert rig.reply["value"] == Fault.E_STOP
+    assert rig.reply["cause"] == Fault.E_STOP
 
 
 def test_the_button_itself_opens_both_and_either_alone_keeps_the_reset_away(rig: Lockstep, enter: Enter) -> None:
@@ -162,7 +162,7 @@ def test_a_silent_node_ends_with_the_stroke_held_until_it_is_heard_again(
     if mode in (Mode.HOLD, Mode.COMPENSATING):
         assert rig.rig.truth.tension_n == pytest.approx(before.tension_n, abs=1.0)
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
-    assert rig.reply["value"] == Fault.E_STOP_UNSEEN
+    assert rig.reply["cause"] == Fault.E_STOP_UNSEEN
     rig.hub.tap = None
     rig.run(0.1)
     assert machine.fault is Fault.E_STOP_UNSEEN  # latched

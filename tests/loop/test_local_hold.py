@@ -5,7 +5,7 @@ from __future__ import annotations
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind, worded
-from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.control.modes import Mode, Refusal, Setting, Verb, command_slot
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import HOLD_ID
 
@@ -22,7 +22,7 @@ def tensioning(rig: Lockstep) -> None:
 def test_a_hold_is_taken_in_the_next_tick_and_the_record_shows_it(settings: RigSettings, gains: Gains) -> None:
     with lockstep(settings, gains) as rig:
         tensioning(rig)
-        replies = rig.runtime.reply_reader()
+        replies = rig.runtime.replies.reader()
         rig._holds.write(rig.clock.now(), HOLD_ID | 1, 1000, 4711, "Zoë".encode())
         (record,) = rig.run(0.001)
         assert (record["mode"], record["hold_seq"], record["command_seq"]) == (Mode.HOLD, 1, 3)
@@ -38,9 +38,9 @@ def test_commands_that_wait_neither_delay_nor_undo_a_hold(settings: RigSettings,
         tensioning(rig)
         given_ns = rig.clock.now()
         for number in range(400):  # a hundred ticks' worth
-            rig._commands.write(given_ns, 1000 + number, Verb.RELEASE if number % 2 else Verb.TENSION, 0.0)
+            rig._commands.write(*command_slot(given_ns, 1000 + number, Verb.RELEASE if number % 2 else Verb.TENSION))
         rig._holds.write(given_ns + 1, HOLD_ID, 0, 0, b"kim")
-        replies = rig.runtime.reply_reader()
+        replies = rig.runtime.replies.reader()
         records = rig.run(0.2)
         assert set(records["mode"]) == {Mode.HOLD}
         assert records["hold_seq"][0] == 1

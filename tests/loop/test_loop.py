@@ -60,18 +60,13 @@ def test_a_new_target_is_reached_on_the_ramp(rig: Lockstep, enter: Enter) -> Non
     assert rig.rig.truth.vertical_n == pytest.approx(280.0, abs=0.2)
 
 
-def set_gains(rig: Lockstep, k_tension: float, k_speed: float, k_integral: float) -> list[Refusal]:
-    given = (Setting.K_TENSION, k_tension), (Setting.K_SPEED, k_speed), (Setting.K_INTEGRAL, k_integral)
-    return [rig.command(setting, value) for setting, value in given]
-
-
 def test_gains_change_in_the_closed_loop_without_a_bump(rig: Lockstep, enter: Enter, gains: Gains) -> None:
     enter(Mode.COMPENSATING)
     assert rig.command(Verb.TARGET, 290.0) is Refusal.NONE
     before = rig.run(0.5)  # in the middle of the ramp, where the errors are largest
     rig.events.read()
     softer = Gains(0.5 * gains.k_tension, 0.7 * gains.k_speed, 0.5 * gains.k_integral)
-    assert set_gains(rig, softer.k_tension, softer.k_speed, softer.k_integral) == [Refusal.NONE] * 3
+    assert rig.command(Setting.LAW_GAINS, *softer.in_order) is Refusal.NONE
     after = rig.run(0.5)
     assert rig.loop.law._gains == softer
     assert events(rig).count(Kind.GAINS) == 1
@@ -86,15 +81,12 @@ def test_gains_that_are_none_are_refused_and_change_nothing(
     rig: Lockstep, enter: Enter, gains: Gains, values: tuple[float, float, float]
 ) -> None:
     enter(Mode.COMPENSATING)
-    assert Refusal.OUT_OF_RANGE in set_gains(rig, *values)
+    assert rig.command(Setting.LAW_GAINS, *values) is Refusal.OUT_OF_RANGE
     assert rig.loop.law._gains == gains
 
 
 def test_a_part_of_the_gains_changes_nothing(rig: Lockstep, gains: Gains) -> None:
-    assert rig.command(Setting.K_SPEED, 0.5) is Refusal.OUT_OF_RANGE, "the first must come first"
-    assert rig.command(Setting.K_TENSION, 1.0) is Refusal.NONE
-    assert rig.command(Setting.K_INTEGRAL, 1.0) is Refusal.OUT_OF_RANGE
-    assert rig.command(Setting.K_INTEGRAL, 1.0) is Refusal.OUT_OF_RANGE
+    assert rig.command(Setting.LAW_GAINS, 1.0, 0.5) is Refusal.OUT_OF_RANGE
     assert rig.loop.law._gains == gains
 
 

@@ -71,8 +71,7 @@ def drill(rig: Lockstep) -> None:
     rig.command(Verb.TENSION)
     rig.run_until(Mode.COMPENSATING, 20.0)
     rig.run(0.5)
-    for setting, value in ((Setting.K_TENSION, 1.0), (Setting.K_SPEED, 0.1), (Setting.K_INTEGRAL, 0.5)):
-        rig.command(setting, value)
+    rig.command(Setting.LAW_GAINS, 1.0, 0.1, 0.5)
     rig.clock.skip = 3
     rig.run(0.5)
     rig.inject(frame(0x182, bytes(5)[:4]))

@@ -76,7 +76,7 @@ def test_what_it_wrote_keeps_the_fault_and_refuses_the_next_arm(
     write(rig, index, sub, size)
     rig.run(1.0)
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
-    assert rig.reply["value"] == Fault.SUPERVISION_LOST
+    assert rig.reply["cause"] == Fault.SUPERVISION_LOST
     (lost,) = rig.loop.readback.lost.values()
     assert (lost.item.index, lost.item.sub, lost.found) == (index, sub, 0)
 

@@ -12,7 +12,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.control.modes import Mode, Refusal, Setting, Verb, command_slot
 from rigctl.control.tension import Gains
 from rigctl.devices.objects import AiStatus
 from rigctl.ipc.correction import Correction
@@ -38,7 +38,7 @@ def cell_reads(rig: Lockstep, change: Callable[[float], float], status: AiStatus
 def give(rig: Lockstep, verb: Verb, value: float = 0.0) -> None:
     """Give a command without waiting for its reply."""
     rig._id += 1
-    rig._commands.write(rig.clock.now(), rig._id, verb, value)
+    rig._commands.write(*command_slot(rig.clock.now(), rig._id, verb, value))
 
 
 @pytest.mark.parametrize("mode", [Mode.DISARMED, Mode.HOLD])
@@ -49,11 +49,11 @@ def test_a_tare_measures_first_and_changes_nothing_until_it_is_on_record(
     cell_reads(rig, lambda n: n + OFFSET_N)
     rig.run(0.1)
     assert rig.command(Verb.TARE) is Refusal.NONE
-    assert rig.reply["value"] == pytest.approx(OFFSET_N, abs=5 * NOISE_N / math.sqrt(1000))
-    assert rig.reply["spread"] == pytest.approx(NOISE_N, rel=0.15)
+    assert rig.reply["reading_n"] == pytest.approx(OFFSET_N, abs=5 * NOISE_N / math.sqrt(1000))
+    assert rig.reply["rms_n"] == pytest.approx(NOISE_N, rel=0.15)
     assert rig.run(0.1)["tension_n"].mean() == pytest.approx(OFFSET_N, abs=0.02)
     rig.events.read()
-    assert rig.command(Setting.ZERO, float(rig.reply["value"])) is Refusal.NONE  # as the calibration service does
+    assert rig.command(Setting.ZERO, float(rig.reply["reading_n"])) is Refusal.NONE  # as the calibration service does
     told = rig.events.read()
     assert list(told["kind"]) == [Kind.CORRECTION]
     assert rig.run(0.1)["tension_n"].mean() == pytest.approx(0.0, abs=0.02)
@@ -81,7 +81,7 @@ def test_a_loaded_rope_is_not_tared(rig: Lockstep, sign: float) -> None:
     cell_reads(rig, lambda n: n + sign * 10.5)
     rig.run(0.1)
     assert rig.command(Verb.TARE) is Refusal.LOADED
-    assert rig.reply["value"] == pytest.approx(sign * 10.5, abs=0.2)
+    assert rig.reply["reading_n"] == pytest.approx(sign * 10.5, abs=0.2)
     assert rig.command(Setting.ZERO, 5.0) is Refusal.LOADED
 
 
@@ -137,8 +137,8 @@ def test_a_known_weight_reads_as_it_is_and_a_scale_corrects_it(rig: Lockstep, en
     rig.run(3.0)
     assert rig.command(Verb.CALIBRATE) is Refusal.NONE
     weight_n = rig.rig.truth.tension_n
-    assert rig.reply["value"] == pytest.approx(0.99 * weight_n, abs=0.05)
-    assert rig.command(Setting.SCALE, weight_n / float(rig.reply["value"])) is Refusal.NONE
+    assert rig.reply["reading_n"] == pytest.approx(0.99 * weight_n, abs=0.05)
+    assert rig.command(Setting.SCALE, weight_n / float(rig.reply["reading_n"])) is Refusal.NONE
     assert rig.run(0.2)["tension_n"].mean() == pytest.approx(weight_n, abs=0.05)
     assert rig.loop.machine.fault is Fault.NONE  # the step in the reading is no innovation
     assert rig.command(Verb.TENSION) is Refusal.NONE

@@ -128,7 +128,7 @@ def test_a_dump_holds_every_record_and_frame_from_10_s_before_to_2_s_after(kept:
         pytest.approx(2e9, abs=2 * TICK_NS),
     )
     assert records[0].t_ns == first
-    ring = rig.runtime.record_reader(from_start=True).read()
+    ring = rig.runtime.records.reader(from_start=True).read()
     of_ring = {int(slot["tick"]): slot for slot in ring}
     for record in records[::997]:
         slot = of_ring[record.tick]

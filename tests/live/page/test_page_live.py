@@ -178,7 +178,7 @@ def test_without_a_daemon_the_page_says_so_and_waits_for_one(chromium: Browser) 
 def test_a_spike_of_one_tick_is_seen_in_every_window(chromium: Browser) -> None:
     own = Daemon()
     try:
-        writer = own.runtime.record_writer()
+        writer = own.runtime.records.writer()
         own.start_gateway()
         values = dict.fromkeys((field.name for field in RECORD.fields), 0)
         start = time.monotonic_ns() - 4_000_000_000

@@ -36,7 +36,7 @@ def leases_and_orders(daemon: Daemon) -> tuple[Any, int]:
     """Holder of the lease, and the number of commands given to the loop (except HOST_CHECKS of the gateway)."""
     with daemon.client() as client:
         state = client.state()
-    commands = daemon.runtime.request_reader()
+    commands = daemon.runtime.requests.reader(from_start=True)
     commands.cursor = 0
     return state["lease"], len(commands.read())
 

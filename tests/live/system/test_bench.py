@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from rigctl.bench import cyclictest
-from rigctl.bench.loop import Rate, bench_settings
+from rigctl.bench.loop import RateResult, bench_settings
 from rigctl.cli.bench import judged
 from rigctl.cli.demo import own_settings
 from rigctl.config.rig_file import load
@@ -67,7 +67,7 @@ def test_beside_a_daemon_nothing_is_measured(tmp_path: pathlib.Path) -> None:
 def test_a_rate_is_judged_by_its_period_and_by_cyclictest(
     loop: dict[str, Any], other: dict[str, Any] | None, unmet: list[str]
 ) -> None:
-    assert [name for name, *_, met in judged(Rate(1000, {**LOOP, **loop}, other)) if not met] == unmet
+    assert [name for name, *_, met in judged(RateResult(1000, {**LOOP, **loop}, other)) if not met] == unmet
 
 
 @pytest.mark.simulated_time

@@ -184,7 +184,7 @@ def test_the_gateway_is_killed_and_comes_back_and_the_loop_does_not_notice(runni
     running.do("arm")
     running.do("target", "100")
     running.do("tension", "--wait")
-    records = Runtime.of(daemons.name_of(running.file)).record_reader()
+    records = Runtime.of(daemons.name_of(running.file)).records.reader()
     parts: list[np.ndarray[Any, Any]] = []
 
     def compensates() -> bool:

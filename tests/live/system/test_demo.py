@@ -105,7 +105,7 @@ def test_beside_a_daemon_of_the_same_rig_the_demo_commands_its_own(tmp_path: pat
     before = sorted(path.name for path in tmp_path.glob("audit/*"))
     with daemons.simulated_rig(file, tmp_path / "rig.log"), daemons.daemon(file, log):
         runtime = Runtime.of(daemons.name_of(file))
-        records, commands = runtime.record_reader(from_start=True), runtime.command_reader(from_start=True)
+        records, commands = runtime.records.reader(from_start=True), runtime.commands.reader(from_start=True)
         command = [sys.executable, "-m", "rigctl", "demo", str(file), "--recordings", str(tmp_path / "recordings")]
         with log.with_name("demo.log").open("wb") as out:
             demo = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, cwd=ROOT)

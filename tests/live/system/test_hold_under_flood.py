@@ -35,7 +35,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[pathlib.Path]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_hold_is_answered_and_in_the_record(file: pathlib.Path, kind: str) -> None:
     rig = Subject(file)
-    records = Runtime.of(rig.rig).record_reader(from_start=True)
+    records = Runtime.of(rig.rig).records.reader(from_start=True)
     with flooding(kind, rig.endpoint, rig.rig, FLOOD_S):
         held = int(records.read()["hold_seq"][-1])
         for _ in range(HOLDS):

@@ -33,9 +33,9 @@ def entries(file: pathlib.Path) -> list[chain.AuditEntry]:
 def missing(found: list[chain.AuditEntry], runtime: Runtime) -> dict[str, int]:
     """Number of slots of each ring that are neither in the log, once, nor counted there as a repeat."""
     rings = {
-        "events": runtime.event_reader(), "notes": runtime.note_reader(), "replies": runtime.reply_reader(),
-        "commands": runtime.command_reader(), "desk": runtime.request_reader(),
-        "supervision": runtime.supervision_reader(),
+        "events": runtime.events.reader(), "notes": runtime.notes.reader(), "replies": runtime.replies.reader(),
+        "commands": runtime.commands.reader(), "desk": runtime.requests.reader(from_start=True),
+        "supervision": runtime.supervision.reader(from_start=True),
     }  # fmt: skip
     repeats = [entry.details for entry in found if entry.what == "repeated"]
     return {
@@ -65,7 +65,7 @@ def test_a_session_with_a_trip_is_on_record_and_the_recorders_death_changes_noth
     running.do("target", "60", "--operator", "anna")
     running.do("tension", "--wait", "--operator", "anna")
     assert "anna holds the lease" in running.refused("disarm", "--operator", "kim")
-    records = runtime.record_reader()
+    records = runtime.records.reader()
     parts: list[np.ndarray[Any, Any]] = []
 
     def state() -> dict[str, Any]:

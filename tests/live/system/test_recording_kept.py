@@ -31,7 +31,7 @@ def test_a_session_with_kills_is_recorded_whole(tmp_path: pathlib.Path) -> None:
     chance = random.Random(8)
     with daemons.simulated_rig(file, tmp_path / "rig.log"), daemons.daemon(file, log) as daemon:
         runtime = Runtime.of(daemons.name_of(file))
-        records, commands = runtime.record_reader(), runtime.command_reader()
+        records, commands = runtime.records.reader(), runtime.commands.reader()
         assert daemons.rigctl("arm", "--operator", "anna", file=file).returncode == 0
         assert daemons.rigctl("target", "61.5", "--operator", "anna", file=file).returncode == 0
         struck = [strike(file, chance, 1.0) for _ in range(KILLS)]
@@ -59,7 +59,7 @@ def test_a_session_with_kills_is_recorded_whole(tmp_path: pathlib.Path) -> None:
         assert np.array_equal(kept[name], slots[name]), name
     assert np.array_equal(kept["tension_n"], slots["tension_n"].astype(np.float32), equal_nan=True)
     assert found.commands[np.isin(found.commands["seq"], given["seq"])].tobytes() == given.tobytes()
-    assert 61.5 in found.commands["value"]
+    assert 61.5 in found.commands["target_n"]
 
     # every counted frame of the loop that ran to its end is there
     first_ns, second_ns = found.control_starts
@@ -97,7 +97,7 @@ def test_a_full_disk_ends_the_recording_alone_and_it_comes_back_by_itself(tmp_pa
         file, log = daemons.rig_file(tmp_path, changes), tmp_path / "daemon.log"
         with daemons.simulated_rig(file, tmp_path / "rig.log"), daemons.daemon(file, log) as daemon:
             runtime = Runtime.of(daemons.name_of(file))
-            records = runtime.record_reader()
+            records = runtime.records.reader()
 
             def told() -> dict[str, object]:
                 return dict(runtime.read_json(RECORDED).get("recording") or {})

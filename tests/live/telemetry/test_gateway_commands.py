@@ -150,16 +150,16 @@ def test_no_command_by_another_key(shared: Daemon, verb: str) -> None:
 def test_every_arm_comes_right_after_what_the_host_says(own: Daemon) -> None:
     with own.client() as client:
         assert client.command("arm", "kim")["accepted"]
-        given = own.runtime.command_reader(from_start=True).read()
+        given = own.runtime.commands.reader(from_start=True).read()
         arm = given["verb"].tolist().index(Verb.ARM)
-        assert (given["verb"][arm - 1], given["value"][arm - 1]) == (Setting.HOST_CHECKS, 0.0)
+        assert (given["verb"][arm - 1], given["host_checks"][arm - 1]) == (Setting.HOST_CHECKS, 0.0)
         preflight = own.state(client)["preflight"]
         assert preflight["failing"] == {}
         assert set(preflight["waived"]) == {"CALIBRATION", "TARE"}
 
 
 def test_a_command_that_is_meant_for_another_daemon_is_not_carried_out(own: Daemon) -> None:
-    commands = own.runtime.command_reader(from_start=True)
+    commands = own.runtime.commands.reader(from_start=True)
     with own.client() as client:
         active = client.active()
         assert active["run_id"] == RUN_ID

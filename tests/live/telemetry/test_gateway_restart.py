@@ -67,8 +67,8 @@ def test_events_made_while_no_gateway_runs_come_with_the_next(own: Daemon) -> No
         first = until(lambda: (e := events.take()) and e["source"] == "loop" and e, "an event: it knows that we listen")
         own.kill_gateway()
         disarm = (time.monotonic_ns(), 1, int(Verb.DISARM), 0.0)
-        own.runtime.command_writer().write(*disarm)  # no other process writes now
-        head = own.runtime.event_reader()
+        own.runtime.commands.writer().write(*disarm)  # no other process writes now
+        head = own.runtime.events.reader()
         until(lambda: head.head > first["seq"], "the event")
         own.start_gateway()
         event = until(lambda: (e := events.take()) and e["seq"] > first["seq"] and e["source"] == "loop" and e, "it")
@@ -80,7 +80,7 @@ def test_records_overwritten_before_they_were_published_are_counted() -> None:
     nothing = [0] * len(RECORD.fields)
     capacity = daemon.settings.loop.rate_hz * daemon.settings.telemetry.history_s
     try:
-        writer = daemon.runtime.record_writer()
+        writer = daemon.runtime.records.writer()
         for _ in range(100):
             writer.write(*nothing)
         daemon.start_gateway()
@@ -114,7 +114,7 @@ def test_counter_process_counts_everything(own: Daemon) -> None:
     own.kill_gateway()
     own.start_gateway()
     own.client().close()
-    head = own.runtime.record_reader().head
+    head = own.runtime.records.reader().head
     counter.send_signal(signal.SIGTERM)
     figures = json.loads(counter.stdout.readline())
     assert counter.wait(10) == 0

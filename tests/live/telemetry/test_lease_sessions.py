@@ -45,7 +45,7 @@ def answers(client: Client) -> None:
 
 def commands(daemon: Daemon) -> int:
     """Number of commands given to the loop so far."""
-    return daemon.runtime.command_reader().head
+    return daemon.runtime.commands.reader().head
 
 
 def of_kind(feed: Feed, kind: str) -> Callable[[], dict[str, Any] | None]:
@@ -163,8 +163,8 @@ def test_a_dead_terminal_leaves_the_rig_as_it_is_and_the_lease_to_the_next(own: 
     with own.client() as client:
         command = [sys.executable, "-m", "rigctl.cli.app", "target", "111", "--operator", "anna"]
         waiting = subprocess.Popen(command, cwd=ROOT, env=own.environment())  # the loop does not answer this command
-        given_to_loop = own.runtime.command_reader(from_start=True)
-        until(lambda: 111.0 in given_to_loop.read()["value"], "the lease to be taken, kept, and the command given")
+        given_to_loop = own.runtime.commands.reader(from_start=True)
+        until(lambda: 111.0 in given_to_loop.read()["target_n"], "the lease to be taken, kept, and the command given")
         waiting.kill()
         waiting.wait()
         assert own.cli("arm", "--operator", "anna").returncode == 0

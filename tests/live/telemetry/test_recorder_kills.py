@@ -38,7 +38,7 @@ def daemon(tmp_path: pathlib.Path) -> Iterator[Daemon]:
 
 def test_ten_kills_lose_nothing(daemon: Daemon) -> None:
     log = daemon.settings.audit_log
-    events = daemon.runtime.event_writer()
+    events = daemon.runtime.events.writer()
     choose = random.Random(20)
     numbers = itertools.count(1)
 
@@ -64,7 +64,7 @@ def test_ten_kills_lose_nothing(daemon: Daemon) -> None:
     before = entries()
     last = daemon.spawn("-m", "rigctl.recorder", str(daemon.runtime.directory))
     until(lambda: entries() > before, "the last recorder to write")
-    Supervision(daemon.runtime.supervision_writer()).note(time.monotonic_ns(), Doing.DAEMON_STOPPED, reason="done")
+    Supervision(daemon.runtime.supervision.writer()).note(time.monotonic_ns(), Doing.DAEMON_STOPPED, reason="done")
     last.terminate()
     assert last.wait(20) == 0
 

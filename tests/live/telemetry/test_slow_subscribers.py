@@ -52,7 +52,7 @@ def silent() -> Iterator[Daemon]:
 @contextlib.contextmanager
 def filling(daemon: Daemon) -> Iterator[RingReader]:
     """Write empty records at 5 kHz."""
-    stop, writer, nothing = threading.Event(), daemon.runtime.record_writer(), [0] * len(RECORD.fields)
+    stop, writer, nothing = threading.Event(), daemon.runtime.records.writer(), [0] * len(RECORD.fields)
 
     def write() -> None:
         while not stop.wait(0.01):
@@ -62,7 +62,7 @@ def filling(daemon: Daemon) -> Iterator[RingReader]:
     thread = threading.Thread(target=write)
     thread.start()
     try:
-        yield daemon.runtime.record_reader()
+        yield daemon.runtime.records.reader()
     finally:
         stop.set()
         thread.join()
@@ -90,8 +90,8 @@ def test_one_that_is_stopped_costs_the_others_no_sample_and_itself_none_the_ring
     own.rig().close()
     stalled, *healthy = counters(own, HEALTHY + 1)
     stop(stalled)
-    start = own.runtime.record_reader().head
-    until(lambda: own.runtime.record_reader().head > start + 8000, "eight seconds: more than any queue takes")
+    start = own.runtime.records.reader().head
+    until(lambda: own.runtime.records.reader().head > start + 8000, "eight seconds: more than any queue takes")
     figures = [told(process) for process in healthy]
     stalled.send_signal(signal.SIGCONT)
     its = told(stalled)

@@ -44,7 +44,7 @@ def _rigs(daemon: Daemon) -> list[str]:
 
 
 def commands(daemon: Daemon) -> int:
-    return daemon.runtime.command_reader().head
+    return daemon.runtime.commands.reader().head
 
 
 def read_on(samples: Samples, more: int) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
@@ -71,7 +71,7 @@ def test_a_client_of_either_router_chooses_by_name(two: tuple[Daemon, Daemon]) -
                 assert rig.alive or rig.wait_alive(PATIENCE_S)
                 numbers = read_on(samples, 500)
                 assert np.all(np.diff(numbers) == 1)
-                held = daemon.runtime.record_reader(from_start=True).read()
+                held = daemon.runtime.records.reader(from_start=True).read()
                 block = samples.read(PATIENCE_S)
                 assert block is not None
                 mine = held["t_ns"][held["seq"] == numbers[-1]]

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from rigctl.cli import doctor, doctor_can, doctor_daemon, doctor_host
-from rigctl.cli.doctor_host import Finding, Severity
+from rigctl.cli.doctor_host import DoctorFinding, Severity
 from rigctl.config import rig_file as config
 from rigctl.config.settings import CanSettings
 from rigctl.control.checks import Check
@@ -43,7 +43,7 @@ def computer(folder: pathlib.Path, **changes: str) -> pathlib.Path:
     return folder
 
 
-Look = Callable[[pathlib.Path], Finding]
+Look = Callable[[pathlib.Path], DoctorFinding]
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,9 @@ LINK: dict[str, Any] = {
 }  # fmt: skip
 
 
-def shown(data: dict[str, Any] | None = None, counted: dict[str, int] | None = None, **changes: Any) -> list[Finding]:
+def shown(
+    data: dict[str, Any] | None = None, counted: dict[str, int] | None = None, **changes: Any
+) -> list[DoctorFinding]:
     about = LINK["linkinfo"]
     info = {
         **about,
@@ -163,7 +165,7 @@ def test_a_link_in_order_is_ok_in_every_line() -> None:
         (doctor_can.judge(RIG.can, "[{}]"), "can link", FAILS, "no CAN interface"),
     ],
 )
-def test_a_link_out_of_order(found: list[Finding], name: str, severity: Severity, word: str) -> None:
+def test_a_link_out_of_order(found: list[DoctorFinding], name: str, severity: Severity, word: str) -> None:
     (bad,) = [finding for finding in found if finding.severity is not OK]
     assert (bad.name, bad.severity, word in bad.found) == (name, severity, True), bad
     assert bad.wanted
@@ -234,13 +236,13 @@ def test_without_a_daemon_the_files_are_judged_and_the_system_is_tried(tmp_path:
 @pytest.mark.parametrize("width", [80, 100])
 def test_no_line_is_too_long_and_none_is_lost(width: int) -> None:
     words = " ".join(f"word{i}" for i in range(40))
-    finding = Finding("name", FAILS, words, "wanted thing", words)
+    finding = DoctorFinding("name", FAILS, words, "wanted thing", words)
     said = doctor.lines(finding, width)
     assert max(map(len, said)) <= width
     assert said[0].startswith("FAILS    name - word0")
     assert " ".join(" ".join(said).split()).count("word39") == 2
-    assert doctor.lines(Finding("name", OK, "fine"), width) == ["ok       name - fine"]
-    assert doctor.summary([finding, Finding("a", OK, "b")]) == "1 ok, 0 warnings, 1 failing"
+    assert doctor.lines(DoctorFinding("name", OK, "fine"), width) == ["ok       name - fine"]
+    assert doctor.summary([finding, DoctorFinding("a", OK, "b")]) == "1 ok, 0 warnings, 1 failing"
 
 
 def test_the_command_without_a_daemon(in_process: Command, tmp_path: pathlib.Path) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rigctl.commission import identification as ident
 from rigctl.commission import motion
-from rigctl.commission.identification import IdentificationError, Signals
+from rigctl.commission.identification import IdentificationError, TrialSignals
 from rigctl.commission.proposal import LAG_SHARE, rounded, signals_of
 from rigctl.ipc.record import RECORD
 
@@ -25,7 +25,7 @@ def steps(pairs: int = 6, speed: float = 3.0) -> motion.Array:
     return np.array([0.0] * 500 + one * pairs)
 
 
-def simulated(lag_s: float, delay_s: float, *, noise_mm_s: float = 0.0, play_mm: float = 0.0) -> Signals:
+def simulated(lag_s: float, delay_s: float, *, noise_mm_s: float = 0.0, play_mm: float = 0.0) -> TrialSignals:
     """Speed and tension (6 N/mm, 0.03 N noise) as a loop reads them: one tick after they were latched."""
     rng, command = np.random.default_rng(7), steps()
     fine = np.repeat(command, STEPS)
@@ -39,7 +39,7 @@ def simulated(lag_s: float, delay_s: float, *, noise_mm_s: float = 0.0, play_mm:
         speed += (value - speed) * share
     latched = [np.concatenate([[0.0], np.array(x)[::STEPS]])[:-1] for x in (speeds, strokes)]
     tension = 15.0 + 6.0 * motion.behind_play(latched[1], play_mm) + rng.normal(0.0, 0.03, len(command))
-    return Signals(
+    return TrialSignals(
         1e-3, command, np.round(latched[1], 3), latched[0] + rng.normal(0.0, noise_mm_s, len(command)), tension
     )
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from rigctl.commission import preflight
-from rigctl.commission.preflight import Folder, Preflight, Verdict, judge
+from rigctl.commission.preflight import Folder, Preflight, PreflightVerdict, judge
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.control.checks import HOST_CHECKS, Check
@@ -55,12 +55,12 @@ REFUSED = {"accepted": False, "waiver": None, "verdict": "design refused: Ms 1.9
 WAIVED = {"accepted": True, "waiver": "a soft\nmechanism only", "verdict": "Ms 1.9 (limit 1.6, waived)"}
 
 
-def verdict(**changes: Any) -> Verdict:
+def verdict(**changes: Any) -> PreflightVerdict:
     return judge(**{**GOOD, **changes})
 
 
 def test_nothing_stands_against_a_rig_in_order() -> None:
-    assert verdict() == Verdict({}, {})
+    assert verdict() == PreflightVerdict({}, {})
     assert verdict().host_checks == Check(0)
 
 
@@ -172,7 +172,7 @@ def test_it_looks_by_itself_and_sees_what_changes(settings: RigSettings, tmp_pat
         until = time.monotonic() + 20.0
         while watched.verdict(time.monotonic_ns()).failing and time.monotonic() < until:
             time.sleep(0.02)
-        assert watched.verdict(time.monotonic_ns()) == Verdict({}, {})
+        assert watched.verdict(time.monotonic_ns()) == PreflightVerdict({}, {})
         standing[0] = replace(standing[0], tared=None)
         while not watched.verdict(time.monotonic_ns()).failing and time.monotonic() < until:
             time.sleep(0.02)

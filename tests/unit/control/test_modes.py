@@ -16,7 +16,9 @@ from rigctl.control.safety import Action, Trip
 from rigctl.devices.drive import Power
 from tests.builders.outcomes import MachineLog
 
-READY = Situation(unloaded=True, value=300.0, stroke_mm=300.0, target_min_n=50.0, target_max_n=350.0)
+READY = Situation(
+    unloaded=True, wanted_n=300.0, measured_mm=300.0, stroke_mm=300.0, target_min_n=50.0, target_max_n=350.0
+)
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -57,7 +59,7 @@ def test_each_command_is_accepted_in_these_modes_only(mode: Mode, verb: Verb) ->
 
 @pytest.mark.parametrize("value", [49.9, 350.1, -300.0, math.nan, math.inf])
 def test_a_target_outside_its_limits_is_refused(value: float) -> None:
-    assert decide(Mode.HOLD, Verb.TARGET, replace(READY, value=value)).refusal is Refusal.OUT_OF_RANGE
+    assert decide(Mode.HOLD, Verb.TARGET, replace(READY, wanted_n=value)).refusal is Refusal.OUT_OF_RANGE
 
 
 def test_guards() -> None:
@@ -70,7 +72,7 @@ def test_guards() -> None:
     assert decide(Mode.DISARMED, Verb.RESET, unseen).refusal is Refusal.CAUSE_PRESENT
     assert decide(Mode.HOLD, Verb.RELEASE, Situation(slack=True)).refusal is Refusal.ALREADY
     assert decide(Mode.HOLD, Verb.TARE, Situation()).refusal is Refusal.LOADED
-    assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(slack=True, value=1.0)).refusal is Refusal.SLACK
+    assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(slack=True, needs_tight=True)).refusal is Refusal.SLACK
 
 
 def armed() -> MachineLog:
@@ -223,7 +225,7 @@ def test_whatever_happens_a_fault_stays_until_a_reset_and_every_command_is_answe
         if kind == "verb":
             asked += 1
             latched = machine.fault is not Fault.NONE
-            situation = Situation(fault_latched=latched, drive_enabled=flag, value=300.0, target_max_n=400.0)
+            situation = Situation(fault_latched=latched, drive_enabled=flag, wanted_n=300.0, target_max_n=400.0)
             machine.command(asked, what, situation, t)
         elif kind == "event":
             machine.on(what)

@@ -153,8 +153,8 @@ class Rig(RuleBasedStateMachine):
         situation = Situation(
             failed_checks=int(failing), cause_present=present is not Fault.NONE,
             fault_latched=machine.fault is not Fault.NONE, drive_enabled=self.enabled and machine.drive_wanted,
-            drive_faulted=self.faulted, slack=self.slack, unloaded=self.slack, value=value, target_min_n=50.0,
-            target_max_n=350.0,
+            drive_faulted=self.faulted, slack=self.slack, unloaded=self.slack, wanted_n=value,
+            measured_mm=value, needs_tight=bool(value), target_min_n=50.0, target_max_n=350.0,
         )  # fmt: skip
         machine.command(self.asked, verb, situation, self.t_ns)
         ours = [answer for answer in machine.answers[answers:] if answer.id == self.asked]

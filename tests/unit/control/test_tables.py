@@ -296,8 +296,8 @@ CARRIED_OUT = {
     "DISARMED ARM": "preflight_passed", "DISARMED RESET": "drive_at_fault", "FAULT DISARM": "",
     **{f"{mode.name} TARGET": "target_in_bounds" for mode in Mode}, **{f"{mode.name} GAINS": "" for mode in Mode},
     "DISARMED TARE": "rope_unloaded", "HOLD TARE": "rope_unloaded", "DISARMED CALIBRATE": "", "HOLD CALIBRATE": "",
-    "HOLD IDENTIFY": "rope_as_asked",
-    "DISARMED CONFIRM_STROKE": "stroke_as_said", "FAULT CONFIRM_STROKE": "stroke_as_said",
+    "HOLD IDENTIFY": "rope_tight_if_needed",
+    "DISARMED CONFIRM_STROKE": "stroke_as_measured", "FAULT CONFIRM_STROKE": "stroke_as_measured",
 }  # fmt: skip
 ALREADY = {
     ("TENSIONING", "TENSION"), ("COMPENSATING", "TENSION"), ("RELEASING", "RELEASE"), ("DISARMED", "DISARM"),
@@ -325,8 +325,8 @@ def words_of(transition: Transition) -> str:
 @pytest.mark.parametrize("mode", Mode)
 @pytest.mark.parametrize("verb", Verb)
 def test_what_is_so_already_is_refused_as_that_and_what_cannot_be_as_the_wrong_mode(mode: Mode, verb: Verb) -> None:
-    ready = Situation(unloaded=True, value=300.0, target_min_n=50.0, target_max_n=350.0, drive_faulted=True,
-                      stroke_mm=300.0)  # fmt: skip
+    ready = Situation(unloaded=True, wanted_n=300.0, measured_mm=300.0, target_min_n=50.0, target_max_n=350.0,
+                      drive_faulted=True, stroke_mm=300.0)  # fmt: skip
     refusal = decide(mode, verb, ready).refusal
     assert (refusal is Refusal.ALREADY) == ((mode.name, verb.name) in ALREADY)
     assert refusal in (Refusal.NONE, Refusal.ALREADY, Refusal.WRONG_MODE)
@@ -334,7 +334,7 @@ def test_what_is_so_already_is_refused_as_that_and_what_cannot_be_as_the_wrong_m
 
 @pytest.mark.parametrize("value", [50.0, 350.0])
 def test_a_target_at_its_bound_is_inside(value: float) -> None:
-    situation = Situation(value=value, target_min_n=50.0, target_max_n=350.0)
+    situation = Situation(wanted_n=value, target_min_n=50.0, target_max_n=350.0)
     assert decide(Mode.HOLD, Verb.TARGET, situation) == Decision()
 
 
@@ -347,7 +347,7 @@ def test_only_a_ramp_down_is_ended_by_hold_as_a_trip(mode: Mode, latched: bool) 
 
 def test_guards_refuse_for_their_own_reason_only() -> None:
     assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(slack=True)) == Decision()
-    assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(value=1.0)) == Decision()
+    assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(needs_tight=True)) == Decision()
     assert decide(Mode.DISARMED, Verb.RESET, Situation()).refusal is Refusal.WRONG_MODE
     assert decide(Mode.FAULT, Verb.DISARM, Situation(cause_present=True, fault_latched=True)) == Decision()
 
@@ -367,7 +367,7 @@ def test_defaults_are_the_harmless_ones() -> None:
         Action.HOLD, Action.HOLD)  # fmt: skip
     assert not any((Situation().failed_checks, Situation().cause_present, Situation().fault_latched))
     assert not any((Situation().drive_enabled, Situation().drive_faulted, Situation().slack, Situation().unloaded))
-    assert (Situation().value, Situation().target_min_n, Situation().target_max_n) == (0.0, 0.0, 0.0)
+    assert (Situation().wanted_n, Situation().target_min_n, Situation().target_max_n) == (0.0, 0.0, 0.0)
 
 
 # Recordings, the audit log and the rings hold these as numbers: a changed number changes an old recording's meaning.
@@ -422,8 +422,8 @@ def test_numbers_on_record_stay_what_they_are() -> None:
     verbs = ["ARM", "TENSION", "RELEASE", "HOLD", "DISARM", "RESET", "TARGET", "TARE", "CALIBRATE", "IDENTIFY", "GAINS",
              "CONFIRM_STROKE"]  # fmt: skip
     assert [(verb.name, verb.value) for verb in Verb] == [(name, i) for i, name in enumerate(verbs, 1)]
-    settings = ["ZERO", "SCALE", "OVERDUE", "K_TENSION", "K_SPEED", "K_INTEGRAL", "HOST_CHECKS"]
-    assert [(setting.name, setting.value) for setting in Setting] == [(n, i) for i, n in enumerate(settings, 128)]
+    settings = {"ZERO": 128, "SCALE": 129, "OVERDUE": 130, "HOST_CHECKS": 134, "LAW_GAINS": 135}
+    assert {setting.name: setting.value for setting in Setting} == settings
     assert issubclass(Check, IntFlag)
     bits = {name: i for i, name in enumerate(CHECKS.split())} | CHECKS_IN_RANGES
     assert {check.name: check.value for check in Check} == {name: 1 << i for name, i in bits.items()}

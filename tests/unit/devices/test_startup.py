@@ -46,7 +46,7 @@ class Devices:
             self.asked.append(bytes([can_id & 0x7F]) + data)
         self.rig.receive(frame)
 
-    def bring_up(self) -> startup.Report:
+    def bring_up(self) -> startup.StartupReport:
         self.said: list[str] = []
         bus = InProcessBus(self.hub)
         try:

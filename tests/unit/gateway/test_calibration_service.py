@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pathlib
 import queue
 import time
@@ -46,9 +47,13 @@ def service(settings: RigSettings, tmp_path: pathlib.Path) -> Iterator[Calibrati
     made.close()
 
 
+def reply(reading_n: float = math.nan, duration_s: float = math.nan, t_ns: int = 5) -> dict[str, float]:
+    return {"reading_n": reading_n, "rms_n": 0.03, "duration_s": duration_s, "t_ns": t_ns}
+
+
 def filed(service: CalibrationService, request: Request = TARE, mean_n: float = 1.5) -> Filed:
     done: queue.SimpleQueue[Filed] = queue.SimpleQueue()
-    service.file(request, {"value": mean_n, "spread": 0.03, "t_ns": 5}, done.put)
+    service.file(request, reply(mean_n, 6.9), done.put)
     return done.get(timeout=10.0)
 
 
@@ -57,7 +62,7 @@ def test_a_tare_is_on_record_before_it_is_in_force(
 ) -> None:
     given = filed(service)
     assert given.finding is not None
-    assert given.finding.settings == ((Setting.ZERO, 1.5),)
+    assert given.finding.order == (Setting.ZERO, (1.5,))
     assert ledger.read(settings) == [given.finding.entry]
     assert in_force(Runtime(tmp_path)).zero_n == service.standing.zero_n == 0.0
     service.put_in_force(given)
@@ -89,7 +94,7 @@ def test_an_identification_whose_records_are_gone_is_refused(
     service: CalibrationService, settings: RigSettings, tmp_path: pathlib.Path
 ) -> None:
     Runtime(tmp_path).make_rings(settings)
-    given = filed(service, Request(Verb.IDENTIFY, "kim"), 6.9)
+    given = filed(service, Request(Verb.IDENTIFY, "kim"))
     assert (given.finding, given.reason) == (None, "out_of_bounds")
     assert "not there any more" in given.text
 
@@ -104,11 +109,15 @@ def test_an_identification_goes_by_the_ticks_of_its_excitation_alone(
         raise findings.FindingError("seen")
 
     monkeypatch.setattr(findings, "identify", identify)
-    writer, blank = Runtime(tmp_path).record_writer(), np.zeros(1, RECORD.dtype)[0].item()
+    writer, blank = Runtime(tmp_path).records.writer(), np.zeros(1, RECORD.dtype)[0].item()
     for t_s in range(20):
         writer.write(t_s * S, *blank[2:])
     done: queue.SimpleQueue[Filed] = queue.SimpleQueue()
-    service.file(Request(Verb.IDENTIFY, "kim"), {"value": 6.9, "spread": 0.0, "t_ns": 15 * S}, done.put)
+    service.file(
+        Request(Verb.IDENTIFY, "kim"),
+        reply(duration_s=6.9, t_ns=15 * S),
+        done.put,
+    )
     assert done.get(timeout=10.0).text == "seen"
     assert seen == [t_s * S for t_s in range(9, 16)]
 
@@ -121,7 +130,7 @@ def test_the_due_date_is_told_once_when_it_has_passed(service: CalibrationServic
     service.put_in_force(given)
     assert service.news(1 * S, time.time_ns()) == []
     assert service.news(1 * S + 1, 1 << 62) == ()  # the files were read a moment ago
-    assert service.news(2 * S, wall_ns + 3650 * 86_400 * S) == [(Setting.OVERDUE, 1.0)]
+    assert service.news(2 * S, wall_ns + 3650 * 86_400 * S) == [(Setting.OVERDUE, (1.0,))]
     assert service.standing.overdue
     assert service.news(3 * S, wall_ns + 3650 * 86_400 * S) == []
 
@@ -147,7 +156,7 @@ def test_with_an_adopted_scale_that_was_withdrawn_the_check_goes_and_the_loop_is
     assert service.news(1 * S, time.time_ns()) == []
     service.withdraw(filed(service, Request(Verb.CALIBRATE, "kim", 100.0, adopt=True), 100.4))
     service.close()
-    assert service.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, 1.0)]  # its OVERDUE 0 may have been applied
+    assert service.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, (1.0,))]  # its OVERDUE 0 may have been applied
     assert ledger.standing(settings, ledger.read(settings), time.time_ns()).due is None
 
 
@@ -158,7 +167,7 @@ class Interrupted:
         self.runtime, self.settings = Runtime(folder), settings
         self.runtime.make_rings(settings)
         self.runtime.write_json(IN_FORCE, Standing(overdue=True))  # as the supervisor does
-        self.events = self.runtime.event_writer()
+        self.events = self.runtime.events.writer()
         self.loop_goes_by(0.0, 1.0)
         first = CalibrationService(self.runtime, settings)
         self.filed = filed(first)
@@ -186,9 +195,9 @@ def next_service(interrupted: Interrupted) -> Iterator[CalibrationService]:
 def test_what_is_on_record_and_not_in_force_is_told_again(
     interrupted: Interrupted, next_service: CalibrationService, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert next_service.news(1 * S, time.time_ns()) == [(Setting.ZERO, 1.5)]
+    assert next_service.news(1 * S, time.time_ns()) == [(Setting.ZERO, (1.5,))]
     interrupted.loop_goes_by(1.5, 1.0)
-    assert next_service.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, 1.0)]
+    assert next_service.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, (1.0,))]
     assert in_force(interrupted.runtime).zero_n == 1.5
     assert interrupted.entries() == ["tare"]
     assert "the tare by kim of" in (said := capsys.readouterr().err)
@@ -200,15 +209,15 @@ def test_what_is_shown_in_force_and_is_not_is_told_again(
     interrupted: Interrupted, next_service: CalibrationService
 ) -> None:
     interrupted.runtime.write_json(IN_FORCE, interrupted.filed.standing)
-    assert next_service.news(1 * S, time.time_ns()) == [(Setting.ZERO, 1.5)]
+    assert next_service.news(1 * S, time.time_ns()) == [(Setting.ZERO, (1.5,))]
 
 
 def test_what_the_loop_still_does_not_take_is_withdrawn(
     interrupted: Interrupted, next_service: CalibrationService, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert next_service.news(1 * S, time.time_ns()) == [(Setting.ZERO, 1.5)]
+    assert next_service.news(1 * S, time.time_ns()) == [(Setting.ZERO, (1.5,))]
     assert next_service.news(2 * S, time.time_ns()) == []
-    assert next_service.news(4 * S, time.time_ns()) == [(Setting.OVERDUE, 1.0)]
+    assert next_service.news(4 * S, time.time_ns()) == [(Setting.OVERDUE, (1.0,))]
     next_service.close()
     assert interrupted.entries() == ["tare", "tare withdrawn"]
     assert in_force(interrupted.runtime).zero_n == 0.0
@@ -244,7 +253,7 @@ def test_a_check_on_record_that_changed_no_figure_of_the_loop_holds_until_its_du
     service.close()  # its gateway ends with it
     after = CalibrationService(runtime, settings)
     assert list(after.news(1 * S, time.time_ns())) == []
-    assert after.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, 0.0)]
+    assert after.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, (0.0,))]
     assert in_force(runtime).due is not None
     after.close()
 
@@ -269,4 +278,4 @@ def test_an_answer_that_is_missing_is_looked_for(interrupted: Interrupted, next_
     given = filed(next_service, mean_n=2.5)
     assert next_service.news(3 * S, time.time_ns()) == []  # the command server puts it in force
     next_service.unanswered(given)
-    assert next_service.news(4 * S, time.time_ns()) == [(Setting.ZERO, 2.5)]
+    assert next_service.news(4 * S, time.time_ns()) == [(Setting.ZERO, (2.5,))]

@@ -39,10 +39,10 @@ def runtime(tmp_path: pathlib.Path) -> Runtime:
 
 
 def test_an_event_waits_for_the_record_of_its_tick_but_not_for_ever(runtime: Runtime) -> None:
-    cursor = Cursor(runtime.gateway_cursor, runtime.records, 0)
-    publisher, writer = Publisher(), runtime.event_writer()
+    cursor = Cursor(runtime.gateway_cursor, runtime.records.path, 0)
+    publisher, writer = Publisher(), runtime.events.writer()
     publishers = cast("Any", dict.fromkeys(SEVERITIES, publisher))
-    stream = EventStream(publishers, runtime.event_reader(), runtime.note_reader(), cursor, 0)
+    stream = EventStream(publishers, runtime.events.reader(), runtime.notes.reader(), cursor, 0)
 
     def published(now_ns: int, recorded_ns: int) -> list[int]:
         stream.read(0, now_ns, recorded_ns)

@@ -19,7 +19,7 @@ from rigctl.control.modes import Mode, Refusal
 from rigctl.hold import service
 from rigctl.hold.service import CONNECTIONS_MAX, HoldService
 from rigctl.ipc import runtime_folder as folders
-from rigctl.ipc.record import RECORD
+from rigctl.ipc.record import RECORD, REPLY
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from tests.builders import daemons
@@ -42,8 +42,8 @@ class Rig:
 
     def __init__(self, runtime: Runtime) -> None:
         self.runtime, self.service = runtime, HoldService(runtime)
-        self.holds: RingReader = runtime.hold_reader()
-        self.replies, self.records = runtime.reply_writer(), runtime.record_writer()
+        self.holds: RingReader = runtime.holds.reader()
+        self.replies, self.records = runtime.replies.writer(), runtime.records.writer()
 
     def ask(self, payload: bytes = b'{"operator": "kim"}') -> socket.socket:
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -65,7 +65,10 @@ class Rig:
         values |= {"t_ns": now, "mode": int(mode), "stroke_mm": 52.3, "tension_n": 300.0}
         self.records.write(*values.values())
         for slot in slots:
-            self.replies.write(now, slot["id"], refusal is Refusal.NONE, refusal, 0, mode, 0.0, 0.0)
+            accepted = refusal is Refusal.NONE
+            self.replies.write(
+                *REPLY.values(t_ns=now, id=slot["id"], accepted=accepted, reason=refusal, checks=0, mode=mode)
+            )
         return [slot["operator"].decode() for slot in slots]
 
 
@@ -86,7 +89,7 @@ def test_a_hold_is_given_with_its_user_and_answered_when_the_loop_has_taken_it(r
     with pytest.raises(BlockingIOError):
         asked.recv(1)
     assert rig.holds.head == 1
-    slot = rig.runtime.hold_reader(from_start=True).read()[0]
+    slot = rig.runtime.holds.reader(from_start=True).read()[0]
     assert (slot["uid"], slot["pid"], slot["operator"]) == (os.geteuid(), os.getpid(), b"kim")
     rig.take()
     rig.turns()

@@ -56,7 +56,7 @@ def test_entries_are_added_and_the_newest_zero_and_scale_stand(settings: RigSett
     ledger.append(settings, tare.entry)
     adopt = Request(Verb.CALIBRATE, "lee", 100.0, adopt=True)
     found = findings.calibrate(settings, adopt, stands(settings), measured(100.25))
-    assert found.settings[-1] == (Setting.SCALE, pytest.approx(100.0 / 99.0))
+    assert found.order == (Setting.SCALE, (pytest.approx(100.0 / 99.0), 0.0))
     entries = ledger.append(settings, found.entry)
     assert [(e.what, e.operator, e.passed) for e in entries] == [("tare", "kim", None), ("calibrate", "lee", True)]
     assert ledger.read(settings) == entries
@@ -75,7 +75,7 @@ def test_a_check_holds_until_its_due_date_and_a_failed_one_ends_it(settings: Rig
     assert not findings.calibrate(settings, CALIBRATE, Standing(), measured(294.2 * 0.994)).good
     failed = findings.calibrate(settings, CALIBRATE, Standing(), measured(294.2 * 1.006))
     assert not failed.good
-    assert failed.settings == ((Setting.OVERDUE, 1.0),)
+    assert failed.order == (Setting.OVERDUE, (1.0,))
     ledger.append(settings, failed.entry)
     assert stands(settings).overdue
     assert settings.calibration is not None
@@ -84,7 +84,7 @@ def test_a_check_holds_until_its_due_date_and_a_failed_one_ends_it(settings: Rig
         settings.model_copy(update={"calibration": waived}), CALIBRATE, Standing(), measured(294.2 * 1.006)
     )
     assert not excused.good
-    assert excused.settings == ((Setting.OVERDUE, 0.0),)
+    assert excused.order == (Setting.OVERDUE, (0.0,))
 
 
 def test_a_check_from_the_future_holds_for_nothing(settings: RigSettings) -> None:
@@ -129,7 +129,7 @@ def test_an_adopted_scale_goes_on_from_the_one_in_force_and_counts_as_a_check(se
     given = findings.calibrate(settings, adopt, Standing(zero_n=1.0, scale=1.01), measured(294.2 / 1.005 + 1.0))
     assert given.good
     assert given.entry.passed
-    assert given.settings == ((Setting.OVERDUE, 0.0), (Setting.SCALE, pytest.approx(1.005)))
+    assert given.order == (Setting.SCALE, (pytest.approx(1.005), 0.0))
 
 
 def test_the_shunt_is_held_against_its_own_reference(settings: RigSettings) -> None:

@@ -32,7 +32,7 @@ def test_the_folder_and_everything_in_it_is_its_owners_alone(runtime: Runtime) -
     assert stat.S_IMODE(runtime.directory.stat().st_mode) == 0o700
     modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in runtime.directory.iterdir()}
     assert set(modes.values()) == {0o600}, modes
-    assert runtime.records.stat().st_blocks * 512 >= runtime.records.stat().st_size  # its memory is allocated
+    assert runtime.records.path.stat().st_blocks * 512 >= runtime.records.path.stat().st_size  # its memory is allocated
 
 
 def _link(folder: pathlib.Path) -> None:
@@ -113,7 +113,7 @@ def _replaced(runtime: Runtime) -> None:
 
 
 def _damaged(runtime: Runtime) -> None:
-    with runtime.records.open("r+b") as file:
+    with runtime.records.path.open("r+b") as file:
         file.write(b"X")
 
 
@@ -122,7 +122,7 @@ def _damaged(runtime: Runtime) -> None:
     [
         (lambda runtime: runtime.directory.rename(runtime.directory.with_name("away")), "it has been deleted"),
         (_replaced, "it has been replaced by another"),
-        (lambda runtime: runtime.commands.unlink(), "commands in it has been deleted"),
+        (lambda runtime: runtime.commands.path.unlink(), "commands in it has been deleted"),
         (_damaged, "records in it has been replaced or damaged"),
         (lambda runtime: runtime.directory.chmod(0o755), "mode 0755"),
     ],

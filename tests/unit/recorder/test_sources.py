@@ -113,11 +113,11 @@ def test_the_inbox_keeps_every_frame_with_its_flags(runtime: Runtime, settings: 
     try:
         for message in sent:
             other.send(message)
-        Inbox(bus, settings, runtime.frame_writer()).drain(77, 0)
+        Inbox(bus, settings, runtime.frames.writer()).drain(77, 0)
     finally:
         bus.shutdown()
         other.shutdown()
-    slots = runtime.frame_reader().read()
+    slots = runtime.frames.reader(from_start=True).read()
     assert slots["can_id"].tolist() == [0x555, 0x9ABCDEF0, 0x40000007, 0x20000040]
     assert slots["dlc"].tolist() == [2, 8, 3, 8]
     assert [bytes(data) for data in slots["data"]][1] == b"\1\2\3\4\5\6\7\x08"
@@ -149,7 +149,7 @@ def test_a_slot_of_any_bits_makes_an_entry(source: object, data: st.DataObject) 
 
 
 def test_what_was_overwritten_before_it_was_read_is_said(runtime: Runtime) -> None:
-    events = runtime.event_writer()
+    events = runtime.events.writer()
     rings = AuditedRings(runtime, {})
     for number in range(6000):
         events.write(number, 9, 0, 0, 0.0, 0.0, b"")
@@ -164,8 +164,8 @@ def test_what_was_overwritten_before_it_was_read_is_said(runtime: Runtime) -> No
 def test_a_recorder_goes_on_from_the_log_and_a_new_daemon_begins_its_rings_anew(
     runtime: Runtime, settings: RigSettings
 ) -> None:
-    events, desk = runtime.event_writer(), RequestLog(runtime.request_writer())
-    supervision = Supervision(runtime.supervision_writer())
+    events, desk = runtime.events.writer(), RequestLog(runtime.requests.writer())
+    supervision = Supervision(runtime.supervision.writer())
     supervision.note(1, Doing.DAEMON_STARTED, reason="rigctl 1")
     recorder = Recorder(runtime, settings, 1, 1)
     for number in range(5):
@@ -188,7 +188,7 @@ def test_a_recorder_goes_on_from_the_log_and_a_new_daemon_begins_its_rings_anew(
     assert asked == [("command_given", "kim", 99), ("command_refused", "kim", 99)]
     runtime.make_rings(settings)
     runtime.write_json(ACTIVE, {**runtime.read_json(ACTIVE), "started_wall_ns": 6})
-    runtime.event_writer().write(6, 9, 0, 0, 0.0, 0.0, b"")
+    runtime.events.writer().write(6, 9, 0, 0, 0.0, 0.0, b"")
     Recorder(runtime, settings, 5, 5).poll(6, 6)
     assert [entry.seq for entry in entries(settings) if entry.source == "events"][-2:] == [6, 1]
 
@@ -199,7 +199,7 @@ def test_a_log_that_cannot_be_written_is_told_once_and_made_up_for(
     folder = settings.audit_log.parent
     folder.write_text("a file in its place")
     recorder = Recorder(runtime, settings, 0, 0)
-    events = runtime.event_writer()
+    events = runtime.events.writer()
     for second in range(1, 5):
         events.write(second, 9, 0, 0, 0.0, 0.0, b"")
         recorder.poll(second * 1_000_000_000, second * 1_000_000_000)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from rigctl.control.checks import Check
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.ipc.record import REPLY
 from rigctl.wire.command_request import NewestRecord, Request, RequestError, answer, parse, verb_of
 
 JSON = st.recursive(
@@ -21,6 +22,11 @@ JSON = st.recursive(
     max_leaves=8,
 )
 LIMITS = (50.0, 350.0)
+
+
+def reply_of(**given: Any) -> dict[str, Any]:
+    names = (field.name for field in REPLY.fields)
+    return dict(zip(names, REPLY.values(t_ns=5, id=1, **given), strict=True))
 
 
 def is_command(verb: Verb, payload: bytes) -> bool:
@@ -90,10 +96,10 @@ def test_verbs_are_the_modes_verbs() -> None:
 @pytest.mark.parametrize("mode", Mode)
 @pytest.mark.parametrize("refusal", Refusal)
 def test_every_answer_has_one_line(verb: Verb, mode: Mode, refusal: Refusal) -> None:
-    reply = {
-        "accepted": refusal is Refusal.NONE, "reason": int(refusal), "checks": int(Check.CELL_STALE),
-        "mode": int(mode), "value": math.nan, "t_ns": 5,
-    }  # fmt: skip
+    reply = reply_of(
+        accepted=refusal is Refusal.NONE, reason=int(refusal), checks=int(Check.CELL_STALE), mode=int(mode),
+        target_n=300.0,
+    )  # fmt: skip
     found = answer(Request(verb, "kim"), reply, NewestRecord(Fault.TENSION_HIGH, 1.0, 2.0, 300.0), LIMITS)
     assert found["accepted"] is (refusal is Refusal.NONE)
     assert found["text"].startswith(f"{verb.name}: " if found["accepted"] else f"{verb.name} refused: ")
@@ -113,14 +119,14 @@ def test_arm_at_an_end_is_said_by_arm_alone_and_told_to_the_loop() -> None:
 
 def test_what_is_known_of_a_check_is_said_instead_of_its_general_phrase() -> None:
     checks = Check.CELL_STALE | Check.DISK
-    reply = {"accepted": 0, "reason": 2, "checks": int(checks), "mode": 0, "value": 0.0, "t_ns": 5}
+    reply = reply_of(accepted=0, reason=2, checks=int(checks), mode=0)
     found = answer(Request(Verb.ARM, "kim"), reply, NewestRecord(), LIMITS, {Check.DISK: "/data is full"})
     assert found["checks"] == [Check.CELL_STALE.words, "/data is full"]
     assert "; /data is full" in found["text"]
 
 
 def test_an_armed_rig_says_what_was_waived_and_why() -> None:
-    reply = {"accepted": 1, "reason": 0, "checks": 0, "mode": 1, "value": 0.0, "t_ns": 5}
+    reply = reply_of(accepted=1, reason=0, checks=0, mode=1)
     waived = {Check.CALIBRATION: "no weight", Check.TARE: "no weight", Check.REALTIME: "a toy"}
     found = answer(Request(Verb.ARM, "kim"), reply, NewestRecord(), LIMITS, {}, waived)
     assert found["text"].endswith("; waived: calibration, tare (no weight), realtime (a toy)")

@@ -109,7 +109,7 @@ def test_the_trip_is_worded_with_its_figures() -> None:
 def test_a_state_with_a_fault_says_why_however_the_trip_falls_between_what_is_read(tmp_path: pathlib.Path) -> None:
     settings, runtime = config.load(ROOT / "config/paper_rig.yaml"), Runtime(tmp_path)
     runtime.make_rings(settings)
-    records, events = runtime.record_writer(), runtime.event_writer()
+    records, events = runtime.records.writer(), runtime.events.writer()
     nothing = dict.fromkeys((field.name for field in RECORD.fields), 0)
     records.write(*nothing.values())
 
@@ -126,7 +126,7 @@ def test_a_state_with_a_fault_says_why_however_the_trip_falls_between_what_is_re
         view = StateView(runtime, settings, Active(runtime))
         path, dtype = (runtime.events, EVENT.dtype) if torn == "_events" else (runtime.records, RECORD.dtype)
         setattr(view, torn, Tripping(path, dtype, from_start=True))
-        cursor = Cursor(tmp_path / "cursor", runtime.records, 0)
+        cursor = Cursor(tmp_path / "cursor", runtime.records.path, 0)
         for _ in range(2):
             made = msgspec.json.decode(view.make(NOW, 0, Standing(), None, Verdict(), cursor))
             assert made["fault"] is None or made["fault_text"] == "tension 412.0 N above 400.0 N", torn

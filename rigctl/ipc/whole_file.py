@@ -1,0 +1,44 @@
+"""Replaces a file whole or not at all, so that a reader finds the old content or the new."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+
+
+def replace(path: pathlib.Path, data: bytes, *, mode: int, sync: bool = True) -> None:
+    """Replace ``path``, with its folder if need be.
+
+    ``sync``: wait until it is on the disk; without it a power cut may leave an older file.
+
+    Raises:
+        OSError: the file could not be written and is unchanged.
+    """
+    part = path.with_name(f"{path.name}.new")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.unlink(missing_ok=True)
+        with os.fdopen(os.open(part, _NEW, mode), "wb") as file:
+            file.write(data)
+            file.flush()
+            if sync:
+                os.fsync(file.fileno())
+        part.replace(path)
+        if sync:
+            sync_folder(path.parent)
+    except OSError:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise
+
+
+def sync_folder(folder: pathlib.Path) -> None:
+    """Write a folder to disk: without this a power cut may lose a new name in it."""
+    fd = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
