@@ -278,11 +278,11 @@ class Orders:
         if "zero_n" in values and not abs(inbox.reading_n) <= tare_limit_n(self._settings):
             return Refusal.LOADED
         overdue = values.pop("overdue", math.nan)
-        wanted = replace(inbox.correction, **values)
+        wanted = replace(inbox.correction, **values)  # type: ignore[arg-type] - zero or scale, both numbers
         if not wanted.fits(self._settings):
             return Refusal.OUT_OF_RANGE
         if not math.isnan(overdue):
-            self._observer.snapshot.calibration_overdue = overdue != 0.0
+            self.overdue = overdue != 0.0
         self.correct(wanted, t_ns)
         return Refusal.NONE
 

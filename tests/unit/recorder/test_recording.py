@@ -275,11 +275,12 @@ def old_schema() -> bytes:
     message = file.message_type.add(name="Frame")
     for number, (name, kind) in enumerate(kinds.items(), 1):
         message.field.add(name=name, number=number, type=kind, label=P.LABEL_OPTIONAL)
-    return files.SerializeToString()
+    return bytes(files.SerializeToString())
 
 
 def old_frame(frame: np.void) -> bytes:
-    seq, t_ns, can_id, sent, dlc, data = frame.item()
+    seq, t_ns, can_id, sent, dlc = (int(frame[name]) for name in ("seq", "t_ns", "can_id", "sent", "dlc"))
+    data = bytes(frame["data"])
     data = b"" if can_id & FrameFlag.REMOTE else data.ljust(8, b"\0")[:dlc]
     head = struct.pack("<cQcqcIcIcIcB", b"\x09", seq, b"\x11", t_ns, b"\x1d", can_id, b"\x25", sent, b"\x2d", dlc,
                        b"\x32", len(data))  # fmt: skip
@@ -304,7 +305,7 @@ def test_a_trip_dump_from_before_frames_came_in_blocks_gives_the_same_frames(tmp
         writer.add_metadata("rigctl", {"rig": "old_rig", "fault": "CELL_STALE", "started_wall_ns": "7"})
         for frame in frames:
             writer.add_message(channel, int(frame["t_ns"]), old_frame(frame), int(frame["t_ns"]))
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     (message, found), *_ = decoded(path, "/frames")
     assert (message.log_time, found.can_id, found.data) == (5_000_000_000, 0x182, sent[0][2])
     assert same(recording.read(path).frames, frames)
