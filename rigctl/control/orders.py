@@ -268,7 +268,7 @@ class Orders:
             case _:
                 refusal = self._set_correction(values, t_ns)
         figures = {"reading_n": self._observer.inbox.reading_n} if refusal is Refusal.LOADED else {}
-        self._reply(t_ns, id_, refusal, **figures)
+        self._reply(t_ns, id_, refusal, 0, **figures)
 
     def _set_correction(self, values: _Values, t_ns: int) -> Refusal:
         """Put zero or scale of the cell in force; the reading jumps, so only in DISARMED or HOLD."""
@@ -277,8 +277,9 @@ class Orders:
             return Refusal.WRONG_MODE
         if "zero_n" in values and not abs(inbox.reading_n) <= tare_limit_n(self._settings):
             return Refusal.LOADED
-        overdue = values.pop("overdue", math.nan)
-        wanted = replace(inbox.correction, **values)  # type: ignore[arg-type] - zero or scale, both numbers
+        overdue = values.get("overdue", math.nan)
+        now = inbox.correction
+        wanted = replace(now, zero_n=values.get("zero_n", now.zero_n), scale=values.get("scale", now.scale))
         if not wanted.fits(self._settings):
             return Refusal.OUT_OF_RANGE
         if not math.isnan(overdue):

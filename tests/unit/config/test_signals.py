@@ -9,7 +9,7 @@ from dataclasses import fields
 
 from rigctl.config import signals
 from rigctl.config.signals import RECORDED, SIGNALS, WATCHED
-from rigctl.control.safety import Snapshot
+from rigctl.control.snapshot import Snapshot
 
 SNAPSHOT = {field.name for field in fields(Snapshot)}
 ADDED = '    Signal("winch_mm", "d", "mm", "way of the winch", limit=Watch(99, "winch_mm", "mm", "", "stroke_mm")),\n'
@@ -24,7 +24,7 @@ spec.loader.exec_module(module)
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.events import Kind, worded
-from rigctl.control.safety import Snapshot
+from rigctl.control.snapshot import Snapshot
 from rigctl.ipc.record import RECORD
 from rigctl.recorder import recording
 from rigctl.recorder.columns import tables
