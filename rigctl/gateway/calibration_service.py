@@ -70,8 +70,8 @@ class CalibrationService:
 
     def file(self, request: Request, reply: Any, done: Callable[[Filed], None]) -> None:
         """Put on record what the loop's ``reply`` says, then call ``done`` in the calibration service's thread."""
-        figures = (float(reply[name]) for name in ("reading_n", "rms_n"))
-        measured = Measured(*figures, time.time_ns(), float(reply["duration_s"]))
+        mean_n, rms_n, duration_s = (float(reply[name]) for name in ("reading_n", "rms_n", "duration_s"))
+        measured = Measured(mean_n, rms_n, time.time_ns(), duration_s)
         t_ns = int(reply["t_ns"])
         self._work.put(lambda: done(self._file(request, measured, t_ns)))
 

@@ -11,7 +11,7 @@ import pytest
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
 from rigctl.cli import status
-from rigctl.commission.preflight import Verdict
+from rigctl.commission.preflight import PreflightVerdict
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
@@ -37,7 +37,7 @@ class Shown:
         self._cursor = Cursor(rig.runtime.gateway_cursor, rig.runtime.records.path, 0)
 
     def state(self) -> dict[str, Any]:
-        made = self.view.make(self._rig.clock.now(), 0, Standing(), None, Verdict(), self._cursor)
+        made = self.view.make(self._rig.clock.now(), 0, Standing(), None, PreflightVerdict(), self._cursor)
         return dict(msgspec.json.decode(made))
 
 

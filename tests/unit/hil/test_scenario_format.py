@@ -19,7 +19,7 @@ from hil.scenario.figures import LOOP_FIGURES, TRUTH_FIGURES
 from hil.scenario.format import Scenario, Window, read
 from hil.scenario.kinds import Disturbances, LevelPoint
 from hil.scenario.rig import settings_of
-from rigctl.config.wording import Slot, unit_of
+from rigctl.config.wording import KeyType, unit_of
 from tests.builders.paths import ROOT
 
 PAGE = (ROOT / "docs/scenario.md").read_text()
@@ -233,7 +233,7 @@ def rows(models: dict[str, type[BaseModel]]) -> Iterator[str]:
     for kind, model in models.items():
         for name, info in model.model_fields.items():
             if name != "kind":
-                row = f"{Slot.of(info).allowed(name)} | {default_of(info)} | {info.description}"
+                row = f"{KeyType.of(info).allowed(name)} | {default_of(info)} | {info.description}"
                 found.setdefault(f"| `{name}` | KINDS | {row} |", []).append(kind)
     for row, kinds in found.items():
         of = "" if len(kinds) == len(models) else ", ".join(kinds)
@@ -244,7 +244,7 @@ def tables() -> dict[str, list[str]]:
     """Every table of the page about a key's values, by its heading."""
     made = {"scenario": list(rows({"": Scenario})), "windows": list(rows({"": Window}))}
     for name, info in Disturbances.model_fields.items():
-        item = Slot.of(info).child(0)
+        item = KeyType.of(info).child(0)
         assert item is not None
         made[f"disturbances: {name}"] = list(rows(dict(item.kinds) or {"": item.choices[0]}))
     made["disturbances: run_out"] += list(rows({"": LevelPoint}))
@@ -262,7 +262,7 @@ def test_the_page_has_every_key_with_its_unit_range_and_default(heading: str) ->
 
 def test_the_page_names_every_kind() -> None:
     for info in Disturbances.model_fields.values():
-        item = Slot.of(info).child(0)
+        item = KeyType.of(info).child(0)
         assert item is not None
         for kind in item.kinds:
             assert f"`{kind}`" in PAGE
@@ -288,7 +288,7 @@ def test_the_pages_example_is_a_scenario(tmp_path: pathlib.Path) -> None:
 
 def test_kinds_are_told_apart_by_their_name() -> None:
     for info in Disturbances.model_fields.values():
-        item = Slot.of(info).child(0)
+        item = KeyType.of(info).child(0)
         assert item is not None
         for kind, model in item.kinds.items():
             assert get_args(model.model_fields["kind"].annotation) == (kind,)

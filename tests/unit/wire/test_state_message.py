@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.commission.preflight import Verdict
+from rigctl.commission.preflight import PreflightVerdict
 from rigctl.config import rig_file as config
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
@@ -124,11 +124,11 @@ def test_a_state_with_a_fault_says_why_however_the_trip_falls_between_what_is_re
 
     for torn in ("_events", "_records"):
         view = StateView(runtime, settings, Active(runtime))
-        path, dtype = (runtime.events, EVENT.dtype) if torn == "_events" else (runtime.records, RECORD.dtype)
-        setattr(view, torn, Tripping(path, dtype, from_start=True))
+        ring = runtime.events if torn == "_events" else runtime.records
+        setattr(view, torn, Tripping(ring.path, ring.slot.dtype, from_start=True))
         cursor = Cursor(tmp_path / "cursor", runtime.records.path, 0)
         for _ in range(2):
-            made = msgspec.json.decode(view.make(NOW, 0, Standing(), None, Verdict(), cursor))
+            made = msgspec.json.decode(view.make(NOW, 0, Standing(), None, PreflightVerdict(), cursor))
             assert made["fault"] is None or made["fault_text"] == "tension 412.0 N above 400.0 N", torn
         assert made["fault"] == "TENSION_HIGH"
 
