@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
@@ -163,7 +163,9 @@ class Logbook:
             self._noticed[kind, a, b] = t_ns + NOTICE_NS
             self.event(t_ns, kind, a, b, text=text)
 
-    def reply(self, t_ns: int, id_: int, refusal: Refusal, checks: int, mode: int, **figures: float) -> None:
+    def reply(
+        self, t_ns: int, id_: int, refusal: Refusal, checks: int, mode: int, figures: Mapping[str, float]
+    ) -> None:
         """Answer to the command ``id_``; ``figures``: by the names of their fields in `REPLY`."""
         finite = {name: number(value) for name, value in figures.items()}
         self._rings.replies.write(

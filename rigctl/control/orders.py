@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 from rigctl.config.settings import RigSettings
 from rigctl.control import arming, modes, safety, trials
@@ -24,6 +25,7 @@ from rigctl.ipc.record import COMMAND_LIFETIME_NS
 
 _VERBS, _SETTINGS = frozenset(map(int, Verb)), frozenset(map(int, Setting))
 _Values = dict[str, float]  # of a command, by the names in `modes.VALUES`
+_NO_FIGURES: Mapping[str, float] = MappingProxyType({})
 LOOK_NS = 500_000_000  # period of the preflight for display while the rig is not armed
 
 
@@ -153,7 +155,7 @@ class Orders:
                 figures = {"target_n": self._law.target_n}
             elif given.verb in modes.TRIED_IN and given.refusal is Refusal.NONE:
                 figures = self._found
-            self._reply(t_ns, given.id, given.refusal, checks, **figures)
+            self._reply(t_ns, given.id, given.refusal, checks, figures)
 
     def correct(self, correction: Correction, t_ns: int) -> None:
         """Put zero and scale of the cell in force."""
@@ -268,7 +270,7 @@ class Orders:
             case _:
                 refusal = self._set_correction(values, t_ns)
         figures = {"reading_n": self._observer.inbox.reading_n} if refusal is Refusal.LOADED else {}
-        self._reply(t_ns, id_, refusal, 0, **figures)
+        self._reply(t_ns, id_, refusal, figures=figures)
 
     def _set_correction(self, values: _Values, t_ns: int) -> Refusal:
         """Put zero or scale of the cell in force; the reading jumps, so only in DISARMED or HOLD."""
@@ -277,8 +279,7 @@ class Orders:
             return Refusal.WRONG_MODE
         if "zero_n" in values and not abs(inbox.reading_n) <= tare_limit_n(self._settings):
             return Refusal.LOADED
-        overdue = values.get("overdue", math.nan)
-        now = inbox.correction
+        now, overdue = inbox.correction, values.get("overdue", math.nan)
         wanted = replace(now, zero_n=values.get("zero_n", now.zero_n), scale=values.get("scale", now.scale))
         if not wanted.fits(self._settings):
             return Refusal.OUT_OF_RANGE
@@ -303,5 +304,7 @@ class Orders:
         self._logbook.event(t_ns, Kind.GAINS, text=text)
         return Refusal.NONE
 
-    def _reply(self, t_ns: int, id_: int, refusal: Refusal, checks: int = 0, **figures: float) -> None:
-        self._logbook.reply(t_ns, id_, refusal, checks, self._machine.mode, **figures)
+    def _reply(
+        self, t_ns: int, id_: int, refusal: Refusal, checks: int = 0, figures: Mapping[str, float] = _NO_FIGURES
+    ) -> None:
+        self._logbook.reply(t_ns, id_, refusal, checks, self._machine.mode, figures)

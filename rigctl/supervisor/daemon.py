@@ -237,10 +237,7 @@ class Supervisor:
             self._say(f"WARNING: {error}; zero and scale stay as they were")
             return None
         standing = ledger.standing(self.settings, entries, time.time_ns())
-        try:
-            self._runtime.write_json(IN_FORCE, standing)
-        except OSError as error:
-            self._say(f"WARNING: {self._no_room(error)}; zero and scale stay as they were")
+        self._write_or_warn(IN_FORCE, standing, "; zero and scale stay as they were")
         return standing
 
     def _put_last_stroke(self, newest: np.void | None) -> None:
@@ -249,10 +246,14 @@ class Supervisor:
         last = LastStroke(seen_mm) if seen_mm is not None else last_stroke.read(self.settings)
         if last.why:
             self._say(f"WARNING: the stroke last known: {last.why}; it has to be confirmed")
+        # Without the file, or with an older one, the stroke has to be confirmed.
+        self._write_or_warn(last_stroke.IN_FORCE, last, "; the stroke last known stays as it was")
+
+    def _write_or_warn(self, name: str, value: object, otherwise: str) -> None:
         try:
-            self._runtime.write_json(last_stroke.IN_FORCE, last)
-        except OSError as error:  # without it, or with an older one, the stroke has to be confirmed
-            self._say(f"WARNING: {self._no_room(error)}; the stroke last known stays as it was")
+            self._runtime.write_json(name, value)
+        except OSError as error:
+            self._say(f"WARNING: {self._no_room(error)}{otherwise}")
 
     def _spawn(self, name: str) -> None:
         command = [sys.executable, "-m", self._modules[name], str(self._runtime.directory)]
@@ -305,10 +306,7 @@ class Supervisor:
         except (OSError, msgspec.MsgspecError, KeyError, TypeError) as error:
             why = " ".join(str(error).split())
         self._say(f"WARNING: {ACTIVE} in the runtime folder was damaged ({why}); it is written anew")
-        try:
-            self._runtime.write_json(ACTIVE, self._active)
-        except OSError as error:
-            self._say(f"WARNING: {self._no_room(error)}")
+        self._write_or_warn(ACTIVE, self._active, "")
 
     def _watch(self) -> None:
         now = time.monotonic()

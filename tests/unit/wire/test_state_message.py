@@ -124,8 +124,8 @@ def test_a_state_with_a_fault_says_why_however_the_trip_falls_between_what_is_re
 
     for torn in ("_events", "_records"):
         view = StateView(runtime, settings, Active(runtime))
-        path, dtype = (runtime.events, EVENT.dtype) if torn == "_events" else (runtime.records, RECORD.dtype)
-        setattr(view, torn, Tripping(path.path, dtype, from_start=True))
+        ring = runtime.events if torn == "_events" else runtime.records
+        setattr(view, torn, Tripping(ring.path, ring.slot.dtype, from_start=True))
         cursor = Cursor(tmp_path / "cursor", runtime.records.path, 0)
         for _ in range(2):
             made = msgspec.json.decode(view.make(NOW, 0, Standing(), None, PreflightVerdict(), cursor))
