@@ -5,31 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable, Mapping
-from typing import Any
 
-import numpy.typing as npt
-
-from rigctl.client.connection import Client
-from rigctl.client.decoding import Field
-from rigctl.client.fast import DEPTH_BLOCKS
-from rigctl.client.ordering import Count
+from rigctl.client.block_order import DEPTH_BLOCKS
+from rigctl.client.decoding import SampleField
 from rigctl.client.rig import Rig, connect, fits
-from rigctl.client.samples import SampleSource
 from rigctl.client.shapes import Message
-from rigctl.client.stream_async import AsyncStream
-
-
-class AsyncSamples(AsyncStream[npt.NDArray[Any]]):
-    """The fast stream, as `rigctl.client.rig.Samples`."""
-
-    def __init__(self, client: Client, source: SampleSource) -> None:
-        super().__init__(client, source)
-        self._samples = source
-
-    @property
-    def count(self) -> Count:
-        """Records received, lost, recovered so far."""
-        return self._samples.count
+from rigctl.client.stream_async import AsyncSamples, AsyncStream
 
 
 class AsyncRig:
@@ -38,8 +19,7 @@ class AsyncRig:
     def __init__(self, rig: Rig) -> None:
         """Take over a rig; must be created in the event loop."""
         self._rig = rig
-        self._standing = rig.event_source()
-        self._events: AsyncStream[Message] = AsyncStream(rig.connection, self._standing)
+        self._new_events = AsyncStream(rig.new_events)
 
     @property
     def name(self) -> str:
@@ -47,7 +27,7 @@ class AsyncRig:
         return self._rig.name
 
     @property
-    def fields(self) -> Mapping[str, Field]:
+    def fields(self) -> Mapping[str, SampleField]:
         """Fields of a sample by name."""
         return self._rig.fields
 
@@ -84,22 +64,19 @@ class AsyncRig:
 
     def fast(self, depth: int = DEPTH_BLOCKS) -> AsyncSamples:
         """Every tick from now on."""
-        return AsyncSamples(self._rig.connection, self._rig.sample_source(depth))
+        return AsyncSamples(self._rig.fast(depth))
 
     def states(self) -> AsyncStream[Message]:
         """States from now on; a slow reader misses the oldest."""
-        return self._follow(self._rig.connection.keys.state)
+        return AsyncStream(self._rig.states())
 
     def configs(self) -> AsyncStream[Message]:
         """Active configurations from now on, one at every change."""
-        return self._follow(self._rig.connection.keys.active)
-
-    def _follow(self, key: str) -> AsyncStream[Message]:
-        return AsyncStream(self._rig.connection, self._rig.message_source(key))
+        return AsyncStream(self._rig.configs())
 
     def events(self, *, past: bool = False) -> AsyncStream[Message]:
         """Events from now on, or from the oldest held (``past``); each once, also across a restart."""
-        return AsyncStream(self._rig.connection, self._rig.event_source(past=past))
+        return AsyncStream(self._rig.events(past=past))
 
     async def wait_event(
         self,
@@ -111,7 +88,7 @@ class AsyncRig:
         """The first such event since the last command given here, or since connecting; None after ``timeout_s``."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(timeout_s):
-                async for event in self._events:
+                async for event in self._new_events:
                     if fits(event, kind, severity, where):
                         return event
         return None
@@ -120,7 +97,7 @@ class AsyncRig:
         self, verb: str, value: float | None = None, *, operator: str, lease: str | None = None, **options: bool | str
     ) -> Message:
         """Give a command; a cancelled one may still be carried out."""
-        self._standing.restart()
+        await self._new_events.forget()
         return await asyncio.to_thread(self._rig.command, verb, value, operator=operator, lease=lease, **options)
 
     async def take_lease(self, operator: str, reason: str = "") -> Message:

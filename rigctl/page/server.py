@@ -20,11 +20,11 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
+from rigctl.page.browser_stream import BrowserStream
 from rigctl.page.guard import HEADERS, Guard
 from rigctl.page.history import WINDOWS_S
 from rigctl.page.page_commands import Answer, PageCommands, RefusedError
 from rigctl.page.picture import Picture
-from rigctl.page.stream import Stream
 
 STATIC = pathlib.Path(__file__).parent / "static"
 BODY_BYTES = 4096
@@ -141,7 +141,7 @@ class Page:
             await socket.close(4403)
             return
         await socket.accept()
-        await Stream(socket, self._picture, self._hello, self._commands).run()
+        await BrowserStream(socket, self._picture, self._hello, self._commands).run()
 
     def close(self) -> None:
         """End the commands' threads and client."""

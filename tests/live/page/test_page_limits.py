@@ -12,7 +12,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from rigctl.page.connections import CONNECTIONS, HEADER_BYTES, REQUEST_S, VIEWERS
+from rigctl.page.browser_connection import CONNECTIONS, HEADER_BYTES, REQUEST_S, VIEWERS
 from tests.builders.pages import PATIENCE_S, Server
 
 SILENT = {

@@ -15,7 +15,8 @@ import msgspec
 import pytest
 
 from rigctl.client.connection import Client, NoDaemonError
-from rigctl.client.messages import Feed
+from rigctl.client.shapes import Message
+from rigctl.client.stream import Stream
 from rigctl.control.modes import Verb
 from rigctl.gateway.lease_service import IN_FORCE
 from tests.builders.miniature import Daemon, until
@@ -48,7 +49,7 @@ def commands(daemon: Daemon) -> int:
     return daemon.runtime.command_reader().head
 
 
-def of_kind(feed: Feed, kind: str) -> Callable[[], dict[str, Any] | None]:
+def of_kind(feed: Stream[Message], kind: str) -> Callable[[], dict[str, Any] | None]:
     def newest() -> dict[str, Any] | None:
         event = feed.take()
         return event if event is not None and event["kind"] == kind else None

@@ -24,7 +24,7 @@ ANSWER_S = 30.0  # to make and deliver the answer
 HEADER_BYTES = 16_384
 
 
-class Connection(H11Protocol):
+class BrowserConnection(H11Protocol):
     """One connection, until it is closed or becomes a viewer's stream."""
 
     guard: Guard
@@ -38,7 +38,7 @@ class Connection(H11Protocol):
             self._make_room()
 
     def _make_room(self) -> None:
-        others = [one for one in self.connections if isinstance(one, Connection) and not one.commands]
+        others = [one for one in self.connections if isinstance(one, BrowserConnection) and not one.commands]
         oldest = min(others, key=lambda one: one._opened_s)
         self.connections.discard(oldest)  # abort removes it only in the next turn, but its place is needed now
         oldest.transport.abort()
@@ -75,7 +75,7 @@ class Connection(H11Protocol):
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
         """See `H11Protocol`; a viewer's stream has its own limits."""
-        if sum(not isinstance(one, Connection) for one in self.connections) >= VIEWERS:
+        if sum(not isinstance(one, BrowserConnection) for one in self.connections) >= VIEWERS:
             self.transport.write(b"HTTP/1.1 503 Service Unavailable\r\ncontent-length: 0\r\nconnection: close\r\n\r\n")
             self.transport.close()
             return
@@ -91,4 +91,4 @@ class Connection(H11Protocol):
 def protocol(guard: Guard) -> type[asyncio.Protocol]:
     """The protocol of one server."""
     attributes: dict[str, Any] = {"guard": guard}
-    return type("GuardedConnection", (Connection,), attributes)
+    return type("GuardedConnection", (BrowserConnection,), attributes)

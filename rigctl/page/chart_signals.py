@@ -18,7 +18,7 @@ _NOT_SEEN = int(Quality.STALE | Quality.INVALID | Quality.NEVER)
 
 
 @dataclass(frozen=True)
-class Signal:
+class ChartSignal:
     """One value per record; NaN for no value."""
 
     name: str
@@ -43,16 +43,16 @@ def _error_pct(records: npt.NDArray[Any]) -> Values:
     return np.where(known, error_pct(records["vertical_n"], np.where(known, target, 1.0)), np.nan)
 
 
-SIGNALS: tuple[Signal, ...] = (
-    Signal("vertical_n", "N", _seen("vertical_n", "tension")),
-    Signal("target_n", "N", lambda records: np.asarray(records["target_n"], np.float64)),
-    Signal("error_pct", "%", _error_pct),
-    Signal("stroke_mm", "mm", _seen("stroke_mm", "drive")),
-    Signal("speed_mm_s", "mm/s", _seen("speed_mm_s", "drive")),
-    Signal("tangential_deg", "deg", _seen("tangential_rad", "inclination", 180.0 / np.pi)),
-    Signal("normal_deg", "deg", _seen("normal_rad", "inclination", 180.0 / np.pi)),
-    Signal("lateness_us", "us", lambda records: records["lateness_ns"] / 1000.0),
-    Signal("mode", "", lambda records: np.asarray(records["mode"], np.float64)),
+SIGNALS: tuple[ChartSignal, ...] = (
+    ChartSignal("vertical_n", "N", _seen("vertical_n", "tension")),
+    ChartSignal("target_n", "N", lambda records: np.asarray(records["target_n"], np.float64)),
+    ChartSignal("error_pct", "%", _error_pct),
+    ChartSignal("stroke_mm", "mm", _seen("stroke_mm", "drive")),
+    ChartSignal("speed_mm_s", "mm/s", _seen("speed_mm_s", "drive")),
+    ChartSignal("tangential_deg", "deg", _seen("tangential_rad", "inclination", 180.0 / np.pi)),
+    ChartSignal("normal_deg", "deg", _seen("normal_rad", "inclination", 180.0 / np.pi)),
+    ChartSignal("lateness_us", "us", lambda records: records["lateness_ns"] / 1000.0),
+    ChartSignal("mode", "", lambda records: np.asarray(records["mode"], np.float64)),
 )
 
 
