@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from rigctl.client.mailbox import Mailbox
 from rigctl.client.shapes import MessageRefusedError
 from rigctl.client.stream_source import Question
-from rigctl.wire.block import Block, BlockError, decode
+from rigctl.wire.block import Block, FastBlockError, decode
 
 DEPTH_BLOCKS = 2048  # 40 s at 50 Hz
 
@@ -25,7 +25,7 @@ def block(payload: bytes) -> Block:
     """
     try:
         return decode(payload)
-    except BlockError as error:
+    except FastBlockError as error:
         raise MessageRefusedError(str(error)) from None
 
 

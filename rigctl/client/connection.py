@@ -35,7 +35,7 @@ from rigctl.client.stream import Stream
 from rigctl.client.stream_source import Question
 from rigctl.wire import keys
 from rigctl.wire.keys import Keys
-from rigctl.wire.lease import Act
+from rigctl.wire.lease import LeaseAct
 from rigctl.wire.session import SessionError, close, open_client
 
 OPEN_S = 2.0
@@ -188,13 +188,13 @@ class Client:
             consolidation=zenoh.ConsolidationMode.NONE,
         )
         for reply in replies:
-            said = reply.ok if reply.ok is not None else reply.err
-            if said is None:
+            answer = reply.ok if reply.ok is not None else reply.err
+            if answer is None:
                 continue
             try:
-                if len(said.payload) > LONGEST_PAST:
-                    raise MessageRefusedError(f"found {len(said.payload)} bytes, expected at most {LONGEST_PAST}")
-                found = bytes(said.payload)
+                if len(answer.payload) > LONGEST_PAST:
+                    raise MessageRefusedError(f"found {len(answer.payload)} bytes, expected at most {LONGEST_PAST}")
+                found = bytes(answer.payload)
                 if reply.ok is not None:
                     check(found)
                 elif not found.startswith(b"{"):  # Zenoh's own text for a time-out
@@ -246,11 +246,11 @@ class Client:
 
     def take_lease(self, operator: str, reason: str = "") -> dict[str, Any]:
         """Take or renew the lease; from another holder only with a ``reason``. See `command`."""
-        return self._commanded(Act.TAKE.value, operator, {"reason": reason} if reason else {})
+        return self._commanded(LeaseAct.TAKE.value, operator, {"reason": reason} if reason else {})
 
     def return_lease(self, operator: str) -> dict[str, Any]:
         """Give the lease back. See `command`."""
-        answer = self._commanded(Act.RETURN.value, operator, {})
+        answer = self._commanded(LeaseAct.RETURN.value, operator, {})
         if answer["accepted"]:
             self.leases.pop(operator, None)
         return answer

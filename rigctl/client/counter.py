@@ -21,7 +21,7 @@ _PERIOD_S = 0.02
 _LAST_S = 5.0  # after the request to end: for records on their way, or for a gateway that is being restarted
 
 
-def _say(message: dict[str, Any]) -> None:
+def _print(message: dict[str, Any]) -> None:
     sys.stdout.write(msgspec.json.encode(message).decode() + "\n")
     sys.stdout.flush()
 
@@ -44,7 +44,7 @@ def count(client: Client, stop: Termination, records: int | None) -> dict[str, A
         for _ in blocks.arrived():
             if not ready:
                 ready = True
-                _say({"ready": True, "first_seq": blocks.count.first_seq})
+                _print({"ready": True, "first_seq": blocks.count.first_seq})
         if ends is None and (stop.requested or (records is not None and blocks.count.received >= records)):
             ends = time.monotonic() + _LAST_S
         if ends is not None and newest is None:
@@ -69,7 +69,7 @@ def main() -> int:
     except (NoDaemonError, ChoiceError) as error:
         sys.stderr.write(f"{error}\n")
         return 1 if isinstance(error, NoDaemonError) else 2
-    _say(figures)
+    _print(figures)
     return 0
 
 

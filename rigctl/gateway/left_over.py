@@ -42,9 +42,9 @@ class LeftOver:
 def loop_has(runtime: Runtime) -> Pair:
     """Zero in N and scale that the loop uses, from its newest CORRECTION event."""
     events = runtime.event_reader(from_start=True).read()
-    told = events[events["kind"] == Kind.CORRECTION]
-    if len(told):
-        return float(told["value"][-1]), float(told["limit"][-1])
+    corrections = events[events["kind"] == Kind.CORRECTION]
+    if len(corrections):
+        return float(corrections["value"][-1]), float(corrections["limit"][-1])
     standing = in_force(runtime)
     return standing.zero_n, standing.scale
 
@@ -62,5 +62,5 @@ def find(settings: RigSettings, entries: Sequence[Entry], has: Pair, now: Standi
     if not own:
         return LeftOver(newest, wanted, None)
     changed = zip((Setting.ZERO, Setting.SCALE), pair, has, strict=True)
-    told = tuple((setting, value) for setting, value, old in changed if value != old)
-    return LeftOver(newest, wanted, told)
+    settings_to_give = tuple((setting, value) for setting, value, old in changed if value != old)
+    return LeftOver(newest, wanted, settings_to_give)

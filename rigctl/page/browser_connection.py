@@ -32,7 +32,7 @@ class BrowserConnection(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """See `asyncio.Protocol`."""
         super().connection_made(transport)
-        self._opened_s, self._asked = self.loop.time(), False
+        self._opened_s, self._answering = self.loop.time(), False
         self._timer = self.loop.call_later(REQUEST_S, transport.abort)
         if len(self.connections) > CONNECTIONS:
             self._make_room()
@@ -46,20 +46,20 @@ class BrowserConnection(H11Protocol):
     @property
     def commands(self) -> bool:
         """Whether a command with the token is being carried out here."""
-        if not self._asked or not self.scope["path"].startswith("/api/"):
+        if not self._answering or not self.scope["path"].startswith("/api/"):
             return False
         return self.guard.may_command(Headers(raw=self.headers))
 
     def data_received(self, data: bytes) -> None:
         """See `asyncio.Protocol`."""
         super().data_received(data)
-        self._look()
+        self._check_request()
 
-    def _look(self) -> None:
+    def _check_request(self) -> None:
         """Extend the time limit once a request is complete."""
-        if not self._asked and self.cycle is not None and self.conn.their_state is not h11.SEND_BODY:
-            self._asked = not self.cycle.response_complete
-            if self._asked:
+        if not self._answering and self.cycle is not None and self.conn.their_state is not h11.SEND_BODY:
+            self._answering = not self.cycle.response_complete
+            if self._answering:
                 self._allow(ANSWER_S)
 
     def _allow(self, seconds: float) -> None:
@@ -68,10 +68,10 @@ class BrowserConnection(H11Protocol):
 
     def on_response_complete(self) -> None:
         """See `H11Protocol`."""
-        self._asked = False
+        self._answering = False
         self._allow(REQUEST_S)
         super().on_response_complete()
-        self._look()
+        self._check_request()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
         """See `H11Protocol`; a viewer's stream has its own limits."""

@@ -32,14 +32,14 @@ class Lease:
     until_ns: int
 
 
-class Act(Enum):
+class LeaseAct(Enum):
     """Requests about the lease itself; the value is the key's ending."""
 
     TAKE = "lease_take"
     RETURN = "lease_return"
 
 
-ACTS = {act.value: act for act in Act}
+ACTS = {act.value: act for act in LeaseAct}
 
 
 class Denial(Enum):
@@ -60,7 +60,7 @@ class Turn(Enum):
 
 
 @dataclass(frozen=True)
-class Change:
+class LeaseChange:
     """A change of the lease at ``t_ns`` by ``operator``; ``other``: who held it before a takeover."""
 
     t_ns: int
@@ -71,17 +71,17 @@ class Change:
 
 
 class LeaseRegister:
-    """The lease in force. Every change is passed to ``tell`` in order; a renewal is no change."""
+    """The lease in force. Every change is passed to ``on_change`` in order; a renewal is no change."""
 
     def __init__(
         self,
         duration_ns: int,
-        tell: Callable[[Change], None],
+        on_change: Callable[[LeaseChange], None],
         lease: Lease | None = None,
         make_id: Callable[[], str] = lambda: secrets.token_hex(ID_BYTES),
     ) -> None:
         """``lease``: the one in force at the start."""
-        self._duration_ns, self._tell, self._make_id = duration_ns, tell, make_id
+        self._duration_ns, self._on_change, self._make_id = duration_ns, on_change, make_id
         self._lease = lease
 
     def lease(self, now_ns: int) -> Lease | None:
@@ -104,7 +104,7 @@ class LeaseRegister:
         """End a lease that has lapsed."""
         if self._lease is not None and self.lease(now_ns) is None:
             lapsed, self._lease = self._lease, None
-            self._tell(Change(now_ns, Turn.LAPSED, lapsed.holder))
+            self._on_change(LeaseChange(now_ns, Turn.LAPSED, lapsed.holder))
 
     def admit(self, operator: str, id_: str | None, now_ns: int) -> Lease | Denial:
         """Renew the lease for a command of ``operator``, who shows ``id_``, or take the lease if nobody holds it."""
@@ -144,10 +144,10 @@ class LeaseRegister:
         if not self.is_holder(operator, id_, now_ns):
             return Denial.HELD
         self._lease = None
-        self._tell(Change(now_ns, Turn.RETURNED, operator))
+        self._on_change(LeaseChange(now_ns, Turn.RETURNED, operator))
         return None
 
     def _grant(self, turn: Turn, operator: str, now_ns: int, other: str = "", reason: str = "") -> Lease:
         lease = self._lease = Lease(self._make_id(), operator, now_ns, now_ns + self._duration_ns)
-        self._tell(Change(now_ns, turn, operator, other, reason))
+        self._on_change(LeaseChange(now_ns, turn, operator, other, reason))
         return lease

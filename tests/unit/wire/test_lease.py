@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from rigctl.gateway.lease_service import believed, why_not
 from rigctl.wire.command_request import RequestError
-from rigctl.wire.lease import ACTS, ID_BYTES, Act, Change, Denial, Lease, LeaseRegister, Turn, is_id
+from rigctl.wire.lease import ACTS, ID_BYTES, Denial, Lease, LeaseAct, LeaseChange, LeaseRegister, Turn, is_id
 from rigctl.wire.lease_request import LeaseRequest, parse_lease
 
 S = 1_000_000_000
@@ -25,7 +25,7 @@ ID = "0" * 31 + "1"
 class Rig:
     """A register whose ids count up, and its notices."""
 
-    told: list[Change] = field(default_factory=list)
+    told: list[LeaseChange] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         numbers = itertools.count(1)
@@ -47,7 +47,7 @@ def test_the_first_command_takes_the_lease_and_every_further_one_renews_it() -> 
     assert (first.holder, first.since_ns, first.until_ns) == ("anna", 0, TERM)
     again = granted(rig.register.admit("anna", first.id, TERM - 1))
     assert (again.id, again.since_ns, again.until_ns) == (first.id, 0, 2 * TERM - 1)
-    assert rig.told == [Change(0, Turn.TAKEN, "anna")]
+    assert rig.told == [LeaseChange(0, Turn.TAKEN, "anna")]
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_a_takeover_is_told_with_both_names_and_the_reason() -> None:
     old = granted(rig.register.admit("anna", None, 0))
     new = granted(rig.register.take("kim", None, "anna left", 5))
     assert new.id != old.id
-    assert rig.told[-1] == Change(5, Turn.TAKEN_OVER, "kim", "anna", "anna left")
+    assert rig.told[-1] == LeaseChange(5, Turn.TAKEN_OVER, "kim", "anna", "anna left")
     assert rig.register.admit("anna", old.id, 6) is Denial.HELD
     assert granted(rig.register.admit("kim", new.id, 7)).holder == "kim"
 
@@ -81,11 +81,11 @@ def test_a_lapsed_id_is_not_taken_for_a_new_one() -> None:
     assert rig.register.has_lapsed(TERM)
     assert not rig.register.has_lapsed(TERM - 1)
     assert rig.register.admit("anna", old.id, TERM) is Denial.LAPSED
-    assert rig.told == [Change(0, Turn.TAKEN, "anna"), Change(TERM, Turn.LAPSED, "anna")]
+    assert rig.told == [LeaseChange(0, Turn.TAKEN, "anna"), LeaseChange(TERM, Turn.LAPSED, "anna")]
     rig.register.expire(TERM + 1)
     assert len(rig.told) == 2
     assert granted(rig.register.take("anna", old.id, "", TERM)).id != old.id
-    assert rig.told[-1] == Change(TERM, Turn.TAKEN, "anna")
+    assert rig.told[-1] == LeaseChange(TERM, Turn.TAKEN, "anna")
 
 
 def test_a_lease_given_back_is_anyones() -> None:
@@ -93,7 +93,7 @@ def test_a_lease_given_back_is_anyones() -> None:
     assert rig.register.give_back("anna", None, 0) is Denial.NOT_HELD
     lease = granted(rig.register.admit("anna", None, 0))
     assert rig.register.give_back("anna", lease.id, 1) is None
-    assert rig.told[-1] == Change(1, Turn.RETURNED, "anna")
+    assert rig.told[-1] == LeaseChange(1, Turn.RETURNED, "anna")
     assert granted(rig.register.admit("kim", None, 2)).holder == "kim"
 
 
@@ -191,13 +191,13 @@ def test_a_denial_says_who_since_when_how_long_and_how_to_take_over() -> None:
 
 
 def test_an_act_on_the_lease_is_read() -> None:
-    assert ACTS == {"lease_take": Act.TAKE, "lease_return": Act.RETURN}
+    assert ACTS == {"lease_take": LeaseAct.TAKE, "lease_return": LeaseAct.RETURN}
     payload = {"operator": " kim ", "lease": ID, "reason": " tea "}
-    assert parse_lease(Act.TAKE, msgspec.json.encode(payload)) == LeaseRequest(Act.TAKE, "kim", ID, "tea")
-    assert parse_lease(Act.RETURN, b'{"operator": "kim"}') == LeaseRequest(Act.RETURN, "kim")
+    assert parse_lease(LeaseAct.TAKE, msgspec.json.encode(payload)) == LeaseRequest(LeaseAct.TAKE, "kim", ID, "tea")
+    assert parse_lease(LeaseAct.RETURN, b'{"operator": "kim"}') == LeaseRequest(LeaseAct.RETURN, "kim")
 
 
-@pytest.mark.parametrize("act", Act)
+@pytest.mark.parametrize("act", LeaseAct)
 @pytest.mark.parametrize(
     "more",
     [
@@ -206,7 +206,7 @@ def test_an_act_on_the_lease_is_read() -> None:
         {"operator": ""}, {"value": 1}, {"lease": ID + "\n"},
     ],
 )  # fmt: skip
-def test_a_malformed_act_is_one_line(act: Act, more: dict[str, Any]) -> None:
+def test_a_malformed_act_is_one_line(act: LeaseAct, more: dict[str, Any]) -> None:
     with pytest.raises(RequestError, match="expected") as refused:
         parse_lease(act, msgspec.json.encode({"operator": "kim"} | more))
     assert "\n" not in str(refused.value)
