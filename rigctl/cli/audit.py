@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Json, end, say, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, Json, end, load, say, say_json
 from rigctl.config.quantity import count
 
 if TYPE_CHECKING:
@@ -81,12 +81,7 @@ def _log(file: pathlib.Path | None) -> pathlib.Path:
         return _of_daemon()
     if file.suffix not in _RIG_FILES:
         return file
-    from rigctl.config import rig_file as config
-
-    try:
-        return config.load(file).audit_log
-    except config.ConfigError as error:
-        end(USAGE, "\nrigctl: ".join(error.findings))
+    return load(file).audit_log
 
 
 def _of_daemon() -> pathlib.Path:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Json, end, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, Json, end, load, say_json
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -66,12 +66,7 @@ def _check(seconds: float, rates: list[int]) -> None:
 
 
 def _settings(file: pathlib.Path) -> RigSettings:
-    from rigctl.config import rig_file as config
-
-    try:
-        settings = config.load(file)
-    except config.ConfigError as error:
-        end(USAGE, "\nrigctl: ".join(error.findings))
+    settings = load(file)
     if settings.simulation is None:
         end(USAGE, f"{file}: simulation: found nothing, expected a section (the bench needs it)")
     return settings

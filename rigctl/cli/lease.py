@@ -8,7 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rigctl.cli.lease_file import LeaseFile
-from rigctl.cli.options import BAD, DONE, USAGE, Connect, Json, Operator, Rig, daemon, end, operator_name, say, say_json
+from rigctl.cli.options import (
+    DONE,
+    USAGE,
+    Connect,
+    Json,
+    Operator,
+    Rig,
+    daemon,
+    end,
+    end_with,
+    operator_name,
+    say,
+    say_json,
+)
 from rigctl.wire import state_words as figures
 from rigctl.wire.lease import Denial
 
@@ -54,12 +67,7 @@ def lease(
             end(DONE)
         why = (reason or "").encode(errors="replace").decode()
         answer = _ask(client, act, operator_name(operator), why)
-    accepted = bool(answer.get("accepted"))
-    if json:
-        say_json(answer)
-    elif accepted:
-        say(str(answer["text"]))
-    end(DONE if accepted else BAD, None if accepted or json else str(answer.get("text", answer)))
+    end_with(answer, json)
 
 
 def _ask(client: Client, act: LeaseTask, operator: str, reason: str) -> dict[str, Any]:

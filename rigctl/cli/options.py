@@ -16,6 +16,7 @@ from rigctl.ipc import output_file
 
 if TYPE_CHECKING:
     from rigctl.client.connection import Client
+    from rigctl.config.settings import RigSettings
 
 DONE, BAD, USAGE = 0, 1, 2
 
@@ -72,13 +73,40 @@ def end(code: int, complaint: str | None = None) -> NoReturn:
     raise typer.Exit(code)
 
 
+def end_with(answer: dict[str, Any], json: bool) -> NoReturn:
+    """Print the answer to a command and end."""
+    accepted, text = bool(answer.get("accepted")), str(answer.get("text", answer))
+    if json:
+        say_json(answer)
+    elif accepted:
+        say(text)
+    end(DONE if accepted else BAD, None if accepted or json else text)
+
+
+@contextlib.contextmanager
+def wrong_usage(*kinds: type[Exception]) -> Iterator[None]:
+    """End the command with one line on an error of these kinds: something the operator gave is not valid."""
+    try:
+        yield
+    except kinds as error:
+        end(USAGE, str(error))
+
+
+def load(file: pathlib.Path) -> RigSettings:
+    """The settings of a rig file; the command ends, a line for each finding, if it is not valid."""
+    from rigctl.config import rig_file
+
+    try:
+        return rig_file.load(file)
+    except rig_file.ConfigError as error:
+        end(USAGE, "\nrigctl: ".join(error.findings))
+
+
 def check_output(option: str, file: pathlib.Path | None) -> None:
     """End the command if an output file cannot be written."""
-    try:
+    with wrong_usage(output_file.OutputError):
         if file is not None:
             output_file.check(option, file)
-    except output_file.OutputError as error:
-        end(USAGE, str(error))
 
 
 @contextlib.contextmanager

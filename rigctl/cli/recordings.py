@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rigctl.cli.options import DONE, USAGE, Json, end, say, say_json
+from rigctl.cli.options import DONE, USAGE, Json, end, say, say_json, wrong_usage
 from rigctl.config import quantity
 
 if TYPE_CHECKING:
@@ -47,11 +47,9 @@ def export(files: Files, to: Format, out: Out, run: Run = False) -> None:
     from rigctl.ipc.output_file import OutputError
     from rigctl.recorder import export as exporting
 
-    try:
+    with wrong_usage(OutputError):
         exporting.check(out)
         written = exporting.write(_read(files, run), to.value, out)
-    except OutputError as error:
-        end(USAGE, str(error))
     say(f"{out}: {', '.join(name for name in written if '/' not in name)}")
 
 

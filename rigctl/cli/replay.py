@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, say, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, load, say, say_json
 from rigctl.config.quantity import count
 
 if TYPE_CHECKING:
@@ -148,14 +148,10 @@ def _against(
 
 
 def _other(file: pathlib.Path, span: Span) -> tuple[RigSettings, Gains]:
-    from rigctl.config import rig_file as config
     from rigctl.design.gain_file import design_in_use
     from rigctl.design.gains import DesignError
 
-    try:
-        settings = config.load(file)
-    except config.ConfigError as error:
-        end(USAGE, "\nrigctl: ".join(error.findings))
+    settings = load(file)
     if settings.loop.rate_hz != span.settings.loop.rate_hz:
         end(USAGE, f"{file}: loop.rate_hz: found {settings.loop.rate_hz}, recorded with {span.settings.loop.rate_hz}")
     if settings.canopen_nodes != span.settings.canopen_nodes or settings.plain_messages != span.settings.plain_messages:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, say, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, say, say_json, wrong_usage
 from rigctl.ipc import output_file
 
 if TYPE_CHECKING:
@@ -75,10 +75,8 @@ def _find(recording: Recording) -> Findings:
 def _write(page: pathlib.Path, found: Findings) -> None:
     from rigctl.report.page import render
 
-    try:
+    with wrong_usage(output_file.OutputError):
         output_file.replace(page, render(found))
-    except output_file.OutputError as error:
-        end(USAGE, str(error))
 
 
 def _same(one: pathlib.Path, other: pathlib.Path) -> bool:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, say, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, load, say, say_json, wrong_usage
 from rigctl.ipc import output_file
 
 if TYPE_CHECKING:
@@ -20,53 +20,26 @@ DEMO_RECORDINGS = pathlib.Path("recordings")
 File = Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.")]
 
 
-def _load(file: pathlib.Path) -> RigSettings:
-    from rigctl.config import rig_file as config
-
-    try:
-        return config.load(file)
-    except config.ConfigError as error:
-        end(USAGE, "\nrigctl: ".join(error.findings))
-
-
-def _check_gain_file(settings: RigSettings) -> None:
-    """End the command on a gain file that does not fit, before anything is started."""
+def _check_files(settings: RigSettings) -> None:
+    """End the command on an EDS file, gain file, ledger or audit log that is not valid, before anything is started."""
     from rigctl.design import gain_file
+    from rigctl.ipc import ledger
+    from rigctl.recorder import audit_log
 
-    try:
-        gain_file.read_for(settings)
-    except gain_file.GainFileError as error:
-        end(USAGE, str(error))
+    _check_eds(settings)
+    with wrong_usage(gain_file.GainFileError, ledger.LedgerError, audit_log.AuditError):
+        if settings.design.gains_file is not None:
+            gain_file.read_for(settings)
+        ledger.read(settings)
+        audit_log.check(settings.audit_log, settings.rig)
 
 
 def _check_eds(settings: RigSettings) -> None:
     """End the command on an invalid EDS file."""
     from rigctl.devices import eds_file
 
-    try:
+    with wrong_usage(eds_file.EdsError):
         eds_file.check(settings)
-    except eds_file.EdsError as error:
-        end(USAGE, str(error))
-
-
-def _check_ledger(settings: RigSettings) -> None:
-    """End the command on an invalid calibration ledger."""
-    from rigctl.ipc import ledger
-
-    try:
-        ledger.read(settings)
-    except ledger.LedgerError as error:
-        end(USAGE, str(error))
-
-
-def _check_audit_log(settings: RigSettings) -> None:
-    """End the command on an audit log that cannot be continued."""
-    from rigctl.recorder import audit_log
-
-    try:
-        audit_log.check(settings.audit_log, settings.rig)
-    except audit_log.AuditError as error:
-        end(USAGE, str(error))
 
 
 def _with_page(settings: RigSettings, page: bool, listen: str | None) -> RigSettings:
@@ -89,7 +62,7 @@ def _with_page(settings: RigSettings, page: bool, listen: str | None) -> RigSett
 
 def check(file: File, json: Json = False) -> None:
     """Validate a rig file; show the resolved rig and the worst-case load of its bus."""
-    settings = _load(file)
+    settings = load(file)
     _check_eds(settings)
     from rich.console import Console
 
@@ -112,17 +85,13 @@ def run(
 ) -> None:
     """Run the daemon until SIGTERM, SIGHUP or Ctrl-C; it ends with the stroke held."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    settings = _with_page(_load(file), page, page_listen)
+    settings = _with_page(load(file), page, page_listen)
     from rigctl.cli.check import accepted, verdict
     from rigctl.supervisor.daemon import CannotRunError, Supervisor
 
     if not accepted(settings):
         end(BAD, f"{file}: {verdict(settings)}")
-    _check_eds(settings)
-    if settings.design.gains_file is not None:
-        _check_gain_file(settings)
-    _check_ledger(settings)
-    _check_audit_log(settings)
+    _check_files(settings)
     try:
         code = Supervisor(settings, lambda text: say(f"{time.strftime('%H:%M:%S')} {text}")).run()
     except CannotRunError as error:
@@ -140,7 +109,7 @@ def demo(
 ) -> None:
     """Play the paper's move on the simulated rig and judge it by the rig file's own limits."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    settings = _load(file)
+    settings = load(file)
     for section in ("demo", "simulation"):
         if getattr(settings, section) is None:
             end(USAGE, f"{file}: {section}: found nothing, expected a section (the demo needs it)")
@@ -162,8 +131,6 @@ def demo(
         end(BAD, "demo interrupted: its daemon held the stroke, and its processes are ended")
     if json is not None:
         text = msgspec.json.format(msgspec.json.encode(summary.as_dict()), indent=2).decode()
-        try:
+        with wrong_usage(output_file.OutputError):
             output_file.write(json, text + "\n")
-        except output_file.OutputError as error:
-            end(USAGE, str(error))
     raise typer.Exit(DONE if summary.passed else BAD)

@@ -6,13 +6,13 @@ import contextlib
 import math
 import os
 import time
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rigctl.cli.lease import give
-from rigctl.cli.options import BAD, DONE, Connect, Json, Operator, Rig, Wait, daemon, end, operator_name, say
-from rigctl.cli.options import say_json as put_json
+from rigctl.cli.options import Connect, Json, Operator, Rig, Wait, daemon, end_with, operator_name, say
 from rigctl.wire import state_words as figures
 
 if TYPE_CHECKING:
@@ -23,35 +23,24 @@ if TYPE_CHECKING:
 SILENCE_S = 5.0
 
 
-def newtons_of(text: str) -> float:
-    """A finite number from text."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise typer.BadParameter(f"found {text!r}, expected a number of newtons")
-    return value
+def _number_of(unit: str) -> Callable[[str], float]:
+    """A parser of finite, signed numbers."""
+
+    def number(text: str) -> float:
+        with contextlib.suppress(ValueError):
+            if math.isfinite(value := float(text)):
+                return value
+        raise typer.BadParameter(f"found {text!r}, expected a number of {unit}")
+
+    return number
 
 
+newtons_of = _number_of("newtons")
 Newtons = Annotated[float, typer.Argument(metavar="NEWTONS", parser=newtons_of, help="Vertical tension to hold.")]
-
-
-def millimetres_of(text: str) -> float:
-    """A finite, signed number from text."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise typer.BadParameter(f"found {text!r}, expected a number of millimetres")
-    return value
-
-
 Millimetres = Annotated[
-    float, typer.Argument(metavar="MM", parser=millimetres_of, help="Stroke, as measured at the cylinder.")
+    float,
+    typer.Argument(metavar="MM", parser=_number_of("millimetres"), help="Stroke, as measured at the cylinder."),
 ]
-
 NearEnd = Annotated[
     bool, typer.Option("--near-end", help="Arm at an end of the stroke, to drive away from it (tension, release).")
 ]
@@ -101,7 +90,7 @@ def hold(json: Json = False, connect: Connect = None, rig: Rig = None, operator:
     if answer is None:
         _give("hold", json, connect, rig, operator)
     else:
-        _tell(answer, json)
+        end_with(answer, json)
 
 
 def disarm(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
@@ -150,19 +139,7 @@ def _give(
             if not json:
                 say(str(answer["text"]))
             answer = _finish(client, verb, answer, states)
-    _tell(answer, json)
-
-
-def _tell(answer: dict[str, Any], json: bool) -> NoReturn:
-    """Print the answer and end the command."""
-    accepted = bool(answer.get("accepted"))
-    if json:
-        put_json(answer)
-    elif accepted:
-        say(str(answer["text"]))
-    else:
-        end(BAD, str(answer.get("text", answer)))
-    end(DONE if accepted else BAD)
+    end_with(answer, json)
 
 
 def _standing(state: dict[str, Any]) -> str:
@@ -172,15 +149,15 @@ def _standing(state: dict[str, Any]) -> str:
 def _finish(client: Client, verb: str, answer: dict[str, Any], states: Stream[Message]) -> dict[str, Any]:
     """Follow the state until the command has ended or failed."""
     goal, passing = _ENDS[verb]
-    heard = time.monotonic()
+    newest_at = time.monotonic()
     while True:
         state = states.read(0.2)
         if state is None:
-            if time.monotonic() - heard > SILENCE_S:
+            if time.monotonic() - newest_at > SILENCE_S:
                 text = f"{verb.upper()}: no data for {SILENCE_S:.0f} s from {client.endpoint}, outcome unknown"
                 return {**answer, "accepted": False, "reason": "no_data", "text": text}
             continue
-        heard = time.monotonic()
+        newest_at = time.monotonic()
         mode = state.get("mode")
         if state.get("t_ns", 0) < answer.get("t_ns", 0) or mode in (passing, None):
             continue

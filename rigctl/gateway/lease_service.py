@@ -16,16 +16,10 @@ from rigctl.gateway.command_rate import RefusedCommands
 from rigctl.ipc.notes import Note
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.wire.command_request import Request, RequestError, operator_of, refused
-from rigctl.wire.lease import Denial, Lease, LeaseAct, LeaseChange, LeaseRegister, Turn, is_id
+from rigctl.wire.lease import Denial, Lease, LeaseAct, LeaseChange, LeaseRegister, is_id
 from rigctl.wire.lease_request import LeaseRequest
 
 IN_FORCE = "lease.json"  # in the runtime folder
-_NOTE_OF = {
-    Turn.TAKEN: Note.LEASE_TAKEN,
-    Turn.TAKEN_OVER: Note.LEASE_TAKEN_OVER,
-    Turn.RETURNED: Note.LEASE_RETURNED,
-    Turn.LAPSED: Note.LEASE_LAPSED,
-}
 _TAKE = "rigctl lease take"
 NAMES_REPORTED = 4
 
@@ -153,7 +147,7 @@ class LeaseService:
             self._save(now_ns)
 
     def _note_change(self, change: LeaseChange) -> None:
-        self._note(change.t_ns, _NOTE_OF[change.turn], change.operator, change.other, change.reason)
+        self._note(change.t_ns, change.kind, change.operator, change.other, change.reason)
 
     def _note(self, t_ns: int, kind: Note, operator: str = "", other: str = "", reason: str = "") -> None:
         self._notes.write(t_ns, int(kind), operator.encode(), other.encode(), reason.encode())

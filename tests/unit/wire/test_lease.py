@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.gateway.lease_service import believed, why_not
+from rigctl.ipc.notes import Note
 from rigctl.wire.command_request import RequestError
-from rigctl.wire.lease import ACTS, ID_BYTES, Denial, Lease, LeaseAct, LeaseChange, LeaseRegister, Turn, is_id
+from rigctl.wire.lease import ACTS, ID_BYTES, Denial, Lease, LeaseAct, LeaseChange, LeaseRegister, is_id
 from rigctl.wire.lease_request import LeaseRequest, parse_lease
 
 S = 1_000_000_000
@@ -47,7 +48,7 @@ def test_the_first_command_takes_the_lease_and_every_further_one_renews_it() -> 
     assert (first.holder, first.since_ns, first.until_ns) == ("anna", 0, TERM)
     again = granted(rig.register.admit("anna", first.id, TERM - 1))
     assert (again.id, again.since_ns, again.until_ns) == (first.id, 0, 2 * TERM - 1)
-    assert rig.told == [LeaseChange(0, Turn.TAKEN, "anna")]
+    assert rig.told == [LeaseChange(0, Note.LEASE_TAKEN, "anna")]
 
 
 @pytest.mark.parametrize(
@@ -70,7 +71,7 @@ def test_a_takeover_is_told_with_both_names_and_the_reason() -> None:
     old = granted(rig.register.admit("anna", None, 0))
     new = granted(rig.register.take("kim", None, "anna left", 5))
     assert new.id != old.id
-    assert rig.told[-1] == LeaseChange(5, Turn.TAKEN_OVER, "kim", "anna", "anna left")
+    assert rig.told[-1] == LeaseChange(5, Note.LEASE_TAKEN_OVER, "kim", "anna", "anna left")
     assert rig.register.admit("anna", old.id, 6) is Denial.HELD
     assert granted(rig.register.admit("kim", new.id, 7)).holder == "kim"
 
@@ -81,11 +82,11 @@ def test_a_lapsed_id_is_not_taken_for_a_new_one() -> None:
     assert rig.register.has_lapsed(TERM)
     assert not rig.register.has_lapsed(TERM - 1)
     assert rig.register.admit("anna", old.id, TERM) is Denial.LAPSED
-    assert rig.told == [LeaseChange(0, Turn.TAKEN, "anna"), LeaseChange(TERM, Turn.LAPSED, "anna")]
+    assert rig.told == [LeaseChange(0, Note.LEASE_TAKEN, "anna"), LeaseChange(TERM, Note.LEASE_LAPSED, "anna")]
     rig.register.expire(TERM + 1)
     assert len(rig.told) == 2
     assert granted(rig.register.take("anna", old.id, "", TERM)).id != old.id
-    assert rig.told[-1] == LeaseChange(TERM, Turn.TAKEN, "anna")
+    assert rig.told[-1] == LeaseChange(TERM, Note.LEASE_TAKEN, "anna")
 
 
 def test_a_lease_given_back_is_anyones() -> None:
@@ -93,7 +94,7 @@ def test_a_lease_given_back_is_anyones() -> None:
     assert rig.register.give_back("anna", None, 0) is Denial.NOT_HELD
     lease = granted(rig.register.admit("anna", None, 0))
     assert rig.register.give_back("anna", lease.id, 1) is None
-    assert rig.told[-1] == LeaseChange(1, Turn.RETURNED, "anna")
+    assert rig.told[-1] == LeaseChange(1, Note.LEASE_RETURNED, "anna")
     assert granted(rig.register.admit("kim", None, 2)).holder == "kim"
 
 
@@ -137,18 +138,18 @@ def test_any_sequence_has_one_holder_who_lost_it_only_in_ways_that_are_told(step
                 found = rig.register.take(operator, id_, "a reason" if what == "take for a reason" else "", now)
         for change in rig.told:
             assert change.t_ns == now
-            match change.turn:
-                case Turn.TAKEN:
+            match change.kind:
+                case Note.LEASE_TAKEN:
                     assert holder is None
                     holder = change.operator
-                case Turn.TAKEN_OVER:
+                case Note.LEASE_TAKEN_OVER:
                     assert (holder, change.reason, what) == (change.other, "a reason", "take for a reason")
                     holder = change.operator
-                case Turn.LAPSED:
+                case Note.LEASE_LAPSED:
                     assert holder == change.operator
                     assert before is None
                     holder = None
-                case Turn.RETURNED:
+                case Note.LEASE_RETURNED:
                     assert (holder, change.operator, what) == (operator, operator, "give back")
                     holder = None
         lease = rig.register.lease(now)
