@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Mapping
+import functools
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from rigctl.client.block_order import DEPTH_BLOCKS
 from rigctl.client.decoding import SampleField
@@ -12,71 +14,80 @@ from rigctl.client.rig import Rig, connect, fits
 from rigctl.client.shapes import Message
 from rigctl.client.stream_async import AsyncSamples, AsyncStream
 
+_Given = ParamSpec("_Given")
+_Answer = TypeVar("_Answer")
+
+
+def _in_thread(
+    method: Callable[Concatenate[Rig, _Given], _Answer],
+) -> Callable[Concatenate[AsyncRig, _Given], Coroutine[Any, Any, _Answer]]:
+    """A method of `Rig` that waits for the daemon, in a thread of its own."""
+
+    @functools.wraps(method)
+    async def call(self: AsyncRig, /, *args: _Given.args, **kwargs: _Given.kwargs) -> _Answer:
+        return await asyncio.to_thread(method, self.rig, *args, **kwargs)
+
+    return call
+
 
 class AsyncRig:
     """As `rigctl.client.rig.Rig`: same methods, same errors."""
 
     def __init__(self, rig: Rig) -> None:
         """Take over a rig; must be created in the event loop."""
-        self._rig = rig
+        self.rig = rig
         self._new_events = AsyncStream(rig.new_events)
 
     @property
     def name(self) -> str:
         """Name of the rig."""
-        return self._rig.name
+        return self.rig.name
 
     @property
     def fields(self) -> Mapping[str, SampleField]:
         """Fields of a sample by name."""
-        return self._rig.fields
+        return self.rig.fields
 
     @property
     def refused(self) -> int:
         """Messages refused so far because they did not have the shape of a daemon's."""
-        return self._rig.refused
+        return self.rig.refused
 
     @property
     def alive(self) -> bool:
         """Whether the daemon's gateway is alive."""
-        return self._rig.alive
+        return self.rig.alive
 
     async def wait_alive(self, timeout_s: float | None = None) -> bool:
         """Wait for the daemon; returns whether it is alive within ``timeout_s``."""
         until = None if timeout_s is None else asyncio.get_running_loop().time() + timeout_s
-        while not self._rig.alive:
+        while not self.rig.alive:
             if until is not None and asyncio.get_running_loop().time() >= until:
                 return False
             await asyncio.sleep(0.02)
         return True
 
-    async def state(self) -> Message:
-        """The newest state."""
-        return await asyncio.to_thread(self._rig.state)
-
-    async def config(self) -> Message:
-        """The active configuration."""
-        return await asyncio.to_thread(self._rig.config)
-
-    async def schema(self) -> Message:
-        """The schema of all messages."""
-        return await asyncio.to_thread(self._rig.schema)
+    state = _in_thread(Rig.state)
+    config = _in_thread(Rig.config)
+    schema = _in_thread(Rig.schema)
+    take_lease = _in_thread(Rig.take_lease)
+    return_lease = _in_thread(Rig.return_lease)
 
     def fast(self, depth: int = DEPTH_BLOCKS) -> AsyncSamples:
         """Every tick from now on."""
-        return AsyncSamples(self._rig.fast(depth))
+        return AsyncSamples(self.rig.fast(depth))
 
     def states(self) -> AsyncStream[Message]:
         """States from now on; a slow reader misses the oldest."""
-        return AsyncStream(self._rig.states())
+        return AsyncStream(self.rig.states())
 
     def configs(self) -> AsyncStream[Message]:
         """Active configurations from now on, one at every change."""
-        return AsyncStream(self._rig.configs())
+        return AsyncStream(self.rig.configs())
 
     def events(self, *, past: bool = False) -> AsyncStream[Message]:
         """Events from now on, or from the oldest held (``past``); each once, also across a restart."""
-        return AsyncStream(self._rig.events(past=past))
+        return AsyncStream(self.rig.events(past=past))
 
     async def wait_event(
         self,
@@ -98,15 +109,7 @@ class AsyncRig:
     ) -> Message:
         """Give a command; a cancelled one may still be carried out."""
         await self._new_events.forget()
-        return await asyncio.to_thread(self._rig.command, verb, value, operator=operator, lease=lease, **options)
-
-    async def take_lease(self, operator: str, reason: str = "") -> Message:
-        """Take or renew the lease."""
-        return await asyncio.to_thread(self._rig.take_lease, operator, reason)
-
-    async def return_lease(self, operator: str) -> Message:
-        """Give the lease back."""
-        return await asyncio.to_thread(self._rig.return_lease, operator)
+        return await asyncio.to_thread(self.rig.command, verb, value, operator=operator, lease=lease, **options)
 
 
 @contextlib.asynccontextmanager

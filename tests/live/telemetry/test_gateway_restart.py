@@ -85,6 +85,7 @@ def test_records_overwritten_before_they_were_published_are_counted() -> None:
         daemon.start_gateway()
         with daemon.client() as client:
             fast = client.blocks()
+            client.state()  # the gateway knows of the subscription before the record is written
             writer.write(*nothing)
             until(lambda: list(fast.arrived()), "the record")
             age_ms = client.state()["age_ms"]
