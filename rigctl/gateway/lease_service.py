@@ -24,7 +24,7 @@ _TAKE = "rigctl lease take"
 NAMES_REPORTED = 4
 
 
-def believed(written: Any, duration_ns: int, now_ns: int) -> Lease | None:
+def valid_lease(written: Any, duration_ns: int, now_ns: int) -> Lease | None:
     """The lease read from the file; None for anything that a gateway would not have written."""
     try:
         lease = msgspec.convert(written, Lease)
@@ -62,7 +62,7 @@ class LeaseService:
             written: Any = self._runtime.read_json(IN_FORCE)
         except (OSError, msgspec.MsgspecError):
             written = None
-        lease = believed(written, duration_ns, now_ns) if written else None
+        lease = valid_lease(written, duration_ns, now_ns) if written else None
         if lease is None and written != {}:
             self._note(now_ns, Note.LEASE_NOT_BELIEVED)
         return lease

@@ -149,8 +149,8 @@ def test_a_gateway_comes_back_with_whatever_stands_in_the_place_of_its_files(own
     own.start_gateway()
     with own.client() as client:
         assert own.state(client)["lease"] is None
-        told = client.past_events()
-        assert "lease.json holds no lease to be believed; nobody holds it" in [event["text"] for event in told]
+        events = client.past_events()
+        assert "lease.json holds no lease to be believed; nobody holds it" in [event["text"] for event in events]
         assert client.command("hold", "kim")["accepted"]
         assert own.gateway is not None
         assert own.gateway.poll() is None

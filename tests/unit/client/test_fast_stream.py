@@ -66,7 +66,7 @@ class Gateway:
     """Holds records ``held``, answers queries for missed ones, and publishes given ones."""
 
     def __init__(self, held: range, stream: int = 1) -> None:
-        self.held, self.stream, self.asked, self.silent = held, stream, 0, False
+        self.held, self.stream, self.queries, self.silent = held, stream, 0, False
         self.put: Callable[[Any], None] = print
         self.keys = Keys("paper_rig")
         self.refusals = Refusals()
@@ -76,7 +76,7 @@ class Gateway:
         return self
 
     def query(self, question: Question) -> tuple[bool, bytes] | None:
-        self.asked += 1
+        self.queries += 1
         if self.silent:
             return None
         after = int(question.selector.split("after=")[1])
@@ -100,7 +100,7 @@ def numbers(blocks: Iterator[block.Block]) -> list[int]:
     return [seq for found in blocks for seq in range(found.first_seq, found.last_seq + 1)]
 
 
-def test_missed_records_are_asked_for_again() -> None:
+def test_missed_records_are_queried() -> None:
     gateway = Gateway(range(1, 100))
     reader = reading(gateway)
     gateway.publish((11, 20), (46, 50), (51, 60))
@@ -125,7 +125,7 @@ def test_what_the_ring_no_longer_holds_is_lost() -> None:
 
 
 @pytest.mark.parametrize("silent", [True, False])
-def test_a_gap_nobody_can_fill_is_lost(silent: bool) -> None:
+def test_a_gap_that_no_answer_fills_is_lost(silent: bool) -> None:
     gateway = Gateway(range(1, 100))
     gateway.silent = silent
     reader = reading(gateway, recover=silent)
@@ -135,14 +135,14 @@ def test_a_gap_nobody_can_fill_is_lost(silent: bool) -> None:
     assert (reader.count.lost, reader.count.produced) == (10, 30)
 
 
-def test_a_gateway_that_is_away_is_asked_again_when_it_is_back() -> None:
+def test_a_gateway_that_was_away_is_queried_again() -> None:
     gateway = Gateway(range(1, 100))
     gateway.silent = True
     reader = reading(gateway)
     gateway.publish((1, 10), (21, 30), (31, 40))
     assert numbers(reader.arrived()) == list(range(1, 11))
     assert numbers(reader.arrived()) == []  # too soon for another query
-    assert gateway.asked == 1
+    assert gateway.queries == 1
     gateway.silent = False
     time.sleep(AGAIN_S)
     assert numbers(reader.arrived()) == list(range(11, 41))

@@ -113,7 +113,7 @@ def test_an_identification_goes_by_the_ticks_of_its_excitation_alone(
     assert seen == [t_s * S for t_s in range(9, 16)]
 
 
-def test_the_due_date_is_told_once_when_it_has_passed(service: CalibrationService) -> None:
+def test_the_due_date_is_sent_once_when_it_has_passed(service: CalibrationService) -> None:
     given = filed(service, Request(Verb.CALIBRATE, "kim", 100.0), 100.1)
     assert given.finding is not None
     wall_ns = time.time_ns()
@@ -140,7 +140,7 @@ def test_a_measurement_that_cannot_be_judged_is_answered_and_so_is_the_next(
     assert filed(service).finding is not None
 
 
-def test_with_an_adopted_scale_that_was_withdrawn_the_check_goes_and_the_loop_is_told(
+def test_with_an_adopted_scale_that_was_withdrawn_the_check_goes_and_the_loop_gets_it(
     service: CalibrationService, settings: RigSettings
 ) -> None:
     service.put_in_force(filed(service, Request(Verb.CALIBRATE, "kim", 100.0), 100.1))
@@ -183,7 +183,7 @@ def next_service(interrupted: Interrupted) -> Iterator[CalibrationService]:
     made.close()
 
 
-def test_what_is_on_record_and_not_in_force_is_told_again(
+def test_what_is_on_record_and_not_in_force_is_sent_again(
     interrupted: Interrupted, next_service: CalibrationService, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert next_service.settings_due(1 * S, time.time_ns()) == [(Setting.ZERO, 1.5)]
@@ -196,7 +196,7 @@ def test_what_is_on_record_and_not_in_force_is_told_again(
     assert next_service.settings_due(3 * S, time.time_ns()) == []
 
 
-def test_what_is_shown_in_force_and_is_not_is_told_again(
+def test_what_is_shown_in_force_and_is_not_is_sent_again(
     interrupted: Interrupted, next_service: CalibrationService
 ) -> None:
     interrupted.runtime.write_json(IN_FORCE, interrupted.filed.standing)
@@ -225,7 +225,7 @@ def test_what_the_loop_took_before_its_gateway_died_is_shown_in_force(
     assert interrupted.entries() == ["tare"]
 
 
-def test_a_ledger_that_somebody_else_changed_is_not_put_in_force(
+def test_a_ledger_that_another_program_changed_is_not_put_in_force(
     interrupted: Interrupted, next_service: CalibrationService, capsys: pytest.CaptureFixture[str]
 ) -> None:
     interrupted.loop_goes_by(-3.0, 1.0)

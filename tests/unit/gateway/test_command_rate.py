@@ -54,7 +54,7 @@ def test_the_holder_has_a_limit_too() -> None:
     assert len(let_through(Flow(S), ["anna"], 10, holder=True)) <= PER_OPERATOR_BURST + 10 * PER_OPERATOR_HZ + 1
 
 
-def test_refusals_are_counted_by_name_and_told_once() -> None:
+def test_refusals_are_counted_by_name_and_reported_once() -> None:
     flow = Flow(S)
     through = len(let_through(flow, ["kim"], 5))
     assert not flow.due(S + 5 * S)
