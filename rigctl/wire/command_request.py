@@ -202,31 +202,32 @@ def newest_record(records: RingReader, standing: Mapping[Fault, str] = MappingPr
     return NewestRecord(fault, stroke_mm, tension_n, target_n, standing, arming)
 
 
+_DONE = {
+    Verb.ARM: "armed, {mode}, stroke {stroke}, tension {tension}",
+    Verb.TENSION: "ramping to {target}, {mode}",
+    Verb.RELEASE: "ramping to slack, {mode}",
+    Verb.HOLD: "stroke held at {stroke}, tension {tension}",
+    Verb.DISARM: "drive off, brake closed, {mode}{latched}",
+    Verb.RESET: "fault cleared, {mode}",
+    Verb.TARGET: "{newtons}, {mode}",
+    Verb.TARE: "the cell reads {value:z.3f} N, {mode}",
+    Verb.CALIBRATE: "the cell reads {value:z.3f} N, {mode}",
+    Verb.IDENTIFY: "excited for {value:.1f} s, {mode}, stroke {stroke}",
+    Verb.CONFIRM_STROKE: "the stroke is {value:z.2f} mm, {mode}",
+    Verb.GAINS: "{mode}",
+}
+
+
 def _done(verb: Verb, mode: Mode, value: float, newest: NewestRecord) -> str:
-    match verb:
-        case Verb.ARM:
-            return f"armed, {mode.name}, stroke {newest.stroke_mm:z.2f} mm, tension {newest.tension_n:z.1f} N"
-        case Verb.TENSION:
-            return f"ramping to {significant(newest.target_n, 'N')}, {mode.name}"
-        case Verb.RELEASE:
-            return f"ramping to slack, {mode.name}"
-        case Verb.HOLD:
-            return f"stroke held at {newest.stroke_mm:z.2f} mm, tension {newest.tension_n:z.1f} N"
-        case Verb.DISARM:
-            latched = ", the fault stays latched" if mode is Mode.FAULT else ""
-            return f"drive off, brake closed, {mode.name}{latched}"
-        case Verb.RESET:
-            return f"fault cleared, {mode.name}"
-        case Verb.TARGET:
-            return f"{significant(value, 'N')}, {mode.name}"
-        case Verb.CONFIRM_STROKE:
-            return f"the stroke is {value:z.2f} mm, {mode.name}"
-        case Verb.GAINS:
-            return mode.name
-        case Verb.IDENTIFY:
-            return f"excited for {value:.1f} s, {mode.name}, stroke {newest.stroke_mm:z.2f} mm"
-        case _:
-            return f"the cell reads {value:z.3f} N, {mode.name}"
+    return _DONE[verb].format(
+        mode=mode.name,
+        latched=", the fault stays latched" if mode is Mode.FAULT else "",
+        value=value,
+        newtons=significant(value, "N"),
+        target=significant(newest.target_n, "N"),
+        stroke=f"{newest.stroke_mm:z.2f} mm",
+        tension=f"{newest.tension_n:z.1f} N",
+    )
 
 
 def refused(name: str, operator: str, reason: str, text: str, **more: Any) -> dict[str, Any]:
