@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, load, say, say_json
+from rigctl.cli.recordings import read_recording
 from rigctl.config.quantity import count
 
 if TYPE_CHECKING:
@@ -50,13 +51,9 @@ def replay(
 
 
 def _read(file: pathlib.Path) -> tuple[Recording, list[Span]]:
-    from rigctl.recorder.recording import RecordingError, parts_of, read
     from rigctl.replay.play import ReplayError, spans
 
-    try:
-        recording = read(*parts_of(file))
-    except RecordingError as error:
-        end(USAGE, str(error))
+    recording = read_recording([file], whole_run=True)
     try:
         return recording, spans(recording)
     except ReplayError as error:
