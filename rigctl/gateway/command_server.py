@@ -50,7 +50,7 @@ _HOLD_SPACING_NS = 20_000_000  # between two HOLDs for the loop; those that arri
 
 
 @dataclass(frozen=True)
-class Given:
+class GivenCommand:
     """A command of an operator, and the query to be answered."""
 
     query: zenoh.Query
@@ -61,7 +61,7 @@ class Given:
 class Recorded:
     """The calibration service's result for a trial; ``message`` is the loop's answer to that trial."""
 
-    given: Given
+    given: GivenCommand
     message: dict[str, Any]
     filed: Filed
 
@@ -70,10 +70,10 @@ class Recorded:
 class Pending:
     """A command the loop has not answered yet."""
 
-    given: Given
+    given: GivenCommand
     until_ns: int
     recorded: Recorded | None = None  # a finding on record that the loop has yet to take
-    sharing: tuple[Given, ...] = ()  # HOLDs that arrived with it and get the same answer
+    sharing: tuple[GivenCommand, ...] = ()  # HOLDs that arrived with it and get the same answer
 
 
 def send_answer(query: zenoh.Query, key: str, message: dict[str, Any]) -> None:
@@ -96,7 +96,7 @@ def _payload_of(query: zenoh.Query) -> bytes | None:
     return bytes(query.payload)
 
 
-def _by_operator(holds: list[Given]) -> list[Request]:
+def _by_operator(holds: list[GivenCommand]) -> list[Request]:
     """One request of each operator, for the record: of at most ``_NAMES_ON_RECORD``, though all are answered."""
     return list({one.request.operator: one.request for one in holds}.values())[:_NAMES_ON_RECORD]
 
@@ -127,7 +127,7 @@ class CommandServer:
         self._keys, self._commands, self._replies = keys, commands, replies
         self._newest_record, self._limits_n = newest, limits_n
         self._work: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()  # None ends the thread
-        self._holds: deque[Given] = deque()  # served before all others
+        self._holds: deque[GivenCommand] = deque()  # served before all others
         self._hold_ns = 0  # earliest time of the next HOLD for the loop
         self._rate = Flow(time.monotonic_ns())
         self._pending: dict[int, Pending] = {}
@@ -171,7 +171,7 @@ class CommandServer:
         if isinstance(request, Request) and request.verb is Verb.HOLD:
             refusal = self._meant_for_another(request)
             if refusal is None:
-                self._holds.append(Given(query, request))
+                self._holds.append(GivenCommand(query, request))
                 self._work.put(lambda: None)  # wakes the thread, which serves HOLDs first
                 return
             request = None
@@ -186,7 +186,7 @@ class CommandServer:
         elif isinstance(request, LeaseRequest):
             self._work.put(partial(self._decide_lease, query, request))
         elif request is not None:
-            self._work.put(partial(self._give, Given(query, request)))
+            self._work.put(partial(self._give, GivenCommand(query, request)))
 
     def _serve(self) -> None:
         while True:
@@ -221,7 +221,7 @@ class CommandServer:
         self._commands.write(now, self._last_id, int(code), value)
         return self._last_id
 
-    def _give(self, given: Given) -> None:
+    def _give(self, given: GivenCommand) -> None:
         request, now = given.request, time.monotonic_ns()
         if (elsewhere := self._meant_for_another(request)) is not None:
             self._answer(given, elsewhere)
@@ -239,7 +239,7 @@ class CommandServer:
         if request.verb is Verb.ARM:  # the preflight must not use host checks of an earlier time
             self._write(Setting.HOST_CHECKS, float(self._preflight.verdict(now).host_checks))
         number = self._write(request.verb, request.number)
-        self._pending[number] = Pending(Given(given.query, admitted), now + WAIT_NS.get(request.verb, ANSWER_NS))
+        self._pending[number] = Pending(GivenCommand(given.query, admitted), now + WAIT_NS.get(request.verb, ANSWER_NS))
         self._log.given(now, number, request.command, request.operator, self._holder(), request.number)
 
     def _give_holds(self, now_ns: int) -> None:
@@ -322,14 +322,16 @@ class CommandServer:
         for given in pending.sharing:
             self._send(given, answer_to(given.request), time.monotonic_ns())
 
-    def _answer(self, given: Given, message: dict[str, Any], number: int = 0, recorded: Recorded | None = None) -> None:
+    def _answer(
+        self, given: GivenCommand, message: dict[str, Any], number: int = 0, recorded: Recorded | None = None
+    ) -> None:
         now = time.monotonic_ns()
         message = self._send(given, message, now)
         finding = recorded.filed.finding if recorded is not None else None
         entry = ledger.entry_digest(finding.entry) if finding is not None else ""
         self._log.answered(now, number, self._holder(), message, entry)
 
-    def _send(self, given: Given, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
+    def _send(self, given: GivenCommand, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
         """Answer a command with the lease in force; returns the answer."""
         request = given.request
         message = self._leases.with_lease(request.operator, request.lease, message, now_ns)
