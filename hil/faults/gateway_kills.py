@@ -12,7 +12,7 @@ import numpy.typing as npt
 from hil.faults.live_rows_rig import GATEWAY, Live, LiveError, give, live
 from hil.scenario.play import Advance
 from rigctl.client.connection import Client
-from rigctl.client.fast import FastReader
+from rigctl.client.samples import Blocks
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.ipc.ring import RingReader
@@ -90,7 +90,7 @@ def play(settings: RigSettings, count: int, advance: Advance) -> Figures:
 
 
 def _play(rig: Live, client: Client, count: int, advance: Advance) -> Figures:
-    stream = FastReader(client)
+    stream = client.blocks()
     loop = _Lateness(rig.runtime.records.reader())
     _listen(stream, loop, QUIET_S)
     quiet = [loop.take()]
@@ -113,7 +113,7 @@ def _play(rig: Live, client: Client, count: int, advance: Advance) -> Figures:
     )
 
 
-def _kill(rig: Live, stream: FastReader, loop: _Lateness) -> None:
+def _kill(rig: Live, stream: Blocks, loop: _Lateness) -> None:
     """Kill the gateway and wait until the next one publishes."""
     give(rig.pid(GATEWAY), signal.SIGKILL)
     _listen(stream, loop, 0.1)
@@ -124,10 +124,10 @@ def _kill(rig: Live, stream: FastReader, loop: _Lateness) -> None:
         _listen(stream, loop, 0.1)
 
 
-def _listen(stream: FastReader, loop: _Lateness, seconds: float) -> None:
+def _listen(stream: Blocks, loop: _Lateness, seconds: float) -> None:
     until = time.monotonic() + seconds
     while time.monotonic() < until:
-        for _ in stream.read():
+        for _ in stream.arrived():
             pass
         loop.follow()
         time.sleep(0.02)

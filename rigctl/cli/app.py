@@ -54,24 +54,13 @@ def _options(
     pass
 
 
-for command in (daemon.run, daemon.demo, daemon.check):
+for command in (
+    daemon.run, daemon.demo, daemon.check, design.tune, status.status, watch.watch, page.page, lease.lease,
+    doctor.doctor, bench.bench, audit.audit, replay.replay, report.report, recordings.info, recordings.export,
+    verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset,
+    commission.tare, commission.calibrate, commission.identify, commission.gains,
+):  # fmt: skip
     app.command()(command)
-app.command()(design.tune)
-app.command()(status.status)
-app.command()(watch.watch)
-app.command()(page.page)
-app.command()(lease.lease)
-app.command()(doctor.doctor)
-app.command()(bench.bench)
-app.command()(audit.audit)
-app.command()(replay.replay)
-app.command()(report.report)
-for of_recording in (recordings.info, recordings.export):
-    app.command()(of_recording)
-for verb in (verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset):
-    app.command()(verb)
-for trial in (commission.tare, commission.calibrate, commission.identify, commission.gains):
-    app.command()(trial)
 # These take a negative number as a value, not as an option.
 app.command(context_settings={"ignore_unknown_options": True})(verbs.target)
 app.command(context_settings={"ignore_unknown_options": True})(verbs.confirm_stroke)

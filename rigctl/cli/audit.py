@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Json, end, say, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, Json, end, load_rig_file, say, say_json
 from rigctl.config.quantity import count
 
 if TYPE_CHECKING:
@@ -24,14 +24,14 @@ _RIG_FILES = (".yaml", ".yml")
 _HASH = re.compile("[0-9a-f]{64}")
 
 
-class Act(Enum):
+class AuditTask(Enum):
     """What to do with the log."""
 
     VERIFY = "verify"
     SHOW = "show"
 
 
-What = Annotated[Act, typer.Argument(metavar="verify|show", help="What to do.")]
+What = Annotated[AuditTask, typer.Argument(metavar="verify|show", help="What to do.")]
 Log = Annotated[
     pathlib.Path | None,
     typer.Argument(metavar="[FILE]", help="Audit log, or the rig file it belongs to [the running daemon's]."),
@@ -62,14 +62,14 @@ def audit(
     Lines that were edited, removed, swapped or inserted break the chain. Lines cut off at the end are found out with
     --head alone: note the hash that verify prints, or take it from a trip dump or from rigctl status --json.
     """
-    if act is Act.SHOW and head is not None:
+    if act is AuditTask.SHOW and head is not None:
         end(USAGE, "found --head, expected with verify alone")
-    if act is Act.VERIFY and (last, since, what, who) != (None, None, None, None):
+    if act is AuditTask.VERIFY and (last, since, what, who) != (None, None, None, None):
         end(USAGE, "found a choice of entries, expected with show alone: the chain is verified as a whole")
     if head is not None and not _HASH.fullmatch(head):
         end(USAGE, f"--head: found {head[:80]!r}, expected 64 letters 0-9 a-f")
     path = _log(file)
-    if act is Act.VERIFY:
+    if act is AuditTask.VERIFY:
         _verify(path, head, json)
     else:
         _show(path, last, _moment(since), what, who, json)
@@ -81,18 +81,13 @@ def _log(file: pathlib.Path | None) -> pathlib.Path:
         return _of_daemon()
     if file.suffix not in _RIG_FILES:
         return file
-    from rigctl.config import rig_file as config
-
-    try:
-        return config.load(file).audit_log
-    except config.ConfigError as error:
-        end(USAGE, "\nrigctl: ".join(error.findings))
+    return load_rig_file(file).audit_log
 
 
 def _of_daemon() -> pathlib.Path:
     from rigctl.ipc import runtime_folder as runtime
 
-    found = sorted({str(told["audit_log"]) for told in runtime.recorded() if "audit_log" in told})
+    found = sorted({str(status["audit_log"]) for status in runtime.recorded() if "audit_log" in status})
     if len(found) != 1:
         many = "no daemon" if not found else f"{len(found)} daemons"
         end(USAGE, f"found {many} on this machine, expected one, or the name of an audit log or rig file")

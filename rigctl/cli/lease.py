@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rigctl.client.connection import Client
 
 
-class Act(Enum):
+class LeaseTask(Enum):
     """Actions on the lease."""
 
     SHOW = "show"
@@ -37,12 +37,12 @@ class Act(Enum):
     RETURN = "return"
 
 
-What = Annotated[Act, typer.Argument(metavar="show|take|return", help="What to do about it.")]
+What = Annotated[LeaseTask, typer.Argument(metavar="show|take|return", help="What to do about it.")]
 Reason = Annotated[str | None, typer.Option(metavar="TEXT", help="Why it is taken over from who holds it; on record.")]
 
 
 def lease(
-    act: What = Act.SHOW,
+    act: What = LeaseTask.SHOW,
     reason: Reason = None,
     json: Json = False,
     connect: Connect = None,
@@ -55,10 +55,10 @@ def lease(
     telemetry.lease_s; meanwhile others are refused. Taking it from who holds it needs --reason. A lapse, a takeover or
     a terminal that dies never moves the rig. HOLD is accepted from anyone, always; watching needs no lease.
     """
-    if reason is not None and act is not Act.TAKE:
+    if reason is not None and act is not LeaseTask.TAKE:
         end(USAGE, "found --reason, expected with take alone")
     with daemon(connect, rig) as client:
-        if act is Act.SHOW:
+        if act is LeaseTask.SHOW:
             state = client.state()
             if json:
                 say_json(state.get("lease"))
@@ -70,9 +70,9 @@ def lease(
     end_with_answer(answer, json)
 
 
-def _ask(client: Client, act: Act, operator: str, reason: str) -> dict[str, Any]:
+def _ask(client: Client, act: LeaseTask, operator: str, reason: str) -> dict[str, Any]:
     kept = _show(client, operator)
-    if act is Act.TAKE:
+    if act is LeaseTask.TAKE:
         answer = client.take_lease(operator, reason)
         _keep(client, operator, kept)
     else:

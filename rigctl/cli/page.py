@@ -70,13 +70,10 @@ def _checked(operator: str | None) -> str | None:
 
 def _daemon(connect: str | None, rig: str | None) -> tuple[str, str]:
     """Endpoint, and a text on the daemon there; the page starts without a daemon, too."""
-    import os
+    from rigctl.client.connection import ChoiceError, Client, NoDaemonError, endpoint_of
 
-    from rigctl.client.connection import ChoiceError, Client, NoDaemonError
-    from rigctl.wire import keys
-
-    endpoint = connect or os.environ.get("RIGCTL_CONNECT") or keys.DEFAULT_ENDPOINT
     try:
+        endpoint = endpoint_of(connect)
         with Client(endpoint, rig) as client:
             return endpoint, f"{client.rig} at {endpoint}"
     except NoDaemonError as error:

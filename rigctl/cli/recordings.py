@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rigctl.cli.options import DONE, USAGE, Json, end, say, say_json
+from rigctl.cli.options import DONE, USAGE, Json, end, say, say_json, wrong_usage
 from rigctl.config import quantity
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def info(files: Files, run: Run = False, json: Json = False) -> None:
     """Show what is in a recording: times, modes, events, gaps, documents, versions, and whether it is complete."""
     from rigctl.recorder.contents import figures
 
-    found = figures(_read(files, run))
+    found = figures(read_recording(files, whole_run=run))
     if json:
         say_json(found)
     else:
@@ -47,21 +47,20 @@ def export(files: Files, to: Format, out: Out, run: Run = False) -> None:
     from rigctl.ipc.output_file import OutputError
     from rigctl.recorder import export as exporting
 
-    try:
+    with wrong_usage(OutputError):
         exporting.check(out)
-        written = exporting.write(_read(files, run), to.value, out)
-    except OutputError as error:
-        end(USAGE, str(error))
+        written = exporting.write(read_recording(files, whole_run=run), to.value, out)
     say(f"{out}: {', '.join(name for name in written if '/' not in name)}")
 
 
-def _read(files: list[pathlib.Path], run: bool) -> Recording:
+def read_recording(files: list[pathlib.Path], *, whole_run: bool, frames: bool = True) -> Recording:
+    """The recording in ``files``; ``whole_run``: with every part beside them. The command ends if it cannot be read."""
     from rigctl.recorder import recording
 
     try:
-        if run:
+        if whole_run:
             files = sorted({part for file in files for part in recording.parts_of(file)})
-        return recording.read(*files)
+        return recording.read(*files, frames=frames)
     except recording.RecordingError as error:
         end(USAGE, str(error))
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, say, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, load_rig_file, say, say_json
+from rigctl.cli.recordings import read_recording
 from rigctl.config.quantity import count
 
 if TYPE_CHECKING:
@@ -50,13 +51,9 @@ def replay(
 
 
 def _read(file: pathlib.Path) -> tuple[Recording, list[ProcessSpan]]:
-    from rigctl.recorder.recording import RecordingError, parts_of, read
     from rigctl.replay.play import ReplayError, spans
 
-    try:
-        recording = read(*parts_of(file))
-    except RecordingError as error:
-        end(USAGE, str(error))
+    recording = read_recording([file], whole_run=True)
     try:
         return recording, spans(recording)
     except ReplayError as error:
@@ -148,14 +145,10 @@ def _against(
 
 
 def _other(file: pathlib.Path, span: ProcessSpan) -> tuple[RigSettings, Gains]:
-    from rigctl.config import rig_file as config
     from rigctl.design.gain_file import design_in_use
     from rigctl.design.gains import DesignError
 
-    try:
-        settings = config.load(file)
-    except config.ConfigError as error:
-        end(USAGE, "\nrigctl: ".join(error.findings))
+    settings = load_rig_file(file)
     if settings.loop.rate_hz != span.settings.loop.rate_hz:
         end(USAGE, f"{file}: loop.rate_hz: found {settings.loop.rate_hz}, recorded with {span.settings.loop.rate_hz}")
     if settings.canopen_nodes != span.settings.canopen_nodes or settings.plain_messages != span.settings.plain_messages:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, say, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, say, say_json, wrong_usage
+from rigctl.cli.recordings import read_recording
 from rigctl.ipc import output_file
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def report(
         if page.suffix.lower() not in SUFFIXES:
             end(USAGE, f"--output: found {page}, expected a name ending in {', '.join(SUFFIXES)}")
         check_output("--output", page)
-    recording = _read(file, alone=part)
+    recording = read_recording([file], whole_run=not part, frames=False)
     if page is not None and any(_same(page, own.path) for own in recording.files):
         end(USAGE, f"--output: {page} is the recording, expected a file of its own")
     found = _find(recording)
@@ -54,15 +55,6 @@ def report(
     end(DONE if found.verdict.passed else BAD, None if found.verdict.passed else f"{file}: {_complaint(found)}")
 
 
-def _read(file: pathlib.Path, *, alone: bool) -> Recording:
-    from rigctl.recorder.recording import RecordingError, parts_of, read
-
-    try:
-        return read(*([file] if alone else parts_of(file)), frames=False)
-    except RecordingError as error:
-        end(USAGE, str(error))
-
-
 def _find(recording: Recording) -> Findings:
     from rigctl.report.findings import ReportError, find
 
@@ -75,10 +67,8 @@ def _find(recording: Recording) -> Findings:
 def _write(page: pathlib.Path, found: Findings) -> None:
     from rigctl.report.page import render
 
-    try:
+    with wrong_usage(output_file.OutputError):
         output_file.replace(page, render(found))
-    except output_file.OutputError as error:
-        end(USAGE, str(error))
 
 
 def _same(one: pathlib.Path, other: pathlib.Path) -> bool:

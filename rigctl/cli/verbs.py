@@ -26,7 +26,8 @@ from rigctl.wire import state_words as figures
 
 if TYPE_CHECKING:
     from rigctl.client.connection import Client
-    from rigctl.client.messages import Feed
+    from rigctl.client.shapes import Message
+    from rigctl.client.stream import Stream
 
 SILENCE_S = 5.0
 
@@ -40,7 +41,6 @@ Millimetres = Annotated[
     float,
     typer.Argument(metavar="MM", parser=finite_number("millimetres"), help="Stroke, as measured at the cylinder."),
 ]
-
 NearEnd = Annotated[
     bool, typer.Option("--near-end", help="Arm at an end of the stroke, to drive away from it (tension, release).")
 ]
@@ -146,12 +146,12 @@ def _standing(state: dict[str, Any]) -> str:
     return f"tension {figures.number(state['tension_n'], 1, 'N')}, stroke {figures.number(state['stroke_mm'], 2, 'mm')}"
 
 
-def _finish(client: Client, verb: str, answer: dict[str, Any], states: Feed) -> dict[str, Any]:
+def _finish(client: Client, verb: str, answer: dict[str, Any], states: Stream[Message]) -> dict[str, Any]:
     """Follow the state until the command has ended or failed."""
     goal, passing = _ENDS[verb]
     newest = time.monotonic()
     while True:
-        state = states.wait(0.2)
+        state = states.read(0.2)
         if state is None:
             if time.monotonic() - newest > SILENCE_S:
                 text = f"{verb.upper()}: no data for {SILENCE_S:.0f} s from {client.endpoint}, outcome unknown"

@@ -13,7 +13,7 @@ from rigctl.config.quantity import count, significant
 from rigctl.wire import state_words as figures
 
 if TYPE_CHECKING:
-    from rigctl.cli.watch import View
+    from rigctl.client.rig_view import RigView
 
 SPAN_PCT = 10.0  # span of the bar on either side of the target
 NARROW = 72
@@ -89,7 +89,7 @@ def fitted(text: Text, width: int) -> list[Text]:
 class Screen:
     """A view as a full screen, whatever its size."""
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: RigView) -> None:
         self._view = view
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -103,9 +103,8 @@ class Screen:
         """The screen's lines from top to bottom; events fill the rest."""
         view, state = self._view, self._view.state
         head = [self._title(width)]
-        if view.silent_s or state is None:
-            silence = time.monotonic() - view.heard
-            head += self._banner(f"NO DATA FOR {silence:.0f} s", "bold white on red", width)
+        if view.is_silent or state is None:
+            head += self._banner(f"NO DATA FOR {view.silent_s:.0f} s", "bold white on red", width)
             head.append(Text(f"reconnecting to {view.endpoint}; the values below are the last ones", "bold red"))
         else:
             head += self._banner(" ".join(figures.mode(state)), figures.mode_style(state), width)
@@ -153,7 +152,7 @@ class Screen:
             return []
         rows = [
             part
-            for event in self._view.events[-(room - 1) :]
+            for event in list(self._view.events)[-(room - 1) :]
             for part in fitted(
                 Text(f"{figures.clock(event['wall_ns'])}  {event['text']}", _SEVERITY.get(event["severity"], "")), width
             )

@@ -9,19 +9,32 @@ import os
 import re
 import threading
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any, Self, TypeVar
 
 import msgspec
 import zenoh
 
 from rigctl.client import shapes
-from rigctl.client.decoding import SchemaError, usable_schema
-from rigctl.client.messages import Feed, shape_of
-from rigctl.client.shapes import LONGEST_PAST, Check, MessageRefusedError, Refusals
+from rigctl.client.block_order import DEPTH_BLOCKS, BlockSource
+from rigctl.client.decoding import SampleLayout, SchemaError, layout_of, usable_schema
+from rigctl.client.event_order import Events, EventSource
+from rigctl.client.mailbox import Mailbox
+from rigctl.client.messages import MessageSource, shape_of
+from rigctl.client.samples import Blocks, Samples
+from rigctl.client.shapes import (
+    LONGEST_BLOCK,
+    LONGEST_DOCUMENT,
+    LONGEST_PAST,
+    Check,
+    Message,
+    MessageRefusedError,
+    Refusals,
+)
+from rigctl.client.stream import Stream
+from rigctl.client.stream_source import Question
 from rigctl.wire import keys
 from rigctl.wire.keys import Keys
-from rigctl.wire.lease import Act
+from rigctl.wire.lease import LeaseAct
 from rigctl.wire.session import SessionError, close, open_client
 
 OPEN_S = 2.0
@@ -30,6 +43,7 @@ COMMAND_S = 6.0  # the gateway answers within 4 s
 # A trial is answered after its end: 10 s at most, an arm after 23 s (settings read back 15 s, stop and brake 8 s).
 TRIAL_S = 30.0
 _RIG = re.compile(r"[a-z][a-z0-9_]{0,31}")
+_EVENTS_DEPTH = 4096
 _TRIALS = ("arm", "tare", "calibrate", "identify", "gains")
 
 
@@ -113,6 +127,7 @@ class Client:
             raise ChoiceError(f"found rig {wanted!r}, expected a rig's name, e.g. paper_rig")
         self.leases: dict[str, str] = {}  # operator: lease id from the answers, sent with the operator's commands
         self.refusals = Refusals()  # messages without the shape of the daemon's
+        self._mailboxes: list[Mailbox] = []
         self.session = _open(self.endpoint)
         try:
             self.keys = Keys(self._choose(wanted))
@@ -172,13 +187,13 @@ class Client:
             consolidation=zenoh.ConsolidationMode.NONE,
         )
         for reply in replies:
-            said = reply.ok if reply.ok is not None else reply.err
-            if said is None:
+            answer = reply.ok if reply.ok is not None else reply.err
+            if answer is None:
                 continue
             try:
-                if len(said.payload) > LONGEST_PAST:
-                    raise MessageRefusedError(f"found {len(said.payload)} bytes, expected at most {LONGEST_PAST}")
-                found = bytes(said.payload)
+                if len(answer.payload) > LONGEST_PAST:
+                    raise MessageRefusedError(f"found {len(answer.payload)} bytes, expected at most {LONGEST_PAST}")
+                found = bytes(answer.payload)
                 if reply.ok is not None:
                     check(found)
                 elif not found.startswith(b"{"):  # Zenoh's own text for a time-out
@@ -230,11 +245,11 @@ class Client:
 
     def take_lease(self, operator: str, reason: str = "") -> dict[str, Any]:
         """Take or renew the lease; from another holder only with a ``reason``. See `command`."""
-        return self._commanded(Act.TAKE.value, operator, {"reason": reason} if reason else {})
+        return self._commanded(LeaseAct.TAKE.value, operator, {"reason": reason} if reason else {})
 
     def return_lease(self, operator: str) -> dict[str, Any]:
         """Give the lease back. See `command`."""
-        answer = self._commanded(Act.RETURN.value, operator, {})
+        answer = self._commanded(LeaseAct.RETURN.value, operator, {})
         if answer["accepted"]:
             self.leases.pop(operator, None)
         return answer
@@ -249,18 +264,57 @@ class Client:
             self.leases[operator] = held["id"]
         return answer
 
-    def follow(self, key: str, depth: int = 64) -> Feed:
+    # -- streams --------------------------------------------------------------------------------------------
+    def follow(self, key: str, depth: int = 64) -> Stream[Message]:
         """JSON messages published on ``key`` from now on; when more than ``depth`` wait, the oldest are dropped."""
-        return Feed(self.session, key, depth, self.refusals, shape_of(self.keys, key))
+        mailbox = self._mailbox(key, depth, LONGEST_DOCUMENT)
+        return Stream(self._query, MessageSource(mailbox, shape_of(self.keys, key)))
+
+    def events(self, *, past: bool = False) -> Events:
+        """Events from now on, or from the oldest held (``past``); each once, also across a restart."""
+        mailbox = self._mailbox(self.keys.event("*"), _EVENTS_DEPTH, LONGEST_BLOCK)
+        return Events(self._query, EventSource(mailbox, self.keys, past=past))
+
+    def blocks(self, *, recover: bool = True) -> Blocks:
+        """The fast stream, undecoded; ``recover``: query missed records, False: a gap counts as lost at once."""
+        return Blocks(self._query, self._block_source(DEPTH_BLOCKS, recover=recover))
+
+    def samples(self, layout: SampleLayout | None = None, *, depth: int = DEPTH_BLOCKS, past: bool = False) -> Samples:
+        """Every tick from now on, or from the oldest held (``past``); ``layout``: of the schema, None: query it.
+
+        ``depth``: blocks (50 a second) that may wait before the oldest are dropped, and queried again.
+
+        Raises:
+            SchemaError: the daemon serves a schema this client does not know.
+            NoDaemonError: no answer.
+        """
+        source = self._block_source(depth, past=past)
+        return Samples(self._query, source, layout or layout_of(self.schema()), self.keys.schema)
+
+    def _block_source(self, depth: int, *, recover: bool = True, past: bool = False) -> BlockSource:
+        return BlockSource(
+            self._mailbox(self.keys.fast, depth, LONGEST_BLOCK), self.keys.fast, recover=recover, past=past
+        )
+
+    def _mailbox(self, key: str, depth: int, longest: int) -> Mailbox:
+        mailbox = Mailbox(self.session, key, depth, self.refusals, longest)
+        self._mailboxes = [*(one for one in self._mailboxes if not one.closed), mailbox]
+        return mailbox
+
+    def _query(self, question: Question) -> tuple[bool, bytes] | None:
+        try:
+            return self.ask(question.selector, check=question.check)
+        except (NoDaemonError, zenoh.ZError):
+            return None
 
     def close(self) -> None:
-        """End the session."""
+        """End every stream and the session."""
+        for mailbox in self._mailboxes:
+            mailbox.close()
         close(self.session)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()

@@ -1,7 +1,7 @@
 """``python -m rigctl.client.counter``: an independent subscriber that counts the fast stream.
 
-Says ``{"ready": true}`` with the first block. Told to end (SIGTERM, SIGINT), or once it has received ``--records``, it
-counts on to the record that is the newest then, and gives its figures in one JSON line.
+Prints ``{"ready": true}`` with the first block. After SIGTERM or SIGINT, or once it has received ``--records``, it
+counts on to the record that is the newest then, and prints its figures in one JSON line.
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ from typing import Any
 import msgspec
 
 from rigctl.client.connection import ChoiceError, Client, NoDaemonError
-from rigctl.client.fast import FastReader
 from rigctl.ipc.termination import ENDING, Termination
 
 _PERIOD_S = 0.02
 _LAST_S = 5.0  # after the request to end: for records on their way, or for a gateway that is being restarted
 
 
-def _say(message: dict[str, Any]) -> None:
+def _print(message: dict[str, Any]) -> None:
     sys.stdout.write(msgspec.json.encode(message).decode() + "\n")
     sys.stdout.flush()
 
@@ -37,23 +36,23 @@ def _newest(client: Client) -> int | None:
 
 def count(client: Client, stop: Termination, records: int | None) -> dict[str, Any]:
     """Count until ``stop`` or until ``records`` were received, then up to the record that is newest at that time."""
-    reader = FastReader(client)
+    blocks = client.blocks()
     ready = False
     ends: float | None = None
     newest: int | None = None
-    while ends is None or (time.monotonic() < ends and (newest is None or reader.count.last_seq < newest)):
-        for _ in reader.read():
+    while ends is None or (time.monotonic() < ends and (newest is None or blocks.count.last_seq < newest)):
+        for _ in blocks.arrived():
             if not ready:
                 ready = True
-                _say({"ready": True, "first_seq": reader.count.first_seq})
-        if ends is None and (stop.requested or (records is not None and reader.count.received >= records)):
+                _print({"ready": True, "first_seq": blocks.count.first_seq})
+        if ends is None and (stop.requested or (records is not None and blocks.count.received >= records)):
             ends = time.monotonic() + _LAST_S
         if ends is not None and newest is None:
             newest = _newest(client)
-        reader.wait(_PERIOD_S)
-    for _ in reader.finish():
+        blocks.wait(_PERIOD_S)
+    for _ in blocks.rest():
         pass
-    return dataclasses.asdict(reader.count)
+    return dataclasses.asdict(blocks.count)
 
 
 def main() -> int:
@@ -70,7 +69,7 @@ def main() -> int:
     except (NoDaemonError, ChoiceError) as error:
         sys.stderr.write(f"{error}\n")
         return 1 if isinstance(error, NoDaemonError) else 2
-    _say(figures)
+    _print(figures)
     return 0
 
 

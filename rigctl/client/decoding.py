@@ -28,7 +28,7 @@ class SchemaError(MessageRefusedError):
 
 
 @dataclass(frozen=True)
-class Field:
+class SampleField:
     """One value of a sample: unit ("" for none), meaning, numpy type and shape (() for a number)."""
 
     name: str
@@ -39,10 +39,10 @@ class Field:
 
 
 @dataclass(frozen=True)
-class Layout:
+class SampleLayout:
     """Layout of a record; ``fields`` are in the record's order."""
 
-    fields: Mapping[str, Field]
+    fields: Mapping[str, SampleField]
     dtype: np.dtype[Any]
 
     def decode(self, block: Block) -> npt.NDArray[Any]:
@@ -84,7 +84,7 @@ class _Schema(msgspec.Struct):
     fast: _Fast
 
 
-def layout_of(schema: Mapping[str, Any]) -> Layout:
+def layout_of(schema: Mapping[str, Any]) -> SampleLayout:
     """The layout a schema describes; additions of a newer daemon and fields of unknown type are ignored.
 
     Raises:
@@ -109,8 +109,8 @@ def layout_of(schema: Mapping[str, Any]) -> Layout:
         )
     except (msgspec.ValidationError, ValueError, TypeError) as error:
         raise SchemaError(f"meta/schema cannot be used: {' '.join(str(error).split())}") from None
-    fields = {f.name: Field(f.name, f.unit, f.description, f.type, f.shape) for f in known_types}
-    return Layout(MappingProxyType(fields), dtype)
+    fields = {f.name: SampleField(f.name, f.unit, f.description, f.type, f.shape) for f in known_types}
+    return SampleLayout(MappingProxyType(fields), dtype)
 
 
 def _is_known(field: _Field) -> bool:

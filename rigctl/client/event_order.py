@@ -11,7 +11,8 @@ from collections import deque
 from rigctl.client import shapes
 from rigctl.client.mailbox import Mailbox
 from rigctl.client.shapes import Message, MessageRefusedError
-from rigctl.client.source import Question
+from rigctl.client.stream import Query, Stream
+from rigctl.client.stream_source import Question
 from rigctl.wire.keys import Keys
 
 _UNKNOWN = -1
@@ -31,16 +32,19 @@ class EventSource:
         self._last: dict[str, int] = dict.fromkeys(_HEADS, 0)
         self._given: set[str] = set()  # sources with at least one event passed on
         self._begun, self._past = False, past
+        self._restarted = False
 
     def restart(self) -> None:
-        """Forget the waiting events and begin with the next one that arrives."""
+        """Forget the waiting events and begin with the next one that arrives; may be called from any thread."""
         self.mailbox.clear()
-        self._ready.clear()
-        self._given.clear()
-        self._held, self._begun, self._past = None, False, False
+        self._restarted = True  # the rest is up to the thread that polls
 
     def poll(self) -> Message | Question | None:
-        """See `rigctl.client.source.Source`."""
+        """See `rigctl.client.stream_source.StreamSource`."""
+        if self._restarted:
+            self._ready.clear()
+            self._given.clear()
+            self._held, self._begun, self._past, self._restarted = None, False, False, False
         while True:
             if self._ready:
                 return self._ready.popleft()
@@ -84,7 +88,9 @@ class EventSource:
             self._ready.append(found)
 
     def answer(self, payload: bytes | None) -> None:
-        """See `rigctl.client.source.Source`."""
+        """See `rigctl.client.stream_source.StreamSource`."""
+        if self._restarted:
+            return
         if not self._begun and not self._past:
             self._begin(shapes.state(payload) if payload is not None else {})
             return
@@ -115,3 +121,11 @@ def _is_after(message: Message, held: Message) -> bool:
     """Whether a message is the one held or a later one of its sequence."""
     same = all(message.get(name) == held.get(name) for name in ("source", "stream"))
     return same and bool(message["seq"] >= held["seq"])
+
+
+class Events(Stream[Message]):
+    """Events of a rig; ``restart`` begins with the next one that arrives."""
+
+    def __init__(self, query: Query, source: EventSource) -> None:
+        super().__init__(query, source)
+        self.restart = source.restart

@@ -21,14 +21,14 @@ _EVERY_ADDRESS = r"(0\.0\.0\.0|\[::\])"
 _LOOPBACK = r"(localhost|127\.0\.0\.1|\[::1\])"
 
 
-def same_endpoint(asked: str, listen: str) -> bool:
-    """Whether a client that connects to ``asked`` reaches the gateway listening at ``listen`` on this computer."""
-    if asked == listen:
+def same_endpoint(connect: str, listen: str) -> bool:
+    """Whether a client that connects to ``connect`` reaches the gateway listening at ``listen`` on this computer."""
+    if connect == listen:
         return True
     protocol, _, where = listen.partition("/")
     port = where.rpartition(":")[2]
     listens = re.fullmatch(rf"{_EVERY_ADDRESS}:\d+|{_LOOPBACK}:\d+", where) is not None
-    return listens and re.fullmatch(rf"{re.escape(protocol)}/{_LOOPBACK}:{port}", asked) is not None
+    return listens and re.fullmatch(rf"{re.escape(protocol)}/{_LOOPBACK}:{port}", connect) is not None
 
 
 def socket_of(endpoint: str, rig: str | None) -> pathlib.Path | None:

@@ -13,14 +13,13 @@ from rigctl.client.shapes import LONGEST_MESSAGE, Refusals
 
 
 class Mailbox:
-    """Payloads in order of arrival; when more than ``depth`` wait, the oldest are dropped and counted."""
+    """Payloads in order of arrival; when more than ``depth`` wait, the oldest are dropped."""
 
     def __init__(
         self, session: zenoh.Session, key: str, depth: int, refusals: Refusals | None = None,
         longest: int = LONGEST_MESSAGE,
     ) -> None:  # fmt: skip
         """``refusals``: counter of refused payloads; ``longest``: payloads of more bytes are refused unread."""
-        self.dropped = 0
         self.refusals = refusals if refusals is not None else Refusals()
         self._key, self._longest = key, longest
         self.closed = False
@@ -33,7 +32,6 @@ class Mailbox:
         if len(sample.payload) > self._longest:
             self.refuse(f"found {len(sample.payload)} bytes, expected at most {self._longest}")
             return
-        self.dropped += len(self._waiting) == self._waiting.maxlen
         self._waiting.append(bytes(sample.payload))
         self._ring()
 

@@ -4,44 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
-import numpy.typing as npt
-
+from rigctl.client.block_order import DEPTH_BLOCKS
 from rigctl.client.connection import Client, NoDaemonError
-from rigctl.client.decoding import Field, layout_of
-from rigctl.client.event_order import EventSource
-from rigctl.client.fast import DEPTH_BLOCKS
+from rigctl.client.decoding import SampleField, layout_of
 from rigctl.client.liveliness import Liveliness
-from rigctl.client.mailbox import Mailbox
-from rigctl.client.messages import MessageSource, shape_of
-from rigctl.client.ordering import BlockSource, Count
-from rigctl.client.samples import SampleSource
-from rigctl.client.shapes import LONGEST_BLOCK, Message
-from rigctl.client.source import Source
-from rigctl.client.stream import Stream
-
-_AGAIN_S = 0.1
-_EVENTS, _STATES = 4096, 64
-
-
-class Samples(Stream[npt.NDArray[Any]]):
-    """The fast stream: numpy structured arrays of shape ``(count,)``, each record once and in order.
-
-    Its names, units and meanings are in ``rig.fields``; ``seq`` counts the records without a gap, ``t_ns`` is
-    CLOCK_MONOTONIC of the rig's computer. After an interruption the missed records are queried again; those that the
-    ring no longer holds are in ``count.lost``.
-    """
-
-    def __init__(self, client: Client, source: SampleSource) -> None:
-        super().__init__(client, source)
-        self._samples = source
-
-    @property
-    def count(self) -> Count:
-        """Records received, lost, recovered so far."""
-        return self._samples.count
+from rigctl.client.samples import Samples
+from rigctl.client.shapes import Message
+from rigctl.client.stream import AGAIN_S, Stream
 
 
 class Rig:
@@ -57,9 +28,8 @@ class Rig:
         self.connection = connection
         self._layout = layout_of(connection.schema())
         self._liveliness = Liveliness(connection.session, connection.keys.daemon)
-        self._open: list[Mailbox] = []
-        self._standing = self.event_source()
-        self._events: Stream[Message] = Stream(connection, self._standing)
+        self.new_events = connection.events()
+        """Events since the last command given here, or since connecting; for `wait_event`."""
 
     @property
     def name(self) -> str:
@@ -67,7 +37,7 @@ class Rig:
         return self.connection.rig
 
     @property
-    def fields(self) -> Mapping[str, Field]:
+    def fields(self) -> Mapping[str, SampleField]:
         """Fields of a sample by name: ``rig.fields["tension_n"].unit`` is ``"N"``."""
         return self._layout.fields
 
@@ -90,19 +60,19 @@ class Rig:
 
     def fast(self, depth: int = DEPTH_BLOCKS) -> Samples:
         """Every tick from now on; ``depth``: blocks (50 a second) that may wait before the oldest are dropped."""
-        return Samples(self.connection, self.sample_source(depth))
+        return self.connection.samples(self._layout, depth=depth)
 
     def states(self) -> Stream[Message]:
         """States from now on, 50 a second; a slow reader misses the oldest."""
-        return Stream(self.connection, self.message_source(self.connection.keys.state))
+        return self.connection.follow(self.connection.keys.state)
 
     def configs(self) -> Stream[Message]:
         """Active configurations from now on, one at every change."""
-        return Stream(self.connection, self.message_source(self.connection.keys.active))
+        return self.connection.follow(self.connection.keys.active)
 
     def events(self, *, past: bool = False) -> Stream[Message]:
         """Events from now on, or from the oldest held (``past``); each once, also across a restart."""
-        return Stream(self.connection, self.event_source(past=past))
+        return self.connection.events(past=past)
 
     def wait_event(
         self,
@@ -117,9 +87,11 @@ class Rig:
         a command and this call is not missed.
         """
         until = None if timeout_s is None else time.monotonic() + timeout_s
-        while (event := self._events.read(None if until is None else max(0.0, until - time.monotonic()))) is not None:
+        left_s = timeout_s
+        while (event := self.new_events.read(left_s)) is not None:
             if fits(event, kind, severity, where):
                 return event
+            left_s = None if until is None else max(0.0, until - time.monotonic())
         return None
 
     # -- liveliness -----------------------------------------------------------------------------------------
@@ -149,7 +121,7 @@ class Rig:
         Raises:
             NoDaemonError: no answer; whether the command was carried out is unknown.
         """
-        self._standing.restart()
+        self.new_events.restart()
         if lease is not None:
             self.connection.leases[operator] = lease
         return self.connection.command(verb, operator, value, **options)
@@ -162,39 +134,15 @@ class Rig:
         """Give the lease back."""
         return self.connection.return_lease(operator)
 
-    # -- sources, for plain and asynchronous streams --------------------------------------------------------
-    def sample_source(self, depth: int) -> SampleSource:
-        """Source of samples for a stream."""
-        keys = self.connection.keys
-        return SampleSource(BlockSource(self._mailbox(keys.fast, depth), keys.fast), self._layout, keys.schema)
-
-    def event_source(self, *, past: bool = False) -> EventSource:
-        """Source of events for a stream."""
-        keys = self.connection.keys
-        return EventSource(self._mailbox(keys.event("*"), _EVENTS), keys, past=past)
-
-    def message_source(self, key: str) -> Source[Message]:
-        """Source of states or configurations for a stream."""
-        return MessageSource(self._mailbox(key, _STATES), shape_of(self.connection.keys, key))
-
-    def _mailbox(self, key: str, depth: int) -> Mailbox:
-        mailbox = Mailbox(self.connection.session, key, depth, self.connection.refusals, LONGEST_BLOCK)
-        self._open = [*(one for one in self._open if not one.closed), mailbox]
-        return mailbox
-
     def close(self) -> None:
         """End every stream and the session."""
-        for mailbox in self._open:
-            mailbox.close()
         self._liveliness.close()
         self.connection.close()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
 
@@ -226,7 +174,7 @@ def connect(endpoint: str | None = None, rig: str | None = None, *, timeout_s: f
         except NoDaemonError:
             if time.monotonic() >= until:
                 raise
-        time.sleep(_AGAIN_S)
+        time.sleep(AGAIN_S)
     try:
         return Rig(connection)
     except Exception:

@@ -4,32 +4,30 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Mapping
-from typing import Any
+import functools
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
-import numpy.typing as npt
-
-from rigctl.client.connection import Client
-from rigctl.client.decoding import Field
-from rigctl.client.fast import DEPTH_BLOCKS
-from rigctl.client.ordering import Count
+from rigctl.client.block_order import DEPTH_BLOCKS
+from rigctl.client.decoding import SampleField
 from rigctl.client.rig import Rig, connect, fits
-from rigctl.client.samples import SampleSource
 from rigctl.client.shapes import Message
-from rigctl.client.stream_async import AsyncStream
+from rigctl.client.stream_async import AsyncSamples, AsyncStream
+
+_Given = ParamSpec("_Given")
+_Answer = TypeVar("_Answer")
 
 
-class AsyncSamples(AsyncStream[npt.NDArray[Any]]):
-    """The fast stream, as `rigctl.client.rig.Samples`."""
+def _in_thread(
+    method: Callable[Concatenate[Rig, _Given], _Answer],
+) -> Callable[Concatenate[AsyncRig, _Given], Coroutine[Any, Any, _Answer]]:
+    """A method of `Rig` that waits for the daemon, in a thread of its own."""
 
-    def __init__(self, client: Client, source: SampleSource) -> None:
-        super().__init__(client, source)
-        self._samples = source
+    @functools.wraps(method)
+    async def call(self: AsyncRig, /, *args: _Given.args, **kwargs: _Given.kwargs) -> _Answer:
+        return await asyncio.to_thread(method, self.rig, *args, **kwargs)
 
-    @property
-    def count(self) -> Count:
-        """Records received, lost, recovered so far."""
-        return self._samples.count
+    return call
 
 
 class AsyncRig:
@@ -37,69 +35,59 @@ class AsyncRig:
 
     def __init__(self, rig: Rig) -> None:
         """Take over a rig; must be created in the event loop."""
-        self._rig = rig
-        self._standing = rig.event_source()
-        self._events: AsyncStream[Message] = AsyncStream(rig.connection, self._standing)
+        self.rig = rig
+        self._new_events = AsyncStream(rig.new_events)
 
     @property
     def name(self) -> str:
         """Name of the rig."""
-        return self._rig.name
+        return self.rig.name
 
     @property
-    def fields(self) -> Mapping[str, Field]:
+    def fields(self) -> Mapping[str, SampleField]:
         """Fields of a sample by name."""
-        return self._rig.fields
+        return self.rig.fields
 
     @property
     def refused(self) -> int:
         """Messages refused so far because they did not have the shape of a daemon's."""
-        return self._rig.refused
+        return self.rig.refused
 
     @property
     def alive(self) -> bool:
         """Whether the daemon's gateway is alive."""
-        return self._rig.alive
+        return self.rig.alive
 
     async def wait_alive(self, timeout_s: float | None = None) -> bool:
         """Wait for the daemon; returns whether it is alive within ``timeout_s``."""
         until = None if timeout_s is None else asyncio.get_running_loop().time() + timeout_s
-        while not self._rig.alive:
+        while not self.rig.alive:
             if until is not None and asyncio.get_running_loop().time() >= until:
                 return False
             await asyncio.sleep(0.02)
         return True
 
-    async def state(self) -> Message:
-        """The newest state."""
-        return await asyncio.to_thread(self._rig.state)
-
-    async def config(self) -> Message:
-        """The active configuration."""
-        return await asyncio.to_thread(self._rig.config)
-
-    async def schema(self) -> Message:
-        """The schema of all messages."""
-        return await asyncio.to_thread(self._rig.schema)
+    state = _in_thread(Rig.state)
+    config = _in_thread(Rig.config)
+    schema = _in_thread(Rig.schema)
+    take_lease = _in_thread(Rig.take_lease)
+    return_lease = _in_thread(Rig.return_lease)
 
     def fast(self, depth: int = DEPTH_BLOCKS) -> AsyncSamples:
         """Every tick from now on."""
-        return AsyncSamples(self._rig.connection, self._rig.sample_source(depth))
+        return AsyncSamples(self.rig.fast(depth))
 
     def states(self) -> AsyncStream[Message]:
         """States from now on; a slow reader misses the oldest."""
-        return self._follow(self._rig.connection.keys.state)
+        return AsyncStream(self.rig.states())
 
     def configs(self) -> AsyncStream[Message]:
         """Active configurations from now on, one at every change."""
-        return self._follow(self._rig.connection.keys.active)
-
-    def _follow(self, key: str) -> AsyncStream[Message]:
-        return AsyncStream(self._rig.connection, self._rig.message_source(key))
+        return AsyncStream(self.rig.configs())
 
     def events(self, *, past: bool = False) -> AsyncStream[Message]:
         """Events from now on, or from the oldest held (``past``); each once, also across a restart."""
-        return AsyncStream(self._rig.connection, self._rig.event_source(past=past))
+        return AsyncStream(self.rig.events(past=past))
 
     async def wait_event(
         self,
@@ -111,7 +99,7 @@ class AsyncRig:
         """The first such event since the last command given here, or since connecting; None after ``timeout_s``."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(timeout_s):
-                async for event in self._events:
+                async for event in self._new_events:
                     if fits(event, kind, severity, where):
                         return event
         return None
@@ -120,16 +108,8 @@ class AsyncRig:
         self, verb: str, value: float | None = None, *, operator: str, lease: str | None = None, **options: bool | str
     ) -> Message:
         """Give a command; a cancelled one may still be carried out."""
-        self._standing.restart()
-        return await asyncio.to_thread(self._rig.command, verb, value, operator=operator, lease=lease, **options)
-
-    async def take_lease(self, operator: str, reason: str = "") -> Message:
-        """Take or renew the lease."""
-        return await asyncio.to_thread(self._rig.take_lease, operator, reason)
-
-    async def return_lease(self, operator: str) -> Message:
-        """Give the lease back."""
-        return await asyncio.to_thread(self._rig.return_lease, operator)
+        await self._new_events.forget()
+        return await asyncio.to_thread(self.rig.command, verb, value, operator=operator, lease=lease, **options)
 
 
 @contextlib.asynccontextmanager

@@ -1,4 +1,4 @@
-"""The fast stream as numpy structured arrays, decoded by the schema the daemon serves."""
+"""The fast stream: as numpy structured arrays, decoded by the schema the daemon serves, or as undecoded blocks."""
 
 from __future__ import annotations
 
@@ -6,29 +6,48 @@ from typing import Any
 
 import numpy.typing as npt
 
-from rigctl.client.decoding import Layout, layout_of, usable_schema
-from rigctl.client.ordering import BlockSource, Count
-from rigctl.client.source import Question
+from rigctl.client.block_order import BlockSource, Count
+from rigctl.client.decoding import SampleLayout, layout_of, usable_schema
+from rigctl.client.stream import Query, Stream
+from rigctl.client.stream_source import Question
 from rigctl.wire.block import Block
+
+
+class Blocks(Stream[Block]):
+    """The fast stream in undecoded blocks, for programs that count or pass them on: each record once and in order."""
+
+    def __init__(self, query: Query, source: BlockSource) -> None:
+        super().__init__(query, source)
+        self.count: Count = source.count
+        """Records received, lost, recovered so far."""
+
+
+class Samples(Stream[npt.NDArray[Any]]):
+    """The fast stream: numpy structured arrays of shape ``(count,)``, each record once and in order.
+
+    Its names, units and meanings are in ``rig.fields``; ``seq`` counts the records without a gap, ``t_ns`` is
+    CLOCK_MONOTONIC of the rig's computer. After an interruption the missed records are queried again; those that the
+    ring no longer holds are in ``count.lost``.
+    """
+
+    def __init__(self, query: Query, blocks: BlockSource, layout: SampleLayout, schema_key: str) -> None:
+        super().__init__(query, SampleSource(blocks, layout, schema_key))
+        self.count: Count = blocks.count
+        """Records received, lost, recovered so far."""
 
 
 class SampleSource:
     """Every record once, in order. A restarted daemon may be another version, so its schema is queried again."""
 
-    def __init__(self, blocks: BlockSource, layout: Layout, schema_key: str) -> None:
+    def __init__(self, blocks: BlockSource, layout: SampleLayout, schema_key: str) -> None:
         self.mailbox = blocks.mailbox
         self.layout = layout
         self._blocks, self._schema_key = blocks, schema_key
         self._stream: int | None = None
         self._undecoded: Block | None = None  # waits for its schema
 
-    @property
-    def count(self) -> Count:
-        """Figures so far."""
-        return self._blocks.count
-
     def poll(self) -> npt.NDArray[Any] | Question | None:
-        """See `rigctl.client.source.Source`.
+        """See `rigctl.client.stream_source.StreamSource`.
 
         Raises:
             SchemaError: the daemon was replaced by one whose schema this client does not know.
@@ -45,7 +64,7 @@ class SampleSource:
         return self.layout.decode(found)
 
     def answer(self, payload: bytes | None) -> None:
-        """See `rigctl.client.source.Source`."""
+        """See `rigctl.client.stream_source.StreamSource`."""
         if self._undecoded is None:
             self._blocks.answer(payload)
         elif payload is not None:

@@ -69,7 +69,7 @@ class _Calibration(msgspec.Struct):
     waiver: Line | None = None
 
 
-class _Lease(msgspec.Struct):
+class _LeaseShown(msgspec.Struct):
     holder: Line
     held_s: Seconds
     left_s: Bounded
@@ -81,12 +81,12 @@ class _Preflight(msgspec.Struct):
     waived: dict[str, Line] = {}
 
 
-class _Audit(msgspec.Struct):
+class _AuditStatus(msgspec.Struct):
     entries: Count | None = None
     failures: Count | None = None
 
 
-class _Recording(msgspec.Struct):
+class _RecordingStatus(msgspec.Struct):
     file: Line | None = None
     records_lost: Count | None = None
 
@@ -129,10 +129,10 @@ class _AnyState(msgspec.Struct):
     age_ms: Bounded | None
     rig: Line = ""
     calibration: _Calibration | None = None
-    lease: _Lease | None = None
+    lease: _LeaseShown | None = None
     preflight: _Preflight | None = None
-    audit: _Audit | None = None
-    recording: _Recording | None = None
+    audit: _AuditStatus | None = None
+    recording: _RecordingStatus | None = None
     trip_dump: Line | None = None
     design: Line | None = None
     gateway_wall_ns: Time = 0
@@ -231,7 +231,7 @@ class _Settings(msgspec.Struct):
     limits: Annotated[list[_Limit], Meta(max_length=256)] | None = None
 
 
-class _Active(msgspec.Struct):
+class _ActiveMessage(msgspec.Struct):
     settings: _Settings | None = None
     version: Line = ""
 
@@ -248,7 +248,7 @@ class _Answer(msgspec.Struct, kw_only=True):
     t_ns: Time = 0
     value: Real | None = None
     entry: dict[str, Any] = {}
-    lease: _Lease | None = None
+    lease: _LeaseShown | None = None
 
 
 class _Refusal(_Answer):
@@ -319,7 +319,7 @@ def past_events(payload: bytes) -> list[Message]:
 
 def active(payload: bytes) -> Message:
     """The active configuration."""
-    return _of(_checked(payload, LONGEST_DOCUMENT), _Active)  # type: ignore[no-any-return]
+    return _of(_checked(payload, LONGEST_DOCUMENT), _ActiveMessage)  # type: ignore[no-any-return]
 
 
 def document(payload: bytes) -> Message:

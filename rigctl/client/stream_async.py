@@ -4,58 +4,61 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from types import TracebackType
-from typing import Generic, Self, TypeVar
+from typing import Any, Generic, Self
 
-from rigctl.client.connection import Client
-from rigctl.client.enquiry import AGAIN_S, Enquiry
-from rigctl.client.source import Question, Source
+import numpy.typing as npt
 
-Item = TypeVar("Item")
+from rigctl.client.samples import Samples
+from rigctl.client.stream import AGAIN_S, Item, Stream
 
 
 class AsyncStream(Generic[Item]):
-    """Items in order, for one task. A cancelled step (``asyncio.timeout``) loses nothing: the next step continues.
+    """A `rigctl.client.stream.Stream` for one task. A cancelled step (``asyncio.timeout``) loses nothing.
 
-    Zenoh's thread wakes the event loop at an arrival; queries run in a thread of their own.
+    Zenoh's thread wakes the event loop at an arrival; items are taken, and missed ones queried, in another thread.
     """
 
-    def __init__(self, client: Client, source: Source[Item]) -> None:
+    def __init__(self, stream: Stream[Item]) -> None:
         """Must be created in the event loop that will iterate."""
-        self._enquiry, self._source = Enquiry(client), source
+        self._stream = stream
         self._loop = asyncio.get_running_loop()
-        self._come = asyncio.Event()
-        self._asking: asyncio.Future[bool] | None = None  # continues when the step that began it is cancelled
-        source.mailbox.on_arrival(self._wake)
+        self._arrived = asyncio.Event()
+        self._taking: asyncio.Future[Item | None] | None = None  # continues when the step that began it is cancelled
+        stream.on_arrival(self._wake)
 
     def _wake(self) -> None:
         with contextlib.suppress(RuntimeError):  # the event loop has ended
-            self._loop.call_soon_threadsafe(self._come.set)
+            self._loop.call_soon_threadsafe(self._arrived.set)
+
+    async def take(self) -> Item | None:
+        """The next item that has arrived, or that a cancelled step took, or None."""
+        if self._taking is None:
+            self._arrived.clear()
+            self._taking = self._loop.run_in_executor(None, self._stream.take)
+        found = await asyncio.shield(self._taking)
+        self._taking = None
+        return found
+
+    async def forget(self) -> None:
+        """Let a cancelled step end, and drop the item it took."""
+        if (taking := self._taking) is not None:
+            await asyncio.wait([taking])
+            if self._taking is taking:
+                self._taking = None
 
     async def read(self) -> Item | None:
         """The next item; None once closed."""
-        mailbox = self._source.mailbox
-        await asyncio.sleep(0)  # lets other tasks run even while many items wait
-        while not mailbox.closed:
-            if self._asking is not None:
-                settled = await asyncio.shield(self._asking)
-                self._asking = None
-                if not settled:
-                    await asyncio.sleep(AGAIN_S)
-                continue
-            self._come.clear()
-            found = self._source.poll()
-            if isinstance(found, Question):
-                self._asking = self._loop.run_in_executor(None, self._enquiry.settle, self._source, found)
-            elif found is not None:
+        while not self._stream.closed:
+            if (found := await self.take()) is not None:
                 return found
-            elif not mailbox.closed:
-                await self._come.wait()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(AGAIN_S if self._stream.unanswered else None):
+                    await self._arrived.wait()
         return None
 
     def close(self) -> None:
         """End the subscription and an iteration that waits."""
-        self._source.mailbox.close()
+        self._stream.close()
 
     def __aiter__(self) -> Self:
         return self
@@ -69,7 +72,13 @@ class AsyncStream(Generic[Item]):
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_error: object) -> None:
         self.close()
+
+
+class AsyncSamples(AsyncStream[npt.NDArray[Any]]):
+    """The fast stream, as `rigctl.client.samples.Samples`."""
+
+    def __init__(self, samples: Samples) -> None:
+        super().__init__(samples)
+        self.count = samples.count

@@ -78,7 +78,7 @@ class LiveStage:
         if state is None and self._moment is not None and time.monotonic_ns() - self._fresh_ns < STATE_LIMIT_S * 1e9:
             return self._moment
         if state is None:
-            state = self._states.wait(STATE_LIMIT_S)
+            state = self._states.read(STATE_LIMIT_S)
         if state is None:
             raise DemoError(f"no state from the daemon for {STATE_LIMIT_S:.0f} s")
         self._fresh_ns = time.monotonic_ns()

@@ -14,7 +14,7 @@ CONTROL = "control.json"
 _FILES = {ACTIVE: None, CONTROL: "control", IN_FORCE: "calibration"}  # file: its key in the message, None: top level
 
 
-class Written:
+class ReplacedFile:
     """A file of the runtime folder that another process or thread replaces; read again only after a replacement."""
 
     def __init__(self, runtime: Runtime, name: str) -> None:
@@ -22,7 +22,7 @@ class Written:
         self._mark: tuple[int, int] | None = None
         self.value: dict[str, Any] = {}
 
-    def look(self) -> bool:
+    def read(self) -> bool:
         """Read the file if it was replaced; returns whether its value changed. An unreadable file counts as empty."""
         try:
             found = (self._runtime.directory / self._name).stat()
@@ -36,29 +36,29 @@ class Written:
         return changed
 
 
-class Active:
+class ActiveConfiguration:
     """The message ``cfg/active``; may be used from any thread."""
 
     def __init__(self, runtime: Runtime) -> None:
-        self._files = {name: Written(runtime, name) for name in _FILES}
-        self._looking = threading.Lock()
+        self._files = {name: ReplacedFile(runtime, name) for name in _FILES}
+        self._reading = threading.Lock()
         self._payload = b"{}"
-        self.look()
+        self.read()
 
     @property
     def written(self) -> dict[str, Any]:
-        """Settings and the design in use, as supervisor and calibration service wrote them, at the last `look`."""
+        """Settings and the design in use, as supervisor and calibration service wrote them, at the last `read`."""
         return self._files[ACTIVE].value
 
     @property
     def control(self) -> dict[str, Any]:
-        """What the control process read back from the devices, at the last `look`."""
+        """What the control process read back from the devices, at the last `read`."""
         return self._files[CONTROL].value
 
-    def look(self) -> bytes:
+    def read(self) -> bytes:
         """The current message; the same object while nothing has changed."""
-        with self._looking:
-            changed = [file.look() for file in self._files.values()]
+        with self._reading:
+            changed = [file.read() for file in self._files.values()]
             if any(changed):
                 whole: dict[str, Any] = {}
                 for name, key in _FILES.items():

@@ -39,7 +39,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Finding:
+class CalibrationFinding:
     """``good`` False: the finding is put on record, but the operator's command has failed."""
 
     entry: Entry
@@ -64,7 +64,7 @@ def impossible(settings: RigSettings, request: Request) -> str | None:
     return None
 
 
-def tare(settings: RigSettings, request: Request, now: Standing, measured: Measured) -> Finding:
+def tare(settings: RigSettings, request: Request, now: Standing, measured: Measured) -> CalibrationFinding:
     """The mean reading becomes the cell's zero."""
     after = replace(now, zero_n=round(measured.mean_n, 6))
     written = entry(
@@ -72,10 +72,10 @@ def tare(settings: RigSettings, request: Request, now: Standing, measured: Measu
         before=_pair(now), after=_pair(after), figures={"mean_n": measured.mean_n, "rms_n": measured.rms_n},
     )  # fmt: skip
     text = f"zero {now.zero_n:+z.3f} -> {after.zero_n:+z.3f} N (rms {measured.rms_n:.3f} N)"
-    return Finding(written, text, order=SettingOrder(Setting.ZERO, (after.zero_n,)))
+    return CalibrationFinding(written, text, order=SettingOrder(Setting.ZERO, (after.zero_n,)))
 
 
-def calibrate(settings: RigSettings, request: Request, now: Standing, measured: Measured) -> Finding:
+def calibrate(settings: RigSettings, request: Request, now: Standing, measured: Measured) -> CalibrationFinding:
     """Compare the corrected reading with its reference; with ``adopt`` find the scale that makes them agree.
 
     Raises:
@@ -110,13 +110,13 @@ def calibrate(settings: RigSettings, request: Request, now: Standing, measured: 
     found = f"read {reading_n:z.2f} N, reference {reference_n:g} N: {deviation_pct:+.3f} %"
     if request.adopt:
         found += f", scale {now.scale:.5f} -> {scale:.5f}"
-        return Finding(written, found, order=SettingOrder(Setting.SCALE, (scale, 0.0)))
+        return CalibrationFinding(written, found, order=SettingOrder(Setting.SCALE, (scale, 0.0)))
     found += f", {'within' if passed else 'NOT within'} {section.tolerance_pct:g} %"
     blocked = not passed and section.waiver is None
-    return Finding(written, found, good=passed, order=SettingOrder(Setting.OVERDUE, (float(blocked),)))
+    return CalibrationFinding(written, found, good=passed, order=SettingOrder(Setting.OVERDUE, (float(blocked),)))
 
 
-def identify(settings: RigSettings, request: Request, records: npt.NDArray[Any], wall_ns: int) -> Finding:
+def identify(settings: RigSettings, request: Request, records: npt.NDArray[Any], wall_ns: int) -> CalibrationFinding:
     """Plant parameters from the records of the excitation; changes nothing.
 
     Raises:
@@ -131,12 +131,12 @@ def identify(settings: RigSettings, request: Request, records: npt.NDArray[Any],
         before={row["key"]: row["before"] for row in found}, after={row["key"]: row["found"] for row in found},
         figures={"rows": found, "applied": False, "tension_n": float(records["tension_n"].mean())},
     )  # fmt: skip
-    return Finding(written, proposal.in_words(found))
+    return CalibrationFinding(written, proposal.in_words(found))
 
 
 def gains(
     settings: RigSettings, request: Request, before: dict[str, Any], after: dict[str, Any], wall_ns: int
-) -> Finding:
+) -> CalibrationFinding:
     """A change of gains: ``before`` is the design in force, ``after`` the admitted one, both as in ``active.json``."""
     old, new = before["gains"], after["gains"]
     written = entry(
@@ -145,7 +145,7 @@ def gains(
     )  # fmt: skip
     changed = ", ".join(f"{name} {old[name]:.4g} -> {new[name]:.4g}" for name in new)
     order = SettingOrder(Setting.LAW_GAINS, Gains(**new).in_order)
-    return Finding(written, f"{changed}; {after['verdict']}", order=order)
+    return CalibrationFinding(written, f"{changed}; {after['verdict']}", order=order)
 
 
 def withdrawn(settings: RigSettings, given: Entry, wall_ns: int) -> Entry:

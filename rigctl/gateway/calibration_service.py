@@ -22,7 +22,7 @@ from rigctl.control.modes import Setting, SettingOrder, Verb
 from rigctl.design.admission import NotAdmittedError, admit
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway import left_over
-from rigctl.gateway.calibration_findings import Finding, FindingError, Measured
+from rigctl.gateway.calibration_findings import CalibrationFinding, FindingError, Measured
 from rigctl.gateway.left_over import LeftOver
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import IN_FORCE, Entry, LedgerError, Standing, in_force
@@ -30,7 +30,7 @@ from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.wire.command_request import Request
 
-LOOK_NS = 500_000_000  # between two readings of the standing in force
+READ_NS = 500_000_000  # between two readings of the standing in force
 SETTLE_NS = 2_000_000_000  # a setting the loop has not taken by then it will never take
 
 
@@ -38,7 +38,7 @@ SETTLE_NS = 2_000_000_000  # a setting the loop has not taken by then it will ne
 class Filed:
     """A finding on record with the standing that follows from it, or the reason why there is none."""
 
-    finding: Finding | None = None
+    finding: CalibrationFinding | None = None
     standing: Standing | None = None
     reason: str = ""
     text: str = ""
@@ -53,8 +53,8 @@ class CalibrationService:
         self._work: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._serve, name="calibration", daemon=True)
         self._showing = threading.Lock()
-        self._look_ns = self._settle_ns = 0
-        self._seen_ledger = self._overdue_changed = False
+        self._read_ns = self._settle_ns = 0
+        self._ledger_compared = self._overdue_changed = False
         self._left_over: LeftOver | None = None
         self.standing = in_force(runtime)
         self._thread.start()
@@ -89,31 +89,31 @@ class CalibrationService:
     def unanswered(self, filed: Filed) -> None:
         """The loop gave no answer: compare the ledger with the correction in its events, see `left_over`."""
         if filed.standing is not None:
-            self._seen_ledger = False
+            self._ledger_compared = False
 
-    def news(self, now_ns: int, wall_ns: int) -> Sequence[SettingOrder]:
+    def settings_due(self, now_ns: int, wall_ns: int) -> Sequence[SettingOrder]:
         """Settings for the loop that follow from the ledger and its due date; computed twice a second."""
-        if now_ns < self._look_ns:
+        if now_ns < self._read_ns:
             return ()
-        self._look_ns = now_ns + LOOK_NS
+        self._read_ns = now_ns + READ_NS
         self.standing = in_force(self._runtime, self.standing)
-        orders = [*self._bring_together(now_ns, wall_ns)]
+        due = [*self._bring_together(now_ns, wall_ns)]
         passed = self.standing.due is not None and self.standing.due <= ledger.utc(wall_ns)
         if passed and not self.standing.overdue:
             self._show(replace(self.standing, overdue=True))
             self._overdue_changed = True
         if self._overdue_changed:
             self._overdue_changed = False
-            orders.append(SettingOrder(Setting.OVERDUE, (float(self.standing.correction.overdue),)))
-        return orders
+            due.append(SettingOrder(Setting.OVERDUE, (float(self.standing.correction.overdue),)))
+        return due
 
     def _bring_together(self, now_ns: int, wall_ns: int) -> Sequence[SettingOrder]:
         """Compare ledger and loop once after a start and after every missing answer; settings that make them agree."""
         if self._left_over is not None:
             return self._settle(self._left_over, now_ns)
-        if self._seen_ledger:
+        if self._ledger_compared:
             return ()
-        self._seen_ledger = True
+        self._ledger_compared = True
         try:
             entries, has = ledger.read(self._settings), left_over.loop_has(self._runtime)
         except (LedgerError, RingError, OSError) as error:

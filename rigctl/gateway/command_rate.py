@@ -13,7 +13,7 @@ from dataclasses import dataclass
 PER_OPERATOR_HZ, PER_OPERATOR_BURST = 50, 200  # a program that follows a target at 50 Hz is not refused
 ALL_HZ, ALL_BURST = 100, 400
 NAMES_MAX = 256  # names with a bucket; beyond that, the name whose last command is oldest is forgotten
-TOLD_NS = 10_000_000_000  # between two reports of refused commands
+REPORT_NS = 10_000_000_000  # between two reports of refused commands
 _OTHERS = "others"
 
 
@@ -34,7 +34,7 @@ class Bucket:
 
 
 @dataclass(frozen=True)
-class Crowd:
+class RefusedCommands:
     """Commands of one name that were refused since the last report."""
 
     operator: str
@@ -79,11 +79,11 @@ class Flow:
 
     def due(self, now_ns: int) -> bool:
         """Whether there are refusals to report."""
-        return bool(self._refused) and now_ns - self._since_ns >= TOLD_NS
+        return bool(self._refused) and now_ns - self._since_ns >= REPORT_NS
 
-    def told(self) -> list[Crowd]:
+    def report(self) -> list[RefusedCommands]:
         """The refusals since the last report, by name, most first; starts the counts again at 0."""
         with self._lock:
-            found = [Crowd(name, count, self._since_ns) for name, count in self._refused.items()]
+            found = [RefusedCommands(name, count, self._since_ns) for name, count in self._refused.items()]
             self._refused = {}
-        return sorted(found, key=lambda crowd: -crowd.count)
+        return sorted(found, key=lambda one: -one.count)

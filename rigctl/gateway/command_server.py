@@ -12,6 +12,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -48,65 +49,30 @@ _HOLD_SPACING_NS = 20_000_000  # between two HOLDs for the loop; those that arri
 
 
 @dataclass(frozen=True)
-class Pending:
-    """A command the loop has not answered yet."""
+class GivenCommand:
+    """A command of an operator, and the query to be answered."""
 
     query: zenoh.Query
     request: Request
-    until_ns: int
-    recorded: Recorded | None = None  # a finding on record that the loop has yet to take
-    sharing: tuple[ReceivedCommand, ...] = ()  # HOLDs that arrived with it and get the same answer
-
-
-@dataclass(frozen=True)
-class ReceivedCommand:
-    """A command that has arrived."""
-
-    query: zenoh.Query
-    request: Request
-
-
-@dataclass(frozen=True)
-class ReceivedLease:
-    """A request to take or return the lease."""
-
-    query: zenoh.Query
-    request: LeaseRequest
-
-
-@dataclass(frozen=True)
-class HoldWaits:
-    """Wakes the server's thread: a HOLD waits in its own queue."""
-
-
-@dataclass(frozen=True)
-class RateReportDue:
-    """Commands were refused because there were too many, and a report of it is due."""
-
-
-@dataclass(frozen=True)
-class LeaseExpired:
-    """The lease has expired; the server's thread checks this again before it ends the lease."""
 
 
 @dataclass(frozen=True)
 class Recorded:
     """The calibration service's result for a trial; ``message`` is the loop's answer to that trial."""
 
-    query: zenoh.Query
-    request: Request
+    given: GivenCommand
     message: dict[str, Any]
     filed: Filed
 
 
 @dataclass(frozen=True)
-class Refused:
-    """A query that was refused and has been answered; it has yet to be put on record."""
+class Pending:
+    """A command the loop has not answered yet."""
 
-    message: dict[str, Any]
-
-
-_Work = ReceivedCommand | HoldWaits | RateReportDue | ReceivedLease | LeaseExpired | Recorded | Refused | SettingOrder
+    given: GivenCommand
+    until_ns: int
+    recorded: Recorded | None = None  # a finding on record that the loop has yet to take
+    sharing: tuple[GivenCommand, ...] = ()  # HOLDs that arrived with it and get the same answer
 
 
 def send_answer(query: zenoh.Query, key: str, message: dict[str, Any]) -> None:
@@ -129,7 +95,7 @@ def _payload_of(query: zenoh.Query) -> bytes | None:
     return bytes(query.payload)
 
 
-def _by_operator(holds: list[ReceivedCommand]) -> list[Request]:
+def _by_operator(holds: list[GivenCommand]) -> list[Request]:
     """One request of each operator, for the record: of at most ``_NAMES_ON_RECORD``, though all are answered."""
     return list({one.request.operator: one.request for one in holds}.values())[:_NAMES_ON_RECORD]
 
@@ -159,10 +125,10 @@ class CommandServer:
         self._calibration, self._leases = calibration, leases
         self._keys, self._commands, self._replies = keys, commands, replies
         self._newest_record, self._limits_n = newest, limits_n
-        self._work: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
-        self._holds: deque[ReceivedCommand] = deque()  # served before all others
+        self._work: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()  # None ends the thread
+        self._holds: deque[GivenCommand] = deque()  # served before all others
         self._hold_ns = 0  # earliest time of the next HOLD for the loop
-        self._flow = Flow(time.monotonic_ns())
+        self._rate = Flow(time.monotonic_ns())
         self._pending: dict[int, Pending] = {}
         self._last_id = 0
         self._thread = threading.Thread(target=self._serve, name="commands", daemon=True)
@@ -172,16 +138,16 @@ class CommandServer:
         self._thread.start()
         session.declare_queryable(self._keys.command("*"), self._take)
 
-    def send(self, order: SettingOrder) -> None:
+    def give_setting(self, order: SettingOrder) -> None:
         """Send the loop a setting that no operator gives."""
-        self._work.put(order)
+        self._work.put(lambda: self._write(order.setting, *order.values))
 
-    def look_at_lease(self, now_ns: int) -> None:
-        """Have an expired lease ended and refused commands reported, also while no command arrives."""
+    def check_lease_and_rate(self, now_ns: int) -> None:
+        """Have a lapsed lease ended and refused commands reported, also while no command arrives."""
         if self._leases.has_lapsed(now_ns):
-            self._work.put(LeaseExpired())
-        if self._flow.due(now_ns):
-            self._work.put(RateReportDue())
+            self._work.put(lambda: self._leases.expire(time.monotonic_ns()))
+        if self._rate.due(now_ns):
+            self._work.put(lambda: self._leases.note_refused(self._rate.report(), time.monotonic_ns()))
 
     def close(self) -> None:
         """End the thread; nothing is answered after it."""
@@ -192,35 +158,34 @@ class CommandServer:
         """Check, limit and queue, in Zenoh's thread: nothing here may wait. Commands over the limit go on no record."""
         key = str(query.key_expr)
         name = key.rsplit("/", 1)[-1]
-        received: ReceivedCommand | ReceivedLease | Refused
+        request: Request | LeaseRequest | None = None
+        refusal: dict[str, Any] | None = None
         try:
             if key != self._keys.command(name):
                 raise RequestError(f"found the key {on_one_line(key)}, expected one rig and one command")
             payload = _payload_of(query)
-            if (act := ACTS.get(name)) is not None:
-                received = ReceivedLease(query, parse_lease(act, payload))
-            else:
-                received = ReceivedCommand(query, parse(verb_of(name), payload))
-                wanted = received.request
-                if wanted.verb is Verb.HOLD and (
-                    elsewhere := self._meant_for_another(wanted.run_id, "hold", wanted.operator)
-                ):
-                    received = Refused(elsewhere)
+            request = parse_lease(ACTS[name], payload) if name in ACTS else parse(verb_of(name), payload)
         except RequestError as error:
-            received = Refused(refused(on_one_line(name), "", "bad_request", str(error)))
-        if isinstance(received, ReceivedCommand) and received.request.verb is Verb.HOLD:
-            self._holds.append(received)
-            self._work.put(HoldWaits())
-            return
-        request = None if isinstance(received, Refused) else received.request
-        operator, now = request.operator if request is not None else "", time.monotonic_ns()
+            refusal = refused(on_one_line(name), "", "bad_request", str(error))
+        if isinstance(request, Request) and request.verb is Verb.HOLD:
+            refusal = self._meant_for_another(request)
+            if refusal is None:
+                self._holds.append(GivenCommand(query, request))
+                self._work.put(lambda: None)  # wakes the thread, which serves HOLDs first
+                return
+            request = None
+        now = time.monotonic_ns()
+        operator = request.operator if request is not None else ""
         holder = request is not None and self._leases.is_holder(operator, request.lease, now)
-        if why := self._flow.admit(operator, now, holder=holder):
+        if why := self._rate.admit(operator, now, holder=holder):
             send_answer(query, key, refused(on_one_line(name), operator, "too_many", why))
-            return
-        if isinstance(received, Refused):
-            send_answer(query, key, received.message)
-        self._work.put(received)
+        elif refusal is not None:
+            send_answer(query, key, refusal)
+            self._work.put(partial(self._record_refusal, refusal))
+        elif isinstance(request, LeaseRequest):
+            self._work.put(partial(self._decide_lease, query, request))
+        elif request is not None:
+            self._work.put(partial(self._give, GivenCommand(query, request)))
 
     def _serve(self) -> None:
         while True:
@@ -229,39 +194,24 @@ class CommandServer:
                 if work is None:
                     return
                 self._give_holds(time.monotonic_ns())
-                self._do(work)
+                work()
             self._give_holds(time.monotonic_ns())
             self._collect(time.monotonic_ns())
 
-    def _do(self, work: _Work) -> None:
-        match work:
-            case RateReportDue():
-                self._leases.note_crowd(self._flow.told(), time.monotonic_ns())
-            case ReceivedCommand(query, request):
-                if message := self._meant_for_another(request.run_id, request.verb.name.lower(), request.operator):
-                    self._answer(query, request, message)
-                    return
-                self._give(query, request)
-            case ReceivedLease(query, wanted):
-                message = self._meant_for_another(wanted.run_id, wanted.act.value, wanted.operator)
-                message = message or self._leases.decide(wanted, time.monotonic_ns())
-                send_answer(query, self._keys.command(wanted.act.value), message)
-                self._log.answered(time.monotonic_ns(), 0, self._holder(), message)
-            case Refused(message):
-                self._log.answered(time.monotonic_ns(), 0, self._holder(), message)
-            case LeaseExpired():
-                self._leases.expire(time.monotonic_ns())
-            case Recorded():
-                self._put_in_force(work)
-            case SettingOrder(setting, values):
-                self._write(setting, *values)
+    def _record_refusal(self, message: dict[str, Any]) -> None:
+        self._log.answered(time.monotonic_ns(), 0, self._holder(), message)
 
-    def _meant_for_another(self, run_id: str, name: str, operator: str) -> dict[str, Any] | None:
+    def _decide_lease(self, query: zenoh.Query, request: LeaseRequest) -> None:
+        message = self._meant_for_another(request) or self._leases.decide(request, time.monotonic_ns())
+        send_answer(query, self._keys.command(request.command), message)
+        self._record_refusal(message)
+
+    def _meant_for_another(self, request: Request | LeaseRequest) -> dict[str, Any] | None:
         """The refusal of a command that names another daemon's run; None if it is meant for this one or for any."""
-        if not run_id or run_id == self._run_id:
+        if request.run_id in ("", self._run_id):
             return None
         text = f"found the run id of another daemon, expected {self._run_id}; nothing was done here"
-        return refused(name, operator, "other_run", text)
+        return refused(request.command, request.operator, "other_run", text)
 
     def _write(self, code: Verb | Setting, *values: float) -> int:
         """Write a command for the loop; returns its id, which no earlier command of any gateway has."""
@@ -270,119 +220,120 @@ class CommandServer:
         self._commands.write(*command_slot(now, self._last_id, code, *values))
         return self._last_id
 
-    def _give(self, query: zenoh.Query, request: Request) -> None:
+    def _give(self, given: GivenCommand) -> None:
+        request, now = given.request, time.monotonic_ns()
+        if (elsewhere := self._meant_for_another(request)) is not None:
+            self._answer(given, elsewhere)
+            return
         if len(self._pending) >= _PENDING_MAX:
-            self._answer(query, request, silent(request.verb.name.lower(), request.operator))
+            self._answer(given, silent(request.command, request.operator))
             return
         if (why := self._calibration.impossible(request)) is not None:
-            self._answer(query, request, refused(request.verb.name.lower(), request.operator, "not_possible", why))
+            self._answer(given, refused(request.command, request.operator, "not_possible", why))
             return
-        now = time.monotonic_ns()
         admitted = self._leases.admit(request, now)
         if not isinstance(admitted, Request):
-            self._answer(query, request, admitted)
+            self._answer(given, admitted)
             return
-        request = admitted
-        until_ns = now + WAIT_NS.get(request.verb, ANSWER_NS)
         if request.verb is Verb.ARM:  # the preflight must not use host checks of an earlier time
             self._write(Setting.HOST_CHECKS, float(self._preflight.verdict(now).host_checks))
         number = self._write(request.verb, request.number)
-        self._pending[number] = Pending(query, request, until_ns)
-        name = request.verb.name.lower()
-        self._log.given(now, number, name, request.operator, self._holder(), request.number)
+        self._pending[number] = Pending(GivenCommand(given.query, admitted), now + WAIT_NS.get(request.verb, ANSWER_NS))
+        self._log.given(now, number, request.command, request.operator, self._holder(), request.number)
 
     def _give_holds(self, now_ns: int) -> None:
         """Send HOLD before all else and from anyone, since it is safe; waiting HOLDs become one, so no flood forms."""
         if not self._holds or now_ns < self._hold_ns:
             return
         self._hold_ns = now_ns + _HOLD_SPACING_NS
-        holds = [self._holds.popleft() for _ in range(len(self._holds))]
+        first, *others = holds = [self._holds.popleft() for _ in range(len(self._holds))]
         number = self._write(Verb.HOLD)
-        first = holds[0]
-        self._pending[number] = Pending(first.query, first.request, now_ns + ANSWER_NS, sharing=tuple(holds[1:]))
+        self._pending[number] = Pending(first, now_ns + ANSWER_NS, sharing=tuple(others))
         for request in _by_operator(holds):
             self._log.given(now_ns, number, "hold", request.operator, self._holder(), request.number)
             self._leases.note_hold(request, now_ns)
 
     def _put_in_force(self, recorded: Recorded) -> None:
         """Send the loop what is on record now; the operator is answered when the loop has taken it."""
-        request, finding = recorded.request, recorded.filed.finding
+        given, filed = recorded.given, recorded.filed
+        request, finding = given.request, filed.finding
         if finding is None:
-            name, filed = request.verb.name.lower(), recorded.filed
-            self._answer(recorded.query, request, refused(name, request.operator, filed.reason, filed.text))
+            self._answer(given, refused(request.command, request.operator, filed.reason, filed.text))
             return
         message = recorded.message
         message |= {"text": f"{request.verb.name}: {finding.text}", "entry": msgspec.to_builtins(finding.entry)}
         message |= {} if finding.good else {"accepted": False, "reason": "bad_result"}
-        if finding.order is None:
-            self._answer(recorded.query, request, message, recorded=recorded)
-            return
-        number = self._write(finding.order.setting, *finding.order.values)
-        until_ns = time.monotonic_ns() + ANSWER_NS
-        self._pending[number] = Pending(recorded.query, request, until_ns, recorded)
+        if finding.order is not None:
+            number = self._write(finding.order.setting, *finding.order.values)
+            self._pending[number] = Pending(given, time.monotonic_ns() + ANSWER_NS, recorded)
+        else:
+            self._answer(given, message, recorded=recorded)
 
     def _collect(self, now_ns: int) -> None:
         for reply in self._replies.read():
-            given = self._pending.pop(int(reply["id"]), None)
-            if given is not None:
-                self._answered(given, reply, int(reply["id"]))
-        for number in [number for number, given in self._pending.items() if self._is_late(given, now_ns)]:
-            given = self._pending.pop(number)
-            if given.recorded is not None:
-                self._calibration.unanswered(given.recorded.filed)
-            name, operator = given.request.verb.name.lower(), given.request.operator
-            self._answer(given.query, given.request, silent(name, operator), number)
-            self._answer_sharing(given, lambda request: silent("hold", request.operator))
+            pending = self._pending.pop(int(reply["id"]), None)
+            if pending is not None:
+                self._pass_on(pending, reply, int(reply["id"]))
+        for number in [number for number, pending in self._pending.items() if self._is_late(pending, now_ns)]:
+            pending = self._pending.pop(number)
+            if pending.recorded is not None:
+                self._calibration.unanswered(pending.recorded.filed)
+            request = pending.given.request
+            self._answer(pending.given, silent(request.command, request.operator), number)
+            self._answer_sharing(pending, lambda request: silent("hold", request.operator))
 
-    def _is_late(self, given: Pending, now_ns: int) -> bool:
+    def _is_late(self, pending: Pending, now_ns: int) -> bool:
         more_ns = 0
-        if given.request.verb is Verb.ARM and now_ns > given.until_ns and self._newest_record().arming:
+        if pending.given.request.verb is Verb.ARM and now_ns > pending.until_ns and self._newest_record().arming:
             more_ns = READ_BACK_NS
-        return now_ns > given.until_ns + more_ns
+        return now_ns > pending.until_ns + more_ns
 
-    def _answered(self, given: Pending, reply: Any, number: int) -> None:
+    def _pass_on(self, pending: Pending, reply: Any, number: int) -> None:
         """Pass the loop's reply to the operator; that of a trial goes to the calibration service first."""
-        query, request = given.query, given.request
+        given, request, recorded = pending.given, pending.given.request, pending.recorded
         try:
             verdict = self._preflight.verdict(time.monotonic_ns())
             message = answer(request, reply, self._newest_record(), self._limits_n, verdict.words, verdict.waived)
         except (ValueError, KeyError) as error:
             text = f"the control loop's answer makes no sense: {error}"
-            message = refused(request.verb.name.lower(), request.operator, "unknown", text)
-        if given.recorded is not None:
+            message = refused(request.command, request.operator, "unknown", text)
+        if recorded is not None:
             if message["accepted"]:
-                self._calibration.put_in_force(given.recorded.filed)
-                message = given.recorded.message
+                self._calibration.put_in_force(recorded.filed)
+                message = recorded.message
             else:
-                self._calibration.withdraw(given.recorded.filed)
+                self._calibration.withdraw(recorded.filed)
                 message["text"] += "; withdrawn from the ledger"
         elif request.verb in FILED and message["accepted"]:
 
-            def recorded(filed: Filed) -> None:
-                self._work.put(Recorded(query, request, message, filed))
+            def done(filed: Filed) -> None:
+                self._work.put(lambda: self._put_in_force(Recorded(given, message, filed)))
 
-            self._calibration.file(request, reply, recorded)
+            self._calibration.file(request, reply, done)
             return
-        self._answer(query, request, message, number, given.recorded)
-        self._answer_sharing(given, lambda request: {**message, "operator": request.operator})
+        self._answer(given, message, number, recorded)
+        self._answer_sharing(pending, lambda request: {**message, "operator": request.operator})
 
-    def _answer_sharing(self, given: Pending, answer_to: Callable[[Request], dict[str, Any]]) -> None:
+    def _answer_sharing(self, pending: Pending, answer_to: Callable[[Request], dict[str, Any]]) -> None:
         """Answer every operator who shares this HOLD; the answer is put on record once."""
-        now = time.monotonic_ns()
-        for query, request in ((hold.query, hold.request) for hold in given.sharing):
-            message = self._leases.with_lease(request.operator, request.lease, answer_to(request), now)
-            send_answer(query, self._keys.command("hold"), message)
+        for given in pending.sharing:
+            self._send(given, answer_to(given.request), time.monotonic_ns())
 
     def _answer(
-        self, query: zenoh.Query, request: Request, message: dict[str, Any], number: int = 0,
-        recorded: Recorded | None = None,
-    ) -> None:  # fmt: skip
+        self, given: GivenCommand, message: dict[str, Any], number: int = 0, recorded: Recorded | None = None
+    ) -> None:
         now = time.monotonic_ns()
-        message = self._leases.with_lease(request.operator, request.lease, message, now)
-        send_answer(query, self._keys.command(request.verb.name.lower()), message)
+        message = self._send(given, message, now)
         finding = recorded.filed.finding if recorded is not None else None
         entry = ledger.entry_digest(finding.entry) if finding is not None else ""
         self._log.answered(now, number, self._holder(), message, entry)
+
+    def _send(self, given: GivenCommand, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
+        """Answer a command with the lease in force; returns the answer."""
+        request = given.request
+        message = self._leases.with_lease(request.operator, request.lease, message, now_ns)
+        send_answer(given.query, self._keys.command(request.command), message)
+        return message
 
     def _holder(self) -> str:
         """The lease holder's name, empty without a lease."""

@@ -24,7 +24,7 @@ from rigctl.control.checks import HOST_CHECKS
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Setting, SettingOrder
 from rigctl.control.realtime import die_with_parent
-from rigctl.gateway.active import Active, Written
+from rigctl.gateway.active import ActiveConfiguration, ReplacedFile
 from rigctl.gateway.calibration_service import CalibrationService
 from rigctl.gateway.command_server import CommandServer
 from rigctl.gateway.lease_service import LeaseService
@@ -41,19 +41,19 @@ from rigctl.wire.schema import schema
 from rigctl.wire.session import SessionError, close, finish, open_client, open_router
 from rigctl.wire.state_message import (
     Causes,
-    Doubts,
+    CheckDetails,
     Recent,
-    Trip,
+    TripEvents,
     design_of,
-    kept_of,
     preflight_of,
+    recorder_of,
     state_of,
     warnings_of,
 )
 
 _JSON = zenoh.Encoding.APPLICATION_JSON
 _DROP = zenoh.CongestionControl.DROP
-_LOOK_NS = 500_000_000  # between two readings of the other processes' files
+_READ_NS = 500_000_000  # between two readings of the other processes' files
 _LINK_S = 1.5  # limit for links to the joined routers; they are up at once unless the computer is busy
 _JOIN_S = 0.5  # for the declarations behind those routers to arrive
 
@@ -61,20 +61,20 @@ _JOIN_S = 0.5  # for the declarations behind those routers to arrive
 class StateView:
     """Makes the state message."""
 
-    def __init__(self, runtime: Runtime, settings: RigSettings, active: Active) -> None:
+    def __init__(self, runtime: Runtime, settings: RigSettings, active: ActiveConfiguration) -> None:
         self._rig, self._active = settings.rig, active
-        self._recorder = Written(runtime, RECORDED)
+        self._recorder = ReplacedFile(runtime, RECORDED)
         self._records, self._events = runtime.records.reader(), runtime.events.reader(from_start=True)
         self._records.cursor = max(0, self._records.head - settings.loop.rate_hz)
-        self._recent, self._trip = Recent(), Trip()
+        self._recent, self._trip = Recent(), TripEvents()
         self._causes = Causes((*safety.table(settings), *limits.rows(settings)))
         self.standing: Mapping[Fault, str] = {}
         """Causes of a fault that stand now, in words, the strongest first."""
-        self.doubts = Doubts(runtime.events.reader(from_start=True))
+        self.check_details = CheckDetails(runtime.events.reader(from_start=True))
         self._warnings: list[str] = []
         self._design: str | None = None
         self._kept: dict[str, Any] = {}
-        self._look_ns = 0
+        self._read_ns = 0
         self._started_wall_ns = time.time_ns()
         self.newest = b"{}"
 
@@ -93,11 +93,11 @@ class StateView:
         events = self._events.read()
         self._trip.note(events)
         self._causes.note(events)
-        if now_ns >= self._look_ns:
-            self._look_ns = now_ns + _LOOK_NS
+        if now_ns >= self._read_ns:
+            self._read_ns = now_ns + _READ_NS
             self._design, of_design = design_of(self._active.written)
-            self._recorder.look()
-            self._kept, of_recorder = kept_of(self._recorder.value, now_ns)
+            self._recorder.read()
+            self._kept, of_recorder = recorder_of(self._recorder.value, now_ns)
             self._warnings = [*of_design, *warnings_of(self._active.control), *of_recorder]
         state = state_of(record, self._trip, self._recent, now_ns, time.time_ns())
         wall_ns = time.time_ns() - now_ns
@@ -114,7 +114,7 @@ class StateView:
             "calibration": standing,
             "lease": lease,
             "preflight": preflight_of(record, verdict.words, verdict.waived),
-            "read_back": self.doubts.read_back,
+            "read_back": self.check_details.read_back,
             **self._kept,
             "warnings": self._warnings,
             "gateway_wall_ns": self._started_wall_ns,
@@ -154,7 +154,7 @@ def _declare_queryables(
     runtime: Runtime,
     settings: RigSettings,
     view: StateView,
-    active: Active,
+    active: ActiveConfiguration,
     stream: int,
 ) -> None:
     known = msgspec.json.encode(schema(settings.rig))
@@ -168,7 +168,7 @@ def _declare_queryables(
     for key, answer in (
         (keys.state, lambda _query: (keys.state, view.newest)),
         (keys.schema, lambda _query: (keys.schema, known)),
-        (keys.active, lambda _query: (keys.active, active.look())),
+        (keys.active, lambda _query: (keys.active, active.read())),
         (keys.fast, lambda query: (keys.fast, past_block(records, _after(query), stream))),
         (keys.events_past, past_events),
     ):
@@ -195,7 +195,7 @@ class Gateway:
 
         records = runtime.records.reader(from_start=True)
         self._cursor = Cursor(runtime.gateway_cursor, runtime.records.path, records.head)
-        self._active, self._active_sent = Active(runtime), b""
+        self._active, self._active_sent = ActiveConfiguration(runtime), b""
         self._view = view = StateView(runtime, settings, self._active)
         self._state = self._session.declare_publisher(keys.state, encoding=_JSON, congestion_control=_DROP)
         self._configuration = self._session.declare_publisher(keys.active, encoding=_JSON, congestion_control=_DROP)
@@ -208,9 +208,9 @@ class Gateway:
         limits_n = (settings.tension.target_min_n, settings.tension.target_max_n)
         self._newest = newest = runtime.records.reader()
         self._calibration = calibration = CalibrationService(runtime, settings)
-        self._preflight = Preflight(runtime, settings, lambda: calibration.standing, self._view.doubts.look)
-        self._look_ns = 0
-        self._tell_ns = now  # earliest time at which the host checks are sent to the loop again
+        self._preflight = Preflight(runtime, settings, lambda: calibration.standing, self._view.check_details.read)
+        self._read_ns = 0
+        self._host_checks_ns = now  # earliest time at which the host checks are sent to the loop again
         self._leases = LeaseService(runtime, settings.telemetry.lease_s, now)
         self._commands = CommandServer(
             keys,
@@ -240,22 +240,22 @@ class Gateway:
         self._fast.publish(self._per_call, now)
         record = self._newest.latest()
         self._events.read(time.time_ns() - now, now, int(record["t_ns"]) if record is not None else 0)
-        for order in self._calibration.news(now, time.time_ns()):
-            self._commands.send(order)
+        for order in self._calibration.settings_due(now, time.time_ns()):
+            self._commands.give_setting(order)
         verdict = self._preflight.verdict(now)
-        self._tell_checks(verdict, now)
-        self._commands.look_at_lease(now)
-        if now >= self._look_ns:
-            self._look_ns = now + _LOOK_NS
-            self._tell_active()
+        self._send_host_checks(verdict, now)
+        self._commands.check_lease_and_rate(now)
+        if now >= self._read_ns:
+            self._read_ns = now + _READ_NS
+            self._publish_active()
         lease = self._leases.shown(now)
         state = self._view.make(now, self._fast.lost, self._calibration.standing, lease, verdict, self._cursor)
         self._view.newest = state  # before the events, see above
         self._events.publish()
         self._state.put(state)
 
-    def _tell_active(self) -> None:
-        if (found := self._active.look()) is not self._active_sent:
+    def _publish_active(self) -> None:
+        if (found := self._active.read()) is not self._active_sent:
             self._active_sent = found
             self._configuration.put(found)
 
@@ -273,13 +273,17 @@ class Gateway:
             close(self._session)
             raise SessionError(f"another daemon named {settings.rig} answers behind {', '.join(joined)}: rename one")
 
-    def _tell_checks(self, verdict: PreflightVerdict, now_ns: int) -> None:
+    def _send_host_checks(self, verdict: PreflightVerdict, now_ns: int) -> None:
         """Send the host checks whenever the loop's record shows others; a loop that has just started has none."""
         record = self._newest.latest()
-        if record is None or int(record["checks"]) & int(HOST_CHECKS) == verdict.host_checks or now_ns < self._tell_ns:
+        if (
+            record is None
+            or int(record["checks"]) & int(HOST_CHECKS) == verdict.host_checks
+            or now_ns < self._host_checks_ns
+        ):
             return
-        self._tell_ns = now_ns + _LOOK_NS
-        self._commands.send(SettingOrder(Setting.HOST_CHECKS, (float(verdict.host_checks),)))
+        self._host_checks_ns = now_ns + _READ_NS
+        self._commands.give_setting(SettingOrder(Setting.HOST_CHECKS, (float(verdict.host_checks),)))
 
     def run(self, stop: Termination) -> None:
         """Publish on an absolute grid until ``stop``; missed periods are skipped."""

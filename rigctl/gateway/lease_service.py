@@ -12,25 +12,19 @@ from typing import Any
 import msgspec
 
 from rigctl.config.quantity import count
-from rigctl.gateway.command_rate import Crowd
+from rigctl.gateway.command_rate import RefusedCommands
 from rigctl.ipc.notes import Note
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.wire.command_request import Request, RequestError, operator_of, refused
-from rigctl.wire.lease import Act, Change, Denial, Lease, LeaseRegister, Turn, is_id
+from rigctl.wire.lease import Denial, Lease, LeaseAct, LeaseChange, LeaseRegister, is_id
 from rigctl.wire.lease_request import LeaseRequest
 
 IN_FORCE = "lease.json"  # in the runtime folder
-_NOTE_OF = {
-    Turn.TAKEN: Note.LEASE_TAKEN,
-    Turn.TAKEN_OVER: Note.LEASE_TAKEN_OVER,
-    Turn.RETURNED: Note.LEASE_RETURNED,
-    Turn.LAPSED: Note.LEASE_LAPSED,
-}
 _TAKE = "rigctl lease take"
-CROWDS_TOLD = 4
+NAMES_REPORTED = 4
 
 
-def believed(written: Any, duration_ns: int, now_ns: int) -> Lease | None:
+def valid_lease(written: Any, duration_ns: int, now_ns: int) -> Lease | None:
     """The lease read from the file; None for anything that a gateway would not have written."""
     try:
         lease = msgspec.convert(written, Lease)
@@ -61,14 +55,14 @@ class LeaseService:
         """Continues the lease that the gateway before this one wrote down, if it is valid."""
         self._runtime, self._notes = runtime, runtime.notes.writer()
         duration_ns = duration_s * 1_000_000_000
-        self._register = LeaseRegister(duration_ns, self._tell, self._read(duration_ns, now_ns))
+        self._register = LeaseRegister(duration_ns, self._note_change, self._read(duration_ns, now_ns))
 
     def _read(self, duration_ns: int, now_ns: int) -> Lease | None:
         try:
             written: Any = self._runtime.read_json(IN_FORCE)
         except (OSError, msgspec.MsgspecError):
             written = None
-        lease = believed(written, duration_ns, now_ns) if written else None
+        lease = valid_lease(written, duration_ns, now_ns) if written else None
         if lease is None and written != {}:
             self._note(now_ns, Note.LEASE_NOT_BELIEVED)
         return lease
@@ -81,7 +75,7 @@ class LeaseService:
             self._save(now_ns)
             return replace(request, lease=found.id)
         why = why_not(found, request.operator, self._register.lease(now_ns), now_ns)
-        return refused(request.verb.name.lower(), request.operator, found.value, why)
+        return refused(request.command, request.operator, found.value, why)
 
     def note_hold(self, request: Request, now_ns: int) -> None:
         """Note a HOLD given without the lease, which anyone may do; it neither takes nor renews the lease."""
@@ -93,33 +87,33 @@ class LeaseService:
         """Whether both name and id are those of the lease in force; may be called from any thread."""
         return self._register.is_holder(operator, id_, now_ns)
 
-    def note_crowd(self, crowds: list[Crowd], now_ns: int) -> None:
+    def note_refused(self, refused_commands: list[RefusedCommands], now_ns: int) -> None:
         """Note commands refused because there were too many: the operators with most by name, the rest as one note."""
-        worst, rest = crowds[:CROWDS_TOLD], crowds[CROWDS_TOLD:]
+        worst, rest = refused_commands[:NAMES_REPORTED], refused_commands[NAMES_REPORTED:]
         if rest:
-            worst.append(Crowd(count(len(rest), "other"), sum(crowd.count for crowd in rest), rest[0].since_ns))
-        for crowd in worst:
-            text = f"{count(crowd.count, 'command')} in {(now_ns - crowd.since_ns) / 1e9:.0f} s"
-            self._note(now_ns, Note.TOO_MANY_COMMANDS, crowd.operator, reason=text)
+            worst.append(RefusedCommands(count(len(rest), "other"), sum(one.count for one in rest), rest[0].since_ns))
+        for one in worst:
+            text = f"{count(one.count, 'command')} in {(now_ns - one.since_ns) / 1e9:.0f} s"
+            self._note(now_ns, Note.TOO_MANY_COMMANDS, one.operator, reason=text)
 
     def decide(self, request: LeaseRequest, now_ns: int) -> dict[str, Any]:
         """Take the lease or give it back; returns the answer."""
         self.expire(now_ns)
         operator, id_ = request.operator, request.lease
         found: Lease | Denial | None
-        if request.act is Act.TAKE:
+        if request.act is LeaseAct.TAKE:
             found = self._register.take(operator, id_, request.reason, now_ns)
         else:
             found = self._register.give_back(operator, id_, now_ns)
         self._save(now_ns)
         if isinstance(found, Denial):
             why = why_not(found, operator, self._register.lease(now_ns), now_ns)
-            return self.with_lease(operator, id_, refused(request.act.value, operator, found.value, why), now_ns)
+            return self.with_lease(operator, id_, refused(request.command, operator, found.value, why), now_ns)
         text = "given back; the rig goes on as it is"
         if found is not None:
             left_s = (found.until_ns - now_ns) / 1e9
             id_, text = found.id, f"{operator} holds the lease, until {left_s:.0f} s after the last command"
-        message = {"accepted": True, "verb": request.act.value, "operator": operator, "text": f"LEASE: {text}"}
+        message = {"accepted": True, "verb": request.command, "operator": operator, "text": f"LEASE: {text}"}
         return self.with_lease(operator, id_, message, now_ns)
 
     def with_lease(self, operator: str, id_: str | None, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
@@ -152,8 +146,8 @@ class LeaseService:
             self._register.expire(now_ns)
             self._save(now_ns)
 
-    def _tell(self, change: Change) -> None:
-        self._note(change.t_ns, _NOTE_OF[change.turn], change.operator, change.other, change.reason)
+    def _note_change(self, change: LeaseChange) -> None:
+        self._note(change.t_ns, change.kind, change.operator, change.other, change.reason)
 
     def _note(self, t_ns: int, kind: Note, operator: str = "", other: str = "", reason: str = "") -> None:
         self._notes.write(t_ns, int(kind), operator.encode(), other.encode(), reason.encode())

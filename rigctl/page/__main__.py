@@ -25,21 +25,21 @@ RETRY_S = 2.0
 
 def _listen(address: Address) -> socket.socket:
     """A listening socket; while the address is in use, warn once and try again."""
-    said = False
+    warned = False
     while True:
         try:
             listening = address.listen()
         except CannotListenError as error:
-            if not said:
-                _say(f"WARNING: page: {error}; it is tried again, the loop is unaffected")
-            said = True
+            if not warned:
+                _print(f"WARNING: page: {error}; it is tried again, the loop is unaffected")
+            warned = True
             time.sleep(RETRY_S)
             continue
-        _say(f"page: http://{address}/ (read-only)")
+        _print(f"page: http://{address}/ (read-only)")
         return listening
 
 
-def _say(text: str) -> None:
+def _print(text: str) -> None:
     sys.stdout.write(f"{time.strftime('%H:%M:%S')} {text}\n")
     sys.stdout.flush()
 

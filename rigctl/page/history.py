@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.page.signals import SIGNALS, Values
+from rigctl.page.chart_signals import SIGNALS, Values
 
 WINDOWS_S = (60, 300, 900, 3600)
 BUCKETS = 1200  # per window: about one for each pixel column of a chart

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import time
 from typing import Any
 
-from rigctl.page.picture import SILENT_S, Picture
+from rigctl.page.picture import Picture
 from rigctl.wire import state_words as figures
 
 _NUMBERS = (
@@ -19,12 +18,11 @@ def state_message(picture: Picture, holds_lease: bool) -> dict[str, Any]:
     """The newest state for the browser; ``holds_lease``: whether this page's operator holds the lease."""
     with picture.lock:
         state, passed = picture.state, picture.limits.now
-    silent_s = picture.silent_s
     message: dict[str, Any] = {
         "kind": "state",
         "endpoint": picture.endpoint,
-        "silent_s": None if math.isinf(silent_s) else round(silent_s, 2),
-        "stale": silent_s > SILENT_S,
+        "silent_s": None if state is None else round(picture.silent_s, 2),
+        "stale": state is None or picture.is_silent,
         "trouble": picture.trouble,
         "samples_lost": picture.samples_lost,
         "server_wall_ms": time.time() * 1000,

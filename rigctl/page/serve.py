@@ -14,12 +14,12 @@ from typing import NoReturn
 import uvicorn
 
 from rigctl.ipc.termination import ENDING, heeded
-from rigctl.page.connections import BACKLOG, HEADER_BYTES, protocol
+from rigctl.page.browser_connection import BACKLOG, HEADER_BYTES, protocol
 from rigctl.page.guard import Guard
 from rigctl.page.page_commands import PageCommands
 from rigctl.page.picture import Picture
+from rigctl.page.rig_reader import RigReader
 from rigctl.page.server import Page
-from rigctl.page.source import Source
 
 CLOSE_S = 1  # for browsers to close their connections
 
@@ -38,7 +38,7 @@ def serve(
 ) -> NoReturn:
     """Serve until a signal of ``ENDING``, then end the process. ``operator``: name for commands, None: read-only."""
     picture, stop = Picture(endpoint), threading.Event()
-    source = Source(picture, rig, stop)
+    reader = RigReader(picture, rig, stop)
     commands = PageCommands(operator, rig, picture) if operator is not None else None
     page = Page(picture, guard, commands)
     config = uvicorn.Config(
@@ -56,18 +56,18 @@ def serve(
     )
     server = _Server(config)
 
-    async def until_told() -> None:
+    async def until_signal() -> None:
         loop = asyncio.get_running_loop()
         for number in heeded(*ENDING):
             loop.add_signal_handler(number, setattr, server, "should_exit", True)
         await server.serve(sockets=[listening])
 
-    source.start()
+    reader.start()
     try:
-        asyncio.run(until_told())
+        asyncio.run(until_signal())
     finally:
         stop.set()
-        source.join(CLOSE_S)
+        reader.join(CLOSE_S)
         page.close()
     # Not sys.exit: the interpreter would abort on a thread that is still opening a Zenoh session.
     with contextlib.suppress(OSError):

@@ -20,11 +20,11 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
+from rigctl.page.browser_stream import BrowserStream
 from rigctl.page.guard import HEADERS, Guard
 from rigctl.page.history import WINDOWS_S
 from rigctl.page.page_commands import Answer, PageCommands, RefusedError
 from rigctl.page.picture import Picture
-from rigctl.page.stream import Stream
 
 STATIC = pathlib.Path(__file__).parent / "static"
 BODY_BYTES = 4096
@@ -32,25 +32,25 @@ _READ_ONLY = "this page is read-only: rigctl page --operator NAME is one that ma
 _NO_TOKEN = "the token is not this page server's: open the address it printed when it was started"
 
 
-class _Command(msgspec.Struct, forbid_unknown_fields=True):
+class _CommandBody(msgspec.Struct, forbid_unknown_fields=True):
     verb: str
     value: float | None = None
 
 
-class _Confirmation(msgspec.Struct, forbid_unknown_fields=True):
+class _ConfirmationBody(msgspec.Struct, forbid_unknown_fields=True):
     confirm: str
 
 
-class _Lease(msgspec.Struct, forbid_unknown_fields=True):
+class _LeaseBody(msgspec.Struct, forbid_unknown_fields=True):
     act: str
     reason: str = ""
 
 
-class _Rights(msgspec.Struct, forbid_unknown_fields=True):
+class _RightsBody(msgspec.Struct, forbid_unknown_fields=True):
     pass
 
 
-class Headers:
+class SecurityHeaders:
     """Middleware: adds the security headers to every answer and refuses a Host that is not this server's."""
 
     def __init__(self, app: ASGIApp, guard: Guard) -> None:
@@ -93,10 +93,10 @@ class Page:
         # More threads than commands in progress, so that HOLD never waits behind commands to a slow rig.
         self._threads = ThreadPoolExecutor(32, "commands")
         acts: dict[str, tuple[type[Any], Callable[[PageCommands, Any], Answer]]] = {
-            "rights": (_Rights, lambda commands, _: {"accepted": True, "operator": commands.operator}),
-            "lease": (_Lease, lambda commands, asked: commands.lease(asked.act, asked.reason)),
-            "command": (_Command, lambda commands, asked: commands.propose(asked.verb, asked.value)),
-            "confirm": (_Confirmation, lambda commands, asked: commands.confirm(asked.confirm)),
+            "rights": (_RightsBody, lambda commands, _: {"accepted": True, "operator": commands.operator}),
+            "lease": (_LeaseBody, lambda commands, body: commands.lease(body.act, body.reason)),
+            "command": (_CommandBody, lambda commands, body: commands.propose(body.verb, body.value)),
+            "confirm": (_ConfirmationBody, lambda commands, body: commands.confirm(body.confirm)),
         }
         self.app = Starlette(
             routes=[
@@ -105,7 +105,7 @@ class Page:
                 *(Route(f"/api/{name}", self._post(*act), methods=["POST"]) for name, act in acts.items()),
                 Mount("/static", StaticFiles(directory=STATIC)),
             ],
-            middleware=[Middleware(Headers, guard=guard)],
+            middleware=[Middleware(SecurityHeaders, guard=guard)],
         )
 
     @staticmethod
@@ -132,7 +132,7 @@ class Page:
                 return _refusal(f"not a command: {error}", 400)
             except RefusedError as error:
                 return _refusal(str(error), 409)
-            return _json(_told(answer), 200 if answer.get("accepted") else 409)
+            return _json(_without_lease(answer), 200 if answer.get("accepted") else 409)
 
         return endpoint
 
@@ -141,7 +141,7 @@ class Page:
             await socket.close(4403)
             return
         await socket.accept()
-        await Stream(socket, self._picture, self._hello, self._commands).run()
+        await BrowserStream(socket, self._picture, self._hello, self._commands).run()
 
     def close(self) -> None:
         """End the commands' threads and client."""
@@ -159,7 +159,7 @@ async def _body_of(request: Request) -> bytes:
     return body
 
 
-def _told(answer: Answer) -> Answer:
+def _without_lease(answer: Answer) -> Answer:
     """An answer for the browser, without the lease's id."""
     return {name: value for name, value in answer.items() if name != "lease"}
 

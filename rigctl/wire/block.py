@@ -38,7 +38,7 @@ HEADER_FIELDS = (
 )
 
 
-class BlockError(ValueError):
+class FastBlockError(ValueError):
     """Bytes that are not a block of the fast stream."""
 
 
@@ -78,15 +78,15 @@ def decode(payload: bytes) -> Block:
     """Read a block.
 
     Raises:
-        BlockError: the message says what does not fit.
+        FastBlockError: the message says what does not fit.
     """
     if len(payload) < HEADER.size:
-        raise BlockError(f"{len(payload)} bytes, a header has {HEADER.size}")
+        raise FastBlockError(f"{len(payload)} bytes, a header has {HEADER.size}")
     magic, version, start, size, count, first_seq, lost, stream, head_seq = HEADER.unpack_from(payload)
     if magic != MAGIC or version != VERSION:
-        raise BlockError(f"found {magic!r} version {version}, expected {MAGIC!r} version {VERSION}")
+        raise FastBlockError(f"found {magic!r} version {version}, expected {MAGIC!r} version {VERSION}")
     if size < 8 or first_seq + count > 2**63 or head_seq > 2**63:
-        raise BlockError(f"found {count} records of {size} bytes from {first_seq} on, expected records of a rig")
+        raise FastBlockError(f"found {count} records of {size} bytes from {first_seq} on, expected records of a rig")
     if start < HEADER.size or len(payload) != start + count * size:
-        raise BlockError(f"{len(payload)} bytes do not hold {count} records of {size} after {start}")
+        raise FastBlockError(f"{len(payload)} bytes do not hold {count} records of {size} after {start}")
     return Block(size, count, first_seq, lost, stream, head_seq, memoryview(payload)[start:])

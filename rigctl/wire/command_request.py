@@ -20,6 +20,7 @@ from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.ipc.record import Flag, figure_of
 from rigctl.ipc.ring import RingReader
 from rigctl.wire.lease import ACTS, ID_BYTES, is_id
+from rigctl.wire.meanings import VERBS as MEANINGS
 from rigctl.wire.state_message import ALIVE_NS
 
 VERBS = {verb.name.lower(): verb for verb in Verb}
@@ -34,21 +35,13 @@ _ALLOWED_MORE = {
     Verb.IDENTIFY: '{"operator": "NAME"} and "tight": true',
     Verb.GAINS: '{"operator": "NAME", "gain_file": TEXT, "name": "FILE"}',
 }
-_OPTIONS: dict[Verb, frozenset[str]] = {
-    Verb.ARM: frozenset({"near_end"}),
-    Verb.TARGET: frozenset({"value"}),
-    Verb.CONFIRM_STROKE: frozenset({"value"}),
-    Verb.CALIBRATE: frozenset({"value", "shunt", "adopt"}),
-    Verb.IDENTIFY: frozenset({"tight"}),
-    Verb.GAINS: frozenset({"gain_file", "name"}),
-}
 
 
 class RequestError(ValueError):
     """A query that is not a valid command; ``str()`` says what was found and what is expected."""
 
 
-class _Payload(msgspec.Struct, forbid_unknown_fields=True):
+class _CommandPayload(msgspec.Struct, forbid_unknown_fields=True):
     operator: str
     lease: Any = None
     value: float | None = None
@@ -86,10 +79,15 @@ class Request:
     run_id: str = ""
 
     @property
+    def command(self) -> str:
+        """The command's name, as its key ends."""
+        return self.verb.name.lower()
+
+    @property
     def number(self) -> float:
         """The number in the command's slot of the ring."""
-        said = {Verb.IDENTIFY: float(self.tight), Verb.ARM: float(self.near_end)}
-        return said.get(self.verb, self.value)
+        options = {Verb.IDENTIFY: float(self.tight), Verb.ARM: float(self.near_end)}
+        return options.get(self.verb, self.value)
 
 
 def verb_of(name: str) -> Verb:
@@ -154,9 +152,9 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
         RequestError: bad JSON, an unknown key, a missing or non-finite value, a wrong type.
     """
     allowed = _ALLOWED_MORE.get(verb, _ALLOWED)
-    found = decoded(payload, _Payload, allowed)
+    found = decoded(payload, _CommandPayload, allowed)
     operator = operator_of(found.operator)
-    options = _OPTIONS.get(verb, frozenset())
+    _, options = MEANINGS[verb]
     for name in ("value", "shunt", "adopt", "tight", "near_end", "gain_file", "name"):
         if name not in options and getattr(found, name) not in (None, False, ""):
             raise RequestError(f"found {name}, expected {allowed}")
@@ -173,19 +171,8 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
         if verb is not Verb.HOLD:  # HOLD needs no lease, so a malformed one must not refuse it
             raise
         lease = None
-    return Request(
-        verb,
-        operator,
-        value,
-        found.shunt,
-        found.adopt,
-        found.tight,
-        lease,
-        found.gain_file,
-        found.name,
-        near_end=found.near_end,
-        run_id=found.run_id,
-    )
+    given = msgspec.structs.asdict(found) | {"operator": operator, "value": value, "lease": lease}
+    return Request(verb, **given)
 
 
 @dataclass(frozen=True)
@@ -215,31 +202,32 @@ def newest_record(records: RingReader, standing: Mapping[Fault, str] = MappingPr
     return NewestRecord(fault, stroke_mm, tension_n, target_n, standing, arming)
 
 
+_DONE = {
+    Verb.ARM: "armed, {mode}, stroke {stroke}, tension {tension}",
+    Verb.TENSION: "ramping to {target}, {mode}",
+    Verb.RELEASE: "ramping to slack, {mode}",
+    Verb.HOLD: "stroke held at {stroke}, tension {tension}",
+    Verb.DISARM: "drive off, brake closed, {mode}{latched}",
+    Verb.RESET: "fault cleared, {mode}",
+    Verb.TARGET: "{newtons}, {mode}",
+    Verb.TARE: "the cell reads {value:z.3f} N, {mode}",
+    Verb.CALIBRATE: "the cell reads {value:z.3f} N, {mode}",
+    Verb.IDENTIFY: "excited for {value:.1f} s, {mode}, stroke {stroke}",
+    Verb.CONFIRM_STROKE: "the stroke is {value:z.2f} mm, {mode}",
+    Verb.GAINS: "{mode}",
+}
+
+
 def _done(verb: Verb, mode: Mode, value: float, newest: NewestRecord) -> str:
-    match verb:
-        case Verb.ARM:
-            return f"armed, {mode.name}, stroke {newest.stroke_mm:z.2f} mm, tension {newest.tension_n:z.1f} N"
-        case Verb.TENSION:
-            return f"ramping to {significant(newest.target_n, 'N')}, {mode.name}"
-        case Verb.RELEASE:
-            return f"ramping to slack, {mode.name}"
-        case Verb.HOLD:
-            return f"stroke held at {newest.stroke_mm:z.2f} mm, tension {newest.tension_n:z.1f} N"
-        case Verb.DISARM:
-            latched = ", the fault stays latched" if mode is Mode.FAULT else ""
-            return f"drive off, brake closed, {mode.name}{latched}"
-        case Verb.RESET:
-            return f"fault cleared, {mode.name}"
-        case Verb.TARGET:
-            return f"{significant(value, 'N')}, {mode.name}"
-        case Verb.CONFIRM_STROKE:
-            return f"the stroke is {value:z.2f} mm, {mode.name}"
-        case Verb.GAINS:
-            return mode.name
-        case Verb.IDENTIFY:
-            return f"excited for {value:.1f} s, {mode.name}, stroke {newest.stroke_mm:z.2f} mm"
-        case _:
-            return f"the cell reads {value:z.3f} N, {mode.name}"
+    return _DONE[verb].format(
+        mode=mode.name,
+        latched=", the fault stays latched" if mode is Mode.FAULT else "",
+        value=value,
+        newtons=significant(value, "N"),
+        target=significant(newest.target_n, "N"),
+        stroke=f"{newest.stroke_mm:z.2f} mm",
+        tension=f"{newest.tension_n:z.1f} N",
+    )
 
 
 def refused(name: str, operator: str, reason: str, text: str, **more: Any) -> dict[str, Any]:

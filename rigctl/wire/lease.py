@@ -11,7 +11,9 @@ import re
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import Enum, auto
+from enum import Enum
+
+from rigctl.ipc.notes import Note
 
 ID_BYTES = 16
 _ID = re.compile(rf"[0-9a-f]{{{2 * ID_BYTES}}}")
@@ -32,14 +34,14 @@ class Lease:
     until_ns: int
 
 
-class Act(Enum):
+class LeaseAct(Enum):
     """Requests about the lease itself; the value is the key's ending."""
 
     TAKE = "lease_take"
     RETURN = "lease_return"
 
 
-ACTS = {act.value: act for act in Act}
+ACTS = {act.value: act for act in LeaseAct}
 
 
 class Denial(Enum):
@@ -50,38 +52,29 @@ class Denial(Enum):
     NOT_HELD = "lease_not_held"  # nothing to give back
 
 
-class Turn(Enum):
-    """What can happen to a lease."""
-
-    TAKEN = auto()
-    TAKEN_OVER = auto()
-    RETURNED = auto()
-    LAPSED = auto()
-
-
 @dataclass(frozen=True)
-class Change:
+class LeaseChange:
     """A change of the lease at ``t_ns`` by ``operator``; ``other``: who held it before a takeover."""
 
     t_ns: int
-    turn: Turn
+    kind: Note
     operator: str
     other: str = ""
     reason: str = ""
 
 
 class LeaseRegister:
-    """The lease in force. Every change is passed to ``tell`` in order; a renewal is no change."""
+    """The lease in force. Every change is passed to ``on_change`` in order; a renewal is no change."""
 
     def __init__(
         self,
         duration_ns: int,
-        tell: Callable[[Change], None],
+        on_change: Callable[[LeaseChange], None],
         lease: Lease | None = None,
         make_id: Callable[[], str] = lambda: secrets.token_hex(ID_BYTES),
     ) -> None:
         """``lease``: the one in force at the start."""
-        self._duration_ns, self._tell, self._make_id = duration_ns, tell, make_id
+        self._duration_ns, self._on_change, self._make_id = duration_ns, on_change, make_id
         self._lease = lease
 
     def lease(self, now_ns: int) -> Lease | None:
@@ -104,7 +97,7 @@ class LeaseRegister:
         """End a lease that has lapsed."""
         if self._lease is not None and self.lease(now_ns) is None:
             lapsed, self._lease = self._lease, None
-            self._tell(Change(now_ns, Turn.LAPSED, lapsed.holder))
+            self._on_change(LeaseChange(now_ns, Note.LEASE_LAPSED, lapsed.holder))
 
     def admit(self, operator: str, id_: str | None, now_ns: int) -> Lease | Denial:
         """Renew the lease for a command of ``operator``, who shows ``id_``, or take the lease if nobody holds it."""
@@ -115,7 +108,7 @@ class LeaseRegister:
             return Denial.HELD
         if id_ is not None:
             return Denial.LAPSED
-        return self._grant(Turn.TAKEN, operator, now_ns)
+        return self._grant(Note.LEASE_TAKEN, operator, now_ns)
 
     def renew(self, operator: str, id_: str | None, now_ns: int) -> Lease | None:
         """Extend the holder's lease by its full duration; None for anyone but the holder."""
@@ -131,10 +124,10 @@ class LeaseRegister:
             return renewed
         self.expire(now_ns)
         if self._lease is None:
-            return self._grant(Turn.TAKEN, operator, now_ns, reason=reason)
+            return self._grant(Note.LEASE_TAKEN, operator, now_ns, reason=reason)
         if not reason:
             return Denial.HELD
-        return self._grant(Turn.TAKEN_OVER, operator, now_ns, self._lease.holder, reason)
+        return self._grant(Note.LEASE_TAKEN_OVER, operator, now_ns, self._lease.holder, reason)
 
     def give_back(self, operator: str, id_: str | None, now_ns: int) -> Denial | None:
         """End the holder's lease before its time; returns None, or why not."""
@@ -144,10 +137,10 @@ class LeaseRegister:
         if not self.is_holder(operator, id_, now_ns):
             return Denial.HELD
         self._lease = None
-        self._tell(Change(now_ns, Turn.RETURNED, operator))
+        self._on_change(LeaseChange(now_ns, Note.LEASE_RETURNED, operator))
         return None
 
-    def _grant(self, turn: Turn, operator: str, now_ns: int, other: str = "", reason: str = "") -> Lease:
+    def _grant(self, kind: Note, operator: str, now_ns: int, other: str = "", reason: str = "") -> Lease:
         lease = self._lease = Lease(self._make_id(), operator, now_ns, now_ns + self._duration_ns)
-        self._tell(Change(now_ns, turn, operator, other, reason))
+        self._on_change(LeaseChange(now_ns, kind, operator, other, reason))
         return lease

@@ -8,16 +8,16 @@ from typing import Any
 import msgspec
 
 from rigctl.wire.command_request import RequestError, decoded, lease_of, operator_of
-from rigctl.wire.lease import Act
+from rigctl.wire.lease import LeaseAct
 
 _REASON_LENGTH = 120
 _ALLOWED = {
-    Act.TAKE: '{"operator": "NAME"} and "lease": ID, "reason": TEXT',
-    Act.RETURN: '{"operator": "NAME", "lease": ID}',
+    LeaseAct.TAKE: '{"operator": "NAME"} and "lease": ID, "reason": TEXT',
+    LeaseAct.RETURN: '{"operator": "NAME", "lease": ID}',
 }
 
 
-class _Payload(msgspec.Struct, forbid_unknown_fields=True):
+class _LeasePayload(msgspec.Struct, forbid_unknown_fields=True):
     operator: str
     lease: Any = None
     reason: str = ""
@@ -28,22 +28,27 @@ class _Payload(msgspec.Struct, forbid_unknown_fields=True):
 class LeaseRequest:
     """An operator's request to take or return the lease; ``reason`` may be empty. ``run_id``: see `Request`."""
 
-    act: Act
+    act: LeaseAct
     operator: str
     lease: str | None = None
     reason: str = ""
     run_id: str = ""
 
+    @property
+    def command(self) -> str:
+        """The request's name, as its key ends."""
+        return self.act.value
 
-def parse_lease(act: Act, payload: bytes | None) -> LeaseRequest:
+
+def parse_lease(act: LeaseAct, payload: bytes | None) -> LeaseRequest:
     """Read the payload.
 
     Raises:
         RequestError: bad JSON, an unknown key, a wrong type, no operator, an invalid id or an invalid reason.
     """
-    found = decoded(payload, _Payload, _ALLOWED[act])
+    found = decoded(payload, _LeasePayload, _ALLOWED[act])
     reason = found.reason.strip()
-    if reason and act is Act.RETURN:
+    if reason and act is LeaseAct.RETURN:
         raise RequestError(f"found reason, expected {_ALLOWED[act]}")
     if len(reason) > _REASON_LENGTH or not reason.isprintable():
         raise RequestError(f"found reason {reason[:80]!r}, expected up to {_REASON_LENGTH} printable letters")

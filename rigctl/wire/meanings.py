@@ -8,7 +8,7 @@ from __future__ import annotations
 from rigctl.control.events import Kind
 from rigctl.control.modes import Verb
 from rigctl.ipc.notes import Note
-from rigctl.wire.lease import Act
+from rigctl.wire.lease import LeaseAct
 
 Rows = tuple[tuple[str, str, str, str], ...]
 
@@ -127,9 +127,9 @@ VERBS: dict[Verb, tuple[str, tuple[str, ...]]] = {
     Verb.CONFIRM_STROKE: ("the stroke, measured at the cylinder, is what the drive's position says", ("value",)),
     Verb.GAINS: ("put other gains in force, once judged", ("gain_file", "name")),
 }
-ACTS: dict[Act, tuple[str, tuple[str, ...]]] = {
-    Act.TAKE: ("take the lease or renew it; from another only with a reason", ("reason",)),
-    Act.RETURN: ("give the lease back", ()),
+ACTS: dict[LeaseAct, tuple[str, tuple[str, ...]]] = {
+    LeaseAct.TAKE: ("take the lease or renew it; from another only with a reason", ("reason",)),
+    LeaseAct.RETURN: ("give the lease back", ()),
 }
 
 ACTIVE_CONFIGURATION: Rows = (

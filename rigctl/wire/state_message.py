@@ -62,7 +62,7 @@ class Recent:
         return {name: percentiles_us(np.concatenate([part[field] for part in self._parts])) for name, field in names}
 
 
-class Trip:
+class TripEvents:
     """Value and limit of the latched trip, from the events.
 
     The newest trip of each fault is kept, so that a stronger fault does not replace the one that is latched.
@@ -132,8 +132,8 @@ class Causes:
         found: list[tuple[Row, Cause | None]] = []
         for fault in (fault for fault in Fault if bits >> fault & 1):
             rows = [row for row in self._rows if row.fault is fault]
-            told = [(row, cause) for row in rows if (cause := known.get(_key(row))) and mode in row.modes]
-            found += told or [(row, None) for row in rows[:1]]
+            timed = [(row, cause) for row in rows if (cause := known.get(_key(row))) and mode in row.modes]
+            found += timed or [(row, None) for row in rows[:1]]
         found.sort(key=lambda item: (-item[0].action, self._rows.index(item[0])))
         return [_cause(row, cause, wall_ns) for row, cause in found]
 
@@ -161,7 +161,7 @@ def _cause(row: Row, cause: Cause | None, wall_ns: int) -> dict[str, Any]:
     }
 
 
-class Doubts:
+class CheckDetails:
     """Details of failing checks, from the loop's events on device settings and stroke; records have no texts."""
 
     def __init__(self, events: RingReader) -> None:
@@ -169,7 +169,7 @@ class Doubts:
         self._words: dict[Check, str] = {}
         self._read_back: dict[str, Any] | None = None
 
-    def look(self) -> Mapping[Check, str]:
+    def read(self) -> Mapping[Check, str]:
         """The details by check; they apply only while the check fails."""
         with self._lock:
             for event in self._events.read():
@@ -193,7 +193,7 @@ class Doubts:
             self._read_back = {"t_ns": int(event["t_ns"]), "settings": int(event["a"]), "took_s": float(event["value"])}
 
 
-def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wall_ns: int) -> dict[str, Any]:
+def state_of(record: np.void | None, trip: TripEvents, recent: Recent, now_ns: int, wall_ns: int) -> dict[str, Any]:
     """The state from the newest record; ``now_ns`` and ``wall_ns`` are the same instant on the two clocks."""
     if record is None:
         return {"loop_alive": False, "age_ms": None, "wall_ns": wall_ns, "mode": None}
@@ -223,9 +223,9 @@ def state_of(record: np.void | None, trip: Trip, recent: Recent, now_ns: int, wa
     }
 
 
-def warnings_of(said: dict[str, Any]) -> list[str]:
+def warnings_of(file: dict[str, Any]) -> list[str]:
     """Warnings in another process's file, whose content may be anything."""
-    found = said.get("warnings")
+    found = file.get("warnings")
     return [str(item) for item in found] if isinstance(found, Sequence) and not isinstance(found, str) else []
 
 
@@ -238,15 +238,15 @@ def design_of(active: dict[str, Any]) -> tuple[str | None, list[str]]:
     return (verdict if isinstance(verdict, str) else None), warnings_of(design)
 
 
-def kept_of(told: dict[str, Any], now_ns: int) -> tuple[dict[str, Any], list[str]]:
+def recorder_of(status: dict[str, Any], now_ns: int) -> tuple[dict[str, Any], list[str]]:
     """The recorder's figures and its warnings, with one more if its file is older than ``RECORDER_SILENT_NS``."""
-    if not told:  # the recorder has not written its file yet
+    if not status:  # the recorder has not written its file yet
         return {"audit": None, "trip_dump": None, "recording": None}, []
-    audit = {name: told.get(name) for name in ("entries", "head", "failures")}
-    t_ns, warnings = told.get("t_ns"), warnings_of(told)
+    audit = {name: status.get(name) for name in ("entries", "head", "failures")}
+    t_ns, warnings = status.get("t_ns"), warnings_of(status)
     if not isinstance(t_ns, int) or now_ns - t_ns > RECORDER_SILENT_NS:
         warnings.append("recorder: it does not run; nothing is put on record at the moment")
-    return {"audit": audit, **{name: told.get(name) for name in ("trip_dump", "recording")}}, warnings
+    return {"audit": audit, **{name: status.get(name) for name in ("trip_dump", "recording")}}, warnings
 
 
 def preflight_of(

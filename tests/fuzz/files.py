@@ -324,6 +324,6 @@ def _lease() -> Kind:
             written = msgspec.json.decode(text)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
             return False
-        return lease_keeper.believed(written, 60 * 10**9, 3 * 10**9 // 2) is not None
+        return lease_keeper.valid_lease(written, 60 * 10**9, 3 * 10**9 // 2) is not None
 
     return Kind("lease", [text], json.loads, _as_json, read, ())

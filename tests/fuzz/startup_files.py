@@ -35,7 +35,7 @@ from rigctl.devices import eds_file
 from rigctl.devices.process_data import wanted
 from rigctl.devices.sdo import Watched
 from rigctl.gateway import lease_service as lease_keeper
-from rigctl.gateway.active import Active
+from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.published_position import Cursor
 from rigctl.ipc import ledger
@@ -46,7 +46,7 @@ from rigctl.recorder import audit_log
 from rigctl.recorder.file_reader import RecordingError, progress_of
 from rigctl.recorder.recorder_process import Recorder
 from rigctl.supervisor.daemon import Supervisor
-from rigctl.wire.state_message import design_of, kept_of, warnings_of
+from rigctl.wire.state_message import design_of, recorder_of, warnings_of
 from tests.builders.paths import ROOT
 from tests.fuzz import files, mutate
 from tests.fuzz.judge import Tally
@@ -199,7 +199,7 @@ def _of_the_daemon(runtime: Runtime, rig: RigSettings) -> list[File]:
 
     def active() -> None:
         """Gateway, recorder and page read the file; the supervisor reads it before it starts one of them."""
-        design_of(Active(runtime).written)
+        design_of(ActiveConfiguration(runtime).written)
         runtime.known(ACTIVE)
         supervisor._active = whole
         supervisor._look_at_active()
@@ -210,11 +210,11 @@ def _of_the_daemon(runtime: Runtime, rig: RigSettings) -> list[File]:
     def control() -> None:
         supervisor._say_real_time()
         preflight.look(runtime, rig, Standing(), datetime.now(UTC))
-        warnings_of(Active(runtime).control)
+        warnings_of(ActiveConfiguration(runtime).control)
 
     def recorded() -> None:
         told = runtime.known(RECORDED)
-        msgspec.json.encode(kept_of(told, 10**9))
+        msgspec.json.encode(recorder_of(told, 10**9))
         recording = told.get("recording")
         assert recording is None or pathlib.Path(recording["folder"])
 

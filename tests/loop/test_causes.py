@@ -16,11 +16,12 @@ from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.devices import objects
-from rigctl.gateway.active import Active
+from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
 from rigctl.gateway.published_position import Cursor
 from rigctl.ipc.ledger import Standing
 from rigctl.page.panel import state_message
+from rigctl.page.picture import Picture
 from rigctl.wire import state_words as figures
 from rigctl.wire.command_request import NewestRecord, Request, answer
 from rigctl.wire.state_message import Causes
@@ -33,7 +34,7 @@ class Shown:
 
     def __init__(self, rig: Lockstep) -> None:
         self._rig = rig
-        self.view = StateView(rig.runtime, rig.settings, Active(rig.runtime))
+        self.view = StateView(rig.runtime, rig.settings, ActiveConfiguration(rig.runtime))
         self._cursor = Cursor(rig.runtime.gateway_cursor, rig.runtime.records.path, 0)
 
     def state(self) -> dict[str, Any]:
@@ -143,25 +144,15 @@ def test_a_gateway_that_has_missed_the_events_shows_the_cause_without_figures(ri
         "CELL_STALE", "cell stale", None, None)  # fmt: skip
 
 
-class _Picture:
-    """The state that the page's server holds."""
-
-    def __init__(self, state: dict[str, Any]) -> None:
-        import contextlib
-
-        self.lock, self.state, self.silent_s = contextlib.nullcontext(), state | {"warnings": []}, 0.0
-        self.limits = type("Limits", (), {"now": []})()
-        self.endpoint, self.trouble, self.samples_lost = "tcp/x", "", 0
-        self.refused = ""
-
-
 def test_the_page_says_the_same(rig: Lockstep, shown: Shown) -> None:
     silent(rig, CELL)
     rig.run(0.05)
     rig.rig.drive.press_e_stop(True)
     rig.run(0.2)
     state = shown.state()
-    message = state_message(_Picture(state), False)  # type: ignore[arg-type]
+    picture = Picture("tcp/x")
+    picture.take_state(state | {"warnings": []})
+    message = state_message(picture, False)
     assert message["causes"] == figures.causes(state)
     assert message["causes"][0].startswith("E_STOP")
     assert any(words.startswith("CELL_STALE") for words in message["causes"])

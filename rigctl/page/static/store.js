@@ -1,4 +1,4 @@
-// Buckets of the window shown: smallest and largest value of every signal, in rings. See rigctl/page/wire.py.
+// Buckets of the window shown: smallest and largest value of every signal, in rings. See rigctl/page/chart_frame.py.
 const HEADER_BYTES = 32;
 const BUCKETS = 1200;
 

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from rigctl.control.modes import Mode
 from rigctl.ipc.record import RECORD, Quality
+from rigctl.page.chart_frame import HEADER, frame
+from rigctl.page.chart_signals import SIGNALS, values_of
 from rigctl.page.history import BUCKETS, WINDOWS_S, History, Level
 from rigctl.page.lateness import EDGES_US, Lateness
-from rigctl.page.signals import SIGNALS, values_of
-from rigctl.page.wire import HEADER, frame
 
 MS = 1_000_000
 START = 1_800_000_000_000 * MS

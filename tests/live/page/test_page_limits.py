@@ -12,7 +12,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from rigctl.page.connections import CONNECTIONS, HEADER_BYTES, REQUEST_S, VIEWERS
+from rigctl.page.browser_connection import CONNECTIONS, HEADER_BYTES, REQUEST_S, VIEWERS
 from tests.builders.pages import PATIENCE_S, Server
 
 SILENT = {
@@ -46,12 +46,12 @@ def is_ended(connection: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize("kind", SILENT)
-def test_who_does_not_finish_asking_is_shown_out(commanding: Server, kind: str) -> None:
+def test_an_unfinished_request_ends_its_connection(commanding: Server, kind: str) -> None:
     with opened(commanding, 1, SILENT[kind]) as (one,):
         assert is_ended(one)
 
 
-def test_who_asks_a_byte_at_a_time_is_shown_out(commanding: Server) -> None:
+def test_a_request_a_byte_at_a_time_ends_its_connection(commanding: Server) -> None:
     with opened(commanding, 1, b"GET / HTTP/1.1\r\nX: ") as (one,):
         begun, until = time.monotonic(), time.monotonic() + PATIENCE_S
         with contextlib.suppress(OSError):

@@ -39,7 +39,7 @@ def test_charts_move_with_the_data(chromium: Browser, readonly: Server) -> None:
         assert not seen.errors
 
 
-def test_nothing_is_asked_of_another_host(chromium: Browser, readonly: Server) -> None:
+def test_no_other_host_gets_a_request(chromium: Browser, readonly: Server) -> None:
     with view(chromium, readonly) as seen:
         for window in range(len(WINDOWS_S)):
             seen.page.click(f"#windows button:nth-child({window + 1})")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from rigctl.cli.watch import View
 from rigctl.cli.watch_screen import Screen
+from rigctl.client.rig_view import RigView
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
 from rigctl.control.safety import Action
@@ -47,11 +47,10 @@ def test_terminal_and_page_say_the_same_of_a_real_daemon(daemon: Daemon) -> None
     recorded = {"entries": 7, "failures": 2, "head": "0"}
     state |= {"audit": recorded, "trip_dump": "trips/one.mcap", "recording": {"file": "one.mcap", "records_lost": 3}}
     state |= {"flag_names": ["drive_enabled", "limited_speed"]}
-    view, picture = View(daemon.settings.rig, daemon.endpoint, state), Picture(daemon.endpoint)
-    picture.take_state(state)
-    picture.add_events(EVENTS)
-    for event in EVENTS:
-        view.limits.note(event)
+    view, picture = RigView(daemon.endpoint, daemon.settings.rig), Picture(daemon.endpoint)
+    for shown in (view, picture):
+        shown.take_state(state)
+        shown.add_events(EVENTS)
     screen = "\n".join(line.plain for line in Screen(view).lines(200, 60))
     page = state_message(picture, holds_lease=False)
     assert page["limits"] == view.limits.now

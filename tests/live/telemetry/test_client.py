@@ -80,7 +80,7 @@ def test_one_lease_is_shown_by_two_connections(own: Daemon) -> None:
         until(lambda: rig.state()["lease"] is None, "nobody to hold it")
 
 
-def test_events_made_while_nobody_could_tell_of_them_are_told_later(own: Daemon) -> None:
+def test_events_of_a_time_without_gateway_are_published_later(own: Daemon) -> None:
     """While the gateway is away; the very first event after connecting is among those not published to this client."""
     with own.rig() as rig, rig.events() as events:
         assert events.read(0.2) is None  # sets the client's position in the sequences

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import zenoh
 
-from rigctl.client.fast import FastReader
 from rigctl.ipc.record import RECORD
 from rigctl.wire.session import close, open_client
 from tests.builders.miniature import DESIGN, Daemon, free_port, until
@@ -24,11 +23,11 @@ from tests.builders.paths import ROOT
 @pytest.mark.brief
 def test_fast_stream_is_complete(shared: Daemon) -> None:
     with shared.client() as client:
-        reader = FastReader(client, recover=False)  # the publications alone
+        reader = client.blocks(recover=False)  # the publications alone
         ticks: list[int] = []
 
         def enough() -> bool:
-            for block in reader.read():
+            for block in reader.arrived():
                 ticks.extend(np.frombuffer(block.data, RECORD.dtype)["tick"].tolist())
             return len(ticks) >= 4000
 

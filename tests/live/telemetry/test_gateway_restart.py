@@ -10,7 +10,6 @@ import time
 import pytest
 import zenoh
 
-from rigctl.client.fast import FastReader
 from rigctl.control.modes import Verb
 from rigctl.ipc.record import RECORD
 from rigctl.wire.block import decode
@@ -19,24 +18,24 @@ from tests.builders.miniature import Daemon, until
 
 def test_killed_gateway_costs_no_sample_and_no_event(own: Daemon) -> None:
     with own.client() as client:
-        fast = FastReader(client)
+        fast = client.blocks()
         plain = client.session.declare_subscriber(client.keys.fast, zenoh.handlers.RingChannel(4096))
         events = client.follow(client.keys.event("*"), 1000)
         # Long enough that the gateway has recorded its listeners.
-        until(lambda: list(fast.read()) and fast.count.blocks > 10, "the stream")
+        until(lambda: list(fast.arrived()) and fast.count.blocks > 10, "the stream")
         seen = []
         for _ in range(3):
             own.kill_gateway()
             time.sleep(0.5)
-            list(fast.read())  # blocks still on their way
+            list(fast.arrived())  # blocks still on their way
             own.start_gateway()
-            until(lambda: list(fast.read()), "the stream to go on")
+            until(lambda: list(fast.arrived()), "the stream to go on")
             until(lambda: client.state()["loop_alive"], "the gateway to answer")
             # A gateway killed right after these may not have published them; the next one does.
             seen.append(client.command("arm", "kim")["accepted"])
             seen.append(client.command("disarm", "kim")["accepted"])
         head = client.state()["seq"]
-        until(lambda: list(fast.read()) and fast.count.last_seq >= head, "the last records")
+        until(lambda: list(fast.arrived()) and fast.count.last_seq >= head, "the last records")
         count = fast.count
         sequence: list[int] = []
 
@@ -85,16 +84,17 @@ def test_records_overwritten_before_they_were_published_are_counted() -> None:
             writer.write(*nothing)
         daemon.start_gateway()
         with daemon.client() as client:
-            fast = FastReader(client)
+            fast = client.blocks()
+            client.state()  # the gateway knows of the subscription before the record is written
             writer.write(*nothing)
-            until(lambda: list(fast.read()), "the record")
+            until(lambda: list(fast.arrived()), "the record")
             age_ms = client.state()["age_ms"]
             until(lambda: client.state()["age_ms"] != age_ms, "the gateway to note how far it has come")
             daemon.kill_gateway()
             for _ in range(capacity + 1000):
                 writer.write(*nothing)
             daemon.start_gateway()
-            until(lambda: list(fast.read()) and fast.count.last_seq == writer.head, "the newest record")
+            until(lambda: list(fast.arrived()) and fast.count.last_seq == writer.head, "the newest record")
             lost = client.state()["samples_lost"]
             block = decode(client.ask(f"{client.keys.fast}?after=0")[1])
     finally:
@@ -149,8 +149,8 @@ def test_a_gateway_comes_back_with_whatever_stands_in_the_place_of_its_files(own
     own.start_gateway()
     with own.client() as client:
         assert own.state(client)["lease"] is None
-        told = client.past_events()
-        assert "lease.json holds no lease to be believed; nobody holds it" in [event["text"] for event in told]
+        events = client.past_events()
+        assert "lease.json holds no lease to be believed; nobody holds it" in [event["text"] for event in events]
         assert client.command("hold", "kim")["accepted"]
         assert own.gateway is not None
         assert own.gateway.poll() is None

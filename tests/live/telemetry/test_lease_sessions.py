@@ -15,7 +15,8 @@ import msgspec
 import pytest
 
 from rigctl.client.connection import Client, NoDaemonError
-from rigctl.client.messages import Feed
+from rigctl.client.shapes import Message
+from rigctl.client.stream import Stream
 from rigctl.control.modes import Verb
 from rigctl.gateway.lease_service import IN_FORCE
 from tests.builders.miniature import Daemon, until
@@ -48,7 +49,7 @@ def commands(daemon: Daemon) -> int:
     return daemon.runtime.commands.reader().head
 
 
-def of_kind(feed: Feed, kind: str) -> Callable[[], dict[str, Any] | None]:
+def of_kind(feed: Stream[Message], kind: str) -> Callable[[], dict[str, Any] | None]:
     def newest() -> dict[str, Any] | None:
         event = feed.take()
         return event if event is not None and event["kind"] == kind else None
@@ -97,7 +98,7 @@ def test_a_second_operator_is_refused_by_name_and_may_hold(own: Daemon) -> None:
         assert lease["id"] not in msgspec.json.encode([state, kim.active(), kim.past_events()]).decode()
 
 
-def test_the_same_name_elsewhere_is_somebody_else_until_the_id_is_shown(own: Daemon) -> None:
+def test_the_same_name_elsewhere_is_another_operator_until_the_id_is_shown(own: Daemon) -> None:
     with own.client() as first, own.client() as second:
         lease = first.command("arm", "anna")["lease"]["id"]
         refused = second.command("tension", "anna")
@@ -108,7 +109,7 @@ def test_the_same_name_elsewhere_is_somebody_else_until_the_id_is_shown(own: Dae
         assert second.command("tension", "anna")["accepted"]
 
 
-def test_a_takeover_needs_a_reason_and_is_told(own: Daemon) -> None:
+def test_a_takeover_needs_a_reason_and_is_noted(own: Daemon) -> None:
     with own.client() as anna, own.client() as kim:
         events = anna.follow(anna.keys.event("warning"))
         anna.command("arm", "anna")
@@ -138,7 +139,7 @@ def test_a_takeover_needs_a_reason_and_is_told(own: Daemon) -> None:
         assert anna.command("release", "anna")["accepted"]
 
 
-def test_a_lapse_is_told_and_moves_nothing(own: Daemon) -> None:
+def test_a_lapse_is_noted_and_moves_nothing(own: Daemon) -> None:
     with own.client() as client:
         client.command("arm", "anna")
         client.command("tension", "anna")
@@ -200,8 +201,8 @@ def test_a_lease_survives_the_gateway(own: Daemon) -> None:
         assert (after["lease"]["id"], after["lease"]["since_ns"]) == (before["id"], before["since_ns"])
         assert [e["kind"] for e in anna.past_events() if e["source"] == "gateway"] == ["LEASE_TAKEN"]
         anna.return_lease("anna")
-        told = until(lambda: (e := events.take()) and e["source"] == "gateway" and e, "the next note")
-        assert told["kind"] == "LEASE_RETURNED"  # the earlier notice is not repeated
+        note = until(lambda: (e := events.take()) and e["source"] == "gateway" and e, "the next note")
+        assert note["kind"] == "LEASE_RETURNED"  # the earlier notice is not repeated
 
 
 def test_of_any_sequence_the_loop_hears_the_holder_and_every_hold_and_nothing_else(own: Daemon) -> None:
@@ -219,27 +220,27 @@ def test_of_any_sequence_the_loop_hears_the_holder_and_every_hold_and_nothing_el
             holds = holder == operator and operator in client.leases
             match what:
                 case "hold":
-                    answer, passes, heard = client.command("hold", operator), True, 1
+                    answer, passes, reached = client.command("hold", operator), True, 1
                 case "target":
                     lapsed = holder is None and operator in client.leases
                     passes = holds or (holder is None and not lapsed)
-                    answer, heard = client.command("target", operator, draw.uniform(60, 340)), int(passes)
+                    answer, reached = client.command("target", operator, draw.uniform(60, 340)), int(passes)
                     holder = operator if passes else holder
                 case "return":
-                    answer, passes, heard = client.return_lease(operator), holds, 0
+                    answer, passes, reached = client.return_lease(operator), holds, 0
                     holder = None if passes else holder
                 case _:
-                    passes, heard = holds or holder is None or what == "take for a reason", 0
+                    passes, reached = holds or holder is None or what == "take for a reason", 0
                     answer = client.take_lease(operator, "a reason" if what == "take for a reason" else "")
                     holder = operator if passes else holder
-            given += heard
+            given += reached
             assert (answer.get("reason", "").startswith("lease_"), commands(own)) == (not passes, given), (what, answer)
             assert (answer["lease"] or {"holder": None})["holder"] == holder
         assert own.state(client)["mode"] == "HOLD"
 
 
 @pytest.mark.parametrize("forged", ["garbage", "another's", "folder"])
-def test_a_lease_that_cannot_be_believed_keeps_nobody_out(own: Daemon, forged: str) -> None:
+def test_a_lease_that_is_not_valid_keeps_no_operator_out(own: Daemon, forged: str) -> None:
     with own.client() as client:
         client.command("arm", "anna")
         client.command("tension", "anna")
@@ -267,7 +268,7 @@ def test_a_lease_that_cannot_be_believed_keeps_nobody_out(own: Daemon, forged: s
     ("lease", "says"),
     [(7, "int"), ([], "list"), ("", "text of 0 letters"), ("x" * 5000, "text of 5000"), ("0" * 31, "text of 31")],
 )
-def test_a_bad_lease_is_one_line_and_keeps_nobody_from_holding(shared: Daemon, lease: Any, says: str) -> None:
+def test_a_bad_lease_is_one_line_and_keeps_no_operator_from_holding(shared: Daemon, lease: Any, says: str) -> None:
     body = msgspec.json.encode({"operator": "kim", "lease": lease})
     with shared.client() as client:
         for verb in ("arm", "lease_take", "lease_return"):

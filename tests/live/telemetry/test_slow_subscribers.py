@@ -76,7 +76,7 @@ def counters(daemon: Daemon, number: int) -> list[subprocess.Popen[str]]:
     return processes
 
 
-def told(process: subprocess.Popen[str]) -> dict[str, Any]:
+def figures_of(process: subprocess.Popen[str]) -> dict[str, Any]:
     process.send_signal(signal.SIGTERM)
     out, _ = process.communicate(timeout=PATIENCE_S)
     return dict(json.loads(out.splitlines()[-1]))
@@ -92,9 +92,9 @@ def test_one_that_is_stopped_costs_the_others_no_sample_and_itself_none_the_ring
     stop(stalled)
     start = own.runtime.records.reader().head
     until(lambda: own.runtime.records.reader().head > start + 8000, "eight seconds: more than any queue takes")
-    figures = [told(process) for process in healthy]
+    figures = [figures_of(process) for process in healthy]
     stalled.send_signal(signal.SIGCONT)
-    its = told(stalled)
+    its = figures_of(stalled)
     for one in figures:
         assert nothing_missing(one)
         assert (one["lost"], one["recovered"]) == (0, 0)  # by publication alone, without a query
@@ -114,9 +114,9 @@ def test_one_stopped_for_longer_than_the_ring_holds_counts_just_what_is_gone(sil
         stop(stalled)
         start = records.head
         until(lambda: records.head > start + 3 * held, "the ring to be written over, and TCP's buffers")
-        assert told(healthy)["lost"] == 0
+        assert figures_of(healthy)["lost"] == 0
         stalled.send_signal(signal.SIGCONT)
-        its = told(stalled)
+        its = figures_of(stalled)
     assert its["lost"] > 0
     assert its["received"] + its["lost"] == its["produced"] == its["last_seq"] - its["first_seq"] + 1
     assert its["last_seq"] > start + 3 * held
@@ -136,7 +136,7 @@ def test_a_slow_one_gets_everything_from_the_ring_and_the_others_all_they_want(o
     assert its["read"] == its["span"] <= its["received"]
     assert its["recovered"] > 1000
     for process in healthy:
-        figures = told(process)
+        figures = figures_of(process)
         assert nothing_missing(figures)
         assert (figures["lost"], figures["recovered"]) == (0, 0)
 
@@ -159,7 +159,7 @@ def test_clients_of_all_kinds_come_back_by_themselves_after_a_restart(own: Daemo
     its = json.loads(slow.stdout.readline())
     assert (its["missing"], its["lost"]) == (0, 0)
     for process in (stopped, *others):
-        figures = told(process)
+        figures = figures_of(process)
         assert nothing_missing(figures)
         assert (figures["lost"], figures["streams"]) == (0, 1)
         assert figures["produced"] > 2000

@@ -14,7 +14,7 @@ def commanded(rig: Rig, verb: str, mode: str) -> None:
     assert (state["mode"], state["event_seq"] >= event["seq"]) == (mode, True)
 
 
-def test_the_state_asked_for_after_an_event_is_not_from_before_it(own: Daemon) -> None:
+def test_the_state_queried_after_an_event_is_not_older_than_it(own: Daemon) -> None:
     with own.rig() as rig:
         for _ in range(25):
             commanded(rig, "arm", "HOLD")

@@ -81,9 +81,9 @@ def test_a_client_of_either_router_chooses_by_name(two: tuple[Daemon, Daemon]) -
 def test_a_command_reaches_only_the_rig_it_names(two: tuple[Daemon, Daemon]) -> None:
     first, second = two
     with connect(first.endpoint, "north_rig") as north, connect(first.endpoint, "south_rig") as south:
-        told = commands(first)
-        heard = north.events()
-        assert heard.read(0.2) is None
+        given = commands(first)
+        events = north.events()
+        assert events.read(0.2) is None
         assert south.command("arm", operator="kim")["accepted"]  # by the other rig's router
         assert south.command("target", 222.0, operator="kim")["accepted"]  # the stand-in trips
         trip = south.wait_event(kind="TRIP", timeout_s=PATIENCE_S)
@@ -92,8 +92,8 @@ def test_a_command_reaches_only_the_rig_it_names(two: tuple[Daemon, Daemon]) -> 
         assert (there["rig"], there["mode"]) == ("south_rig", "FAULT")
         assert (here["rig"], here["mode"]) == ("north_rig", "DISARMED")
         assert (here["lease"], here["target_n"]) == (None, 300.0)
-        assert commands(first) == told
-        assert heard.read(0.3) is None
+        assert commands(first) == given
+        assert events.read(0.3) is None
         assert north.take_lease("lee")["lease"]["holder"] == "lee"  # each rig has a lease of its own
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rigctl.client.event_order import EventSource
 from rigctl.client.mailbox import Mailbox
-from rigctl.client.source import Question
+from rigctl.client.stream_source import Question
 from rigctl.wire.keys import Keys
 
 KEYS = Keys("paper_rig")

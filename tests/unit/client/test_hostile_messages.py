@@ -15,8 +15,9 @@ from rich.console import Console
 from rigctl.cli import status, watch
 from rigctl.cli.watch_screen import Screen
 from rigctl.client import shapes
+from rigctl.client.block_order import block
 from rigctl.client.decoding import SchemaError, layout_of, usable_schema
-from rigctl.client.ordering import block
+from rigctl.client.rig_view import RigView
 from rigctl.client.shapes import MessageRefusedError, Refusals
 from rigctl.config import rig_file as config
 from rigctl.control.modes import Mode
@@ -65,7 +66,7 @@ ACTIVE = {"settings": SETTINGS.model_dump(mode="json"), "version": "1"}
 SCHEMA = msgspec.json.decode(msgspec.json.encode(schema("paper_rig")))
 
 
-def shown(view: watch.View) -> str:
+def shown(view: RigView) -> str:
     """Everything the operator's programs show of a view."""
     assert view.state is not None
     picture = Picture(view.endpoint)
@@ -82,13 +83,15 @@ def shown(view: watch.View) -> str:
     return "".join(found)
 
 
-def view_of(state: Any = STATE, event: Any = EVENT, settings: Any = ACTIVE["settings"]) -> watch.View:
-    view = watch.View("paper_rig", "tcp/127.0.0.1:1", state, settings or {}, [event])
-    view.limits.note(event)
+def view_of(state: Any = STATE, event: Any = EVENT, settings: Any = ACTIVE["settings"]) -> RigView:
+    view = RigView("tcp/127.0.0.1:1", "paper_rig")
+    view.take_state(state)
+    view.take_active({"settings": settings or {}})
+    view.add_events([event])
     return view
 
 
-KINDS: dict[str, tuple[Callable[[bytes], Any], dict[str, Any], Callable[[Any], watch.View]]] = {
+KINDS: dict[str, tuple[Callable[[bytes], Any], dict[str, Any], Callable[[Any], RigView]]] = {
     "state": (shapes.state, STATE, lambda found: view_of(state=found)),
     "event": (shapes.event, EVENT, lambda found: view_of(event=found)),
     "active": (shapes.active, ACTIVE, lambda found: view_of(settings=found.get("settings"))),

@@ -122,17 +122,17 @@ def test_an_identification_goes_by_the_ticks_of_its_excitation_alone(
     assert seen == [t_s * S for t_s in range(9, 16)]
 
 
-def test_the_due_date_is_told_once_when_it_has_passed(service: CalibrationService) -> None:
+def test_the_due_date_is_sent_once_when_it_has_passed(service: CalibrationService) -> None:
     given = filed(service, Request(Verb.CALIBRATE, "kim", 100.0), 100.1)
     assert given.finding is not None
     wall_ns = time.time_ns()
     assert given.standing is not None
     service.put_in_force(given)
-    assert service.news(1 * S, time.time_ns()) == []
-    assert service.news(1 * S + 1, 1 << 62) == ()  # the files were read a moment ago
-    assert service.news(2 * S, wall_ns + 3650 * 86_400 * S) == [(Setting.OVERDUE, (1.0,))]
+    assert service.settings_due(1 * S, time.time_ns()) == []
+    assert service.settings_due(1 * S + 1, 1 << 62) == ()  # the files were read a moment ago
+    assert service.settings_due(2 * S, wall_ns + 3650 * 86_400 * S) == [(Setting.OVERDUE, (1.0,))]
     assert service.standing.overdue
-    assert service.news(3 * S, wall_ns + 3650 * 86_400 * S) == []
+    assert service.settings_due(3 * S, wall_ns + 3650 * 86_400 * S) == []
 
 
 def test_a_measurement_that_cannot_be_judged_is_answered_and_so_is_the_next(
@@ -149,14 +149,14 @@ def test_a_measurement_that_cannot_be_judged_is_answered_and_so_is_the_next(
     assert filed(service).finding is not None
 
 
-def test_with_an_adopted_scale_that_was_withdrawn_the_check_goes_and_the_loop_is_told(
+def test_with_an_adopted_scale_that_was_withdrawn_the_check_goes_and_the_loop_gets_it(
     service: CalibrationService, settings: RigSettings
 ) -> None:
     service.put_in_force(filed(service, Request(Verb.CALIBRATE, "kim", 100.0), 100.1))
-    assert service.news(1 * S, time.time_ns()) == []
+    assert service.settings_due(1 * S, time.time_ns()) == []
     service.withdraw(filed(service, Request(Verb.CALIBRATE, "kim", 100.0, adopt=True), 100.4))
     service.close()
-    assert service.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, (1.0,))]  # its OVERDUE 0 may have been applied
+    assert service.settings_due(2 * S, time.time_ns()) == [(Setting.OVERDUE, (1.0,))]  # OVERDUE 0 may be in use
     assert ledger.standing(settings, ledger.read(settings), time.time_ns()).due is None
 
 
@@ -192,32 +192,32 @@ def next_service(interrupted: Interrupted) -> Iterator[CalibrationService]:
     made.close()
 
 
-def test_what_is_on_record_and_not_in_force_is_told_again(
+def test_what_is_on_record_and_not_in_force_is_sent_again(
     interrupted: Interrupted, next_service: CalibrationService, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert next_service.news(1 * S, time.time_ns()) == [(Setting.ZERO, (1.5,))]
+    assert next_service.settings_due(1 * S, time.time_ns()) == [(Setting.ZERO, (1.5,))]
     interrupted.loop_goes_by(1.5, 1.0)
-    assert next_service.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, (1.0,))]
+    assert next_service.settings_due(2 * S, time.time_ns()) == [(Setting.OVERDUE, (1.0,))]
     assert in_force(interrupted.runtime).zero_n == 1.5
     assert interrupted.entries() == ["tare"]
     assert "the tare by kim of" in (said := capsys.readouterr().err)
     assert "is in force" in said
-    assert next_service.news(3 * S, time.time_ns()) == []
+    assert next_service.settings_due(3 * S, time.time_ns()) == []
 
 
-def test_what_is_shown_in_force_and_is_not_is_told_again(
+def test_what_is_shown_in_force_and_is_not_is_sent_again(
     interrupted: Interrupted, next_service: CalibrationService
 ) -> None:
     interrupted.runtime.write_json(IN_FORCE, interrupted.filed.standing)
-    assert next_service.news(1 * S, time.time_ns()) == [(Setting.ZERO, (1.5,))]
+    assert next_service.settings_due(1 * S, time.time_ns()) == [(Setting.ZERO, (1.5,))]
 
 
 def test_what_the_loop_still_does_not_take_is_withdrawn(
     interrupted: Interrupted, next_service: CalibrationService, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert next_service.news(1 * S, time.time_ns()) == [(Setting.ZERO, (1.5,))]
-    assert next_service.news(2 * S, time.time_ns()) == []
-    assert next_service.news(4 * S, time.time_ns()) == [(Setting.OVERDUE, (1.0,))]
+    assert next_service.settings_due(1 * S, time.time_ns()) == [(Setting.ZERO, (1.5,))]
+    assert next_service.settings_due(2 * S, time.time_ns()) == []
+    assert next_service.settings_due(4 * S, time.time_ns()) == [(Setting.OVERDUE, (1.0,))]
     next_service.close()
     assert interrupted.entries() == ["tare", "tare withdrawn"]
     assert in_force(interrupted.runtime).zero_n == 0.0
@@ -228,18 +228,18 @@ def test_what_the_loop_took_before_its_gateway_died_is_shown_in_force(
     interrupted: Interrupted, next_service: CalibrationService
 ) -> None:
     interrupted.loop_goes_by(1.5, 1.0)
-    assert next_service.news(1 * S, time.time_ns()) == []
-    next_service.news(2 * S, time.time_ns())
+    assert next_service.settings_due(1 * S, time.time_ns()) == []
+    next_service.settings_due(2 * S, time.time_ns())
     assert in_force(interrupted.runtime).zero_n == 1.5
     assert interrupted.entries() == ["tare"]
 
 
-def test_a_ledger_that_somebody_else_changed_is_not_put_in_force(
+def test_a_ledger_that_another_program_changed_is_not_put_in_force(
     interrupted: Interrupted, next_service: CalibrationService, capsys: pytest.CaptureFixture[str]
 ) -> None:
     interrupted.loop_goes_by(-3.0, 1.0)
-    assert next_service.news(1 * S, time.time_ns()) == []
-    assert next_service.news(5 * S, time.time_ns()) == []
+    assert next_service.settings_due(1 * S, time.time_ns()) == []
+    assert next_service.settings_due(5 * S, time.time_ns()) == []
     assert interrupted.entries() == ["tare"]
     assert "holds from the daemon's next start" in capsys.readouterr().err
 
@@ -252,8 +252,8 @@ def test_a_check_on_record_that_changed_no_figure_of_the_loop_holds_until_its_du
     assert filed(service, Request(Verb.CALIBRATE, "kim", 100.0), 100.1).standing is not None
     service.close()  # its gateway ends with it
     after = CalibrationService(runtime, settings)
-    assert list(after.news(1 * S, time.time_ns())) == []
-    assert after.news(2 * S, time.time_ns()) == [(Setting.OVERDUE, (0.0,))]
+    assert list(after.settings_due(1 * S, time.time_ns())) == []
+    assert after.settings_due(2 * S, time.time_ns()) == [(Setting.OVERDUE, (0.0,))]
     assert in_force(runtime).due is not None
     after.close()
 
@@ -265,7 +265,7 @@ def test_a_tare_that_was_withdrawn_and_yet_taken_is_left_to_the_next_start(
     next_service.close()
     interrupted.loop_goes_by(1.5, 1.0)
     after = CalibrationService(interrupted.runtime, interrupted.settings)
-    assert after.news(1 * S, time.time_ns()) == []
+    assert after.settings_due(1 * S, time.time_ns()) == []
     after.close()
     assert interrupted.entries() == ["tare", "tare withdrawn"]
     assert "holds from the daemon's next start" in capsys.readouterr().err
@@ -273,9 +273,9 @@ def test_a_tare_that_was_withdrawn_and_yet_taken_is_left_to_the_next_start(
 
 def test_an_answer_that_is_missing_is_looked_for(interrupted: Interrupted, next_service: CalibrationService) -> None:
     interrupted.loop_goes_by(1.5, 1.0)
-    next_service.news(1 * S, time.time_ns())
-    next_service.news(2 * S, time.time_ns())
+    next_service.settings_due(1 * S, time.time_ns())
+    next_service.settings_due(2 * S, time.time_ns())
     given = filed(next_service, mean_n=2.5)
-    assert next_service.news(3 * S, time.time_ns()) == []  # the command server puts it in force
+    assert next_service.settings_due(3 * S, time.time_ns()) == []  # the command server puts it in force
     next_service.unanswered(given)
-    assert next_service.news(4 * S, time.time_ns()) == [(Setting.ZERO, (2.5,))]
+    assert next_service.settings_due(4 * S, time.time_ns()) == [(Setting.ZERO, (2.5,))]

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
-from rigctl.gateway.command_rate import ALL_BURST, ALL_HZ, NAMES_MAX, PER_OPERATOR_BURST, PER_OPERATOR_HZ, TOLD_NS, Flow
+from rigctl.gateway.command_rate import (
+    ALL_BURST,
+    ALL_HZ,
+    NAMES_MAX,
+    PER_OPERATOR_BURST,
+    PER_OPERATOR_HZ,
+    REPORT_NS,
+    Flow,
+)
 
 S = 1_000_000_000
 
@@ -46,14 +54,14 @@ def test_the_holder_has_a_limit_too() -> None:
     assert len(let_through(Flow(S), ["anna"], 10, holder=True)) <= PER_OPERATOR_BURST + 10 * PER_OPERATOR_HZ + 1
 
 
-def test_refusals_are_counted_by_name_and_told_once() -> None:
+def test_refusals_are_counted_by_name_and_reported_once() -> None:
     flow = Flow(S)
     through = len(let_through(flow, ["kim"], 5))
     assert not flow.due(S + 5 * S)
-    assert flow.due(S + TOLD_NS + S)
-    (crowd,) = flow.told()
+    assert flow.due(S + REPORT_NS + S)
+    (crowd,) = flow.report()
     assert (crowd.operator, crowd.count) == ("kim", 5000 - through)
-    assert flow.told() == []
+    assert flow.report() == []
     assert not flow.due(100 * S)
 
 
@@ -62,7 +70,7 @@ def test_names_without_end_take_no_memory_without_end() -> None:
     for number in range(50_000):
         flow.admit(f"user{number}", S + number)
     assert len(flow._of) <= NAMES_MAX
-    assert len(flow.told()) <= NAMES_MAX + 1
+    assert len(flow.report()) <= NAMES_MAX + 1
 
 
 def test_the_refusal_says_what_the_limit_is_and_what_to_do() -> None:

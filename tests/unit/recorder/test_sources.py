@@ -27,7 +27,7 @@ from rigctl.recorder import chain, protobuf
 from rigctl.recorder.protobuf import Decoding, Encoding
 from rigctl.recorder.recorder_process import Recorder
 from rigctl.recorder.sources import SOURCES, AuditedRings
-from rigctl.wire.state_message import RECORDER_SILENT_NS, kept_of
+from rigctl.wire.state_message import RECORDER_SILENT_NS, recorder_of
 
 
 @pytest.fixture
@@ -226,15 +226,15 @@ def test_the_state_says_what_is_kept_and_whether_the_recorder_runs() -> None:
         "warnings": ["disk"],
         "t_ns": 10,
     }
-    shown, warnings = kept_of(told, 20)
+    shown, warnings = recorder_of(told, 20)
     assert shown == {
         "audit": {"entries": 3, "head": "ab", "failures": 1},
         "trip_dump": "x.mcap",
         "recording": {"file": "y.mcap"},
     }
     assert warnings == ["disk"]
-    assert "does not run" in kept_of(told, 10 + RECORDER_SILENT_NS + 1)[1][-1]
-    assert kept_of({}, 20) == ({"audit": None, "trip_dump": None, "recording": None}, [])
+    assert "does not run" in recorder_of(told, 10 + RECORDER_SILENT_NS + 1)[1][-1]
+    assert recorder_of({}, 20) == ({"audit": None, "trip_dump": None, "recording": None}, [])
 
 
 def test_the_recorder_needs_no_network_and_the_loop_no_recorder() -> None:

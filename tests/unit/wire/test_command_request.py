@@ -109,7 +109,7 @@ def test_every_answer_has_one_line(verb: Verb, mode: Mode, refusal: Refusal) -> 
     msgspec.json.encode(found)
 
 
-def test_arm_at_an_end_is_said_by_arm_alone_and_told_to_the_loop() -> None:
+def test_arm_at_an_end_is_an_option_of_arm_alone_and_reaches_the_loop() -> None:
     payload = msgspec.json.encode({"operator": "kim", "near_end": True})
     assert parse(Verb.ARM, payload).number == 1.0
     assert parse(Verb.ARM, msgspec.json.encode({"operator": "kim"})).number == 0.0

@@ -11,7 +11,7 @@ from rigctl.config import rig_file as config
 from tests.builders.daemons import rig_file
 
 
-def test_a_gateway_joins_nobody_unless_told_to(tmp_path: pathlib.Path) -> None:
+def test_a_gateway_joins_only_the_routers_of_its_setting(tmp_path: pathlib.Path) -> None:
     assert config.load(rig_file(tmp_path)).telemetry.join == []
     others = ["tcp/192.168.1.10:7447", "unixsock-stream//run/zenohd.sock"]
     assert config.load(rig_file(tmp_path, {"telemetry": {"join": others}})).telemetry.join == others

@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.gateway.lease_service import believed, why_not
+from rigctl.gateway.lease_service import valid_lease, why_not
+from rigctl.ipc.notes import Note
 from rigctl.wire.command_request import RequestError
-from rigctl.wire.lease import ACTS, ID_BYTES, Act, Change, Denial, Lease, LeaseRegister, Turn, is_id
+from rigctl.wire.lease import ACTS, ID_BYTES, Denial, Lease, LeaseAct, LeaseChange, LeaseRegister, is_id
 from rigctl.wire.lease_request import LeaseRequest, parse_lease
 
 S = 1_000_000_000
@@ -25,11 +26,11 @@ ID = "0" * 31 + "1"
 class Rig:
     """A register whose ids count up, and its notices."""
 
-    told: list[Change] = field(default_factory=list)
+    changes: list[LeaseChange] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         numbers = itertools.count(1)
-        self.register = LeaseRegister(TERM, self.told.append, make_id=lambda: f"{next(numbers):032x}")
+        self.register = LeaseRegister(TERM, self.changes.append, make_id=lambda: f"{next(numbers):032x}")
 
     def holder(self, now_ns: int) -> str | None:
         lease = self.register.lease(now_ns)
@@ -47,7 +48,7 @@ def test_the_first_command_takes_the_lease_and_every_further_one_renews_it() -> 
     assert (first.holder, first.since_ns, first.until_ns) == ("anna", 0, TERM)
     again = granted(rig.register.admit("anna", first.id, TERM - 1))
     assert (again.id, again.since_ns, again.until_ns) == (first.id, 0, 2 * TERM - 1)
-    assert rig.told == [Change(0, Turn.TAKEN, "anna")]
+    assert rig.changes == [LeaseChange(0, Note.LEASE_TAKEN, "anna")]
 
 
 @pytest.mark.parametrize(
@@ -65,12 +66,12 @@ def test_a_second_operator_is_refused_while_the_lease_runs(operator: str, shown:
     assert rig.register.lease(TERM - 1) == Lease(ID, "anna", 0, TERM)
 
 
-def test_a_takeover_is_told_with_both_names_and_the_reason() -> None:
+def test_a_takeover_is_noted_with_both_names_and_the_reason() -> None:
     rig = Rig()
     old = granted(rig.register.admit("anna", None, 0))
     new = granted(rig.register.take("kim", None, "anna left", 5))
     assert new.id != old.id
-    assert rig.told[-1] == Change(5, Turn.TAKEN_OVER, "kim", "anna", "anna left")
+    assert rig.changes[-1] == LeaseChange(5, Note.LEASE_TAKEN_OVER, "kim", "anna", "anna left")
     assert rig.register.admit("anna", old.id, 6) is Denial.HELD
     assert granted(rig.register.admit("kim", new.id, 7)).holder == "kim"
 
@@ -81,11 +82,11 @@ def test_a_lapsed_id_is_not_taken_for_a_new_one() -> None:
     assert rig.register.has_lapsed(TERM)
     assert not rig.register.has_lapsed(TERM - 1)
     assert rig.register.admit("anna", old.id, TERM) is Denial.LAPSED
-    assert rig.told == [Change(0, Turn.TAKEN, "anna"), Change(TERM, Turn.LAPSED, "anna")]
+    assert rig.changes == [LeaseChange(0, Note.LEASE_TAKEN, "anna"), LeaseChange(TERM, Note.LEASE_LAPSED, "anna")]
     rig.register.expire(TERM + 1)
-    assert len(rig.told) == 2
+    assert len(rig.changes) == 2
     assert granted(rig.register.take("anna", old.id, "", TERM)).id != old.id
-    assert rig.told[-1] == Change(TERM, Turn.TAKEN, "anna")
+    assert rig.changes[-1] == LeaseChange(TERM, Note.LEASE_TAKEN, "anna")
 
 
 def test_a_lease_given_back_is_anyones() -> None:
@@ -93,11 +94,11 @@ def test_a_lease_given_back_is_anyones() -> None:
     assert rig.register.give_back("anna", None, 0) is Denial.NOT_HELD
     lease = granted(rig.register.admit("anna", None, 0))
     assert rig.register.give_back("anna", lease.id, 1) is None
-    assert rig.told[-1] == Change(1, Turn.RETURNED, "anna")
+    assert rig.changes[-1] == LeaseChange(1, Note.LEASE_RETURNED, "anna")
     assert granted(rig.register.admit("kim", None, 2)).holder == "kim"
 
 
-def test_ids_are_unguessable_and_of_the_form_that_is_asked_for() -> None:
+def test_ids_are_unguessable_and_have_the_form_of_an_id() -> None:
     register = LeaseRegister(TERM, lambda _change: None)
     ids = {granted(register.take(str(n), None, "test", n)).id for n in range(100)}
     assert len(ids) == 100
@@ -116,7 +117,7 @@ STEPS = st.lists(
 
 
 @given(STEPS)
-def test_any_sequence_has_one_holder_who_lost_it_only_in_ways_that_are_told(steps: list[Any]) -> None:
+def test_any_sequence_has_one_holder_who_lost_it_only_in_ways_that_are_noted(steps: list[Any]) -> None:
     """The notices alone give the holder at every moment, and never two holders."""
     rig, now, ids = Rig(), 0, ["f" * 32]
     holder: str | None = None
@@ -124,7 +125,7 @@ def test_any_sequence_has_one_holder_who_lost_it_only_in_ways_that_are_told(step
         now += pause_ns
         before, until_ns = rig.register.lease(now), 0
         id_ = None if shown is None else ids[-1 - shown % len(ids)]
-        rig.told.clear()
+        rig.changes.clear()
         found: Lease | Denial | None = None
         match what:
             case "command":
@@ -135,20 +136,20 @@ def test_any_sequence_has_one_holder_who_lost_it_only_in_ways_that_are_told(step
                 rig.register.expire(now)
             case _:
                 found = rig.register.take(operator, id_, "a reason" if what == "take for a reason" else "", now)
-        for change in rig.told:
+        for change in rig.changes:
             assert change.t_ns == now
-            match change.turn:
-                case Turn.TAKEN:
+            match change.kind:
+                case Note.LEASE_TAKEN:
                     assert holder is None
                     holder = change.operator
-                case Turn.TAKEN_OVER:
+                case Note.LEASE_TAKEN_OVER:
                     assert (holder, change.reason, what) == (change.other, "a reason", "take for a reason")
                     holder = change.operator
-                case Turn.LAPSED:
+                case Note.LEASE_LAPSED:
                     assert holder == change.operator
                     assert before is None
                     holder = None
-                case Turn.RETURNED:
+                case Note.LEASE_RETURNED:
                     assert (holder, change.operator, what) == (operator, operator, "give back")
                     holder = None
         lease = rig.register.lease(now)
@@ -167,8 +168,8 @@ def test_only_what_a_gateway_would_have_written_is_believed() -> None:
     good = Lease(ID, "anna", 5 * S, 10 * S)
     written = msgspec.to_builtins(good)
     now = 6 * S
-    assert believed(written, TERM, now) == good
-    assert believed(written, TERM, 10 * S) == good  # lapsed meanwhile: the register reports it
+    assert valid_lease(written, TERM, now) == good
+    assert valid_lease(written, TERM, 10 * S) == good  # lapsed meanwhile: the register reports it
     bad: list[Any] = [
         None, [], "x", {}, {**written, "id": "x"}, {**written, "id": ID.upper() + "A"}, {**written, "holder": ""},
         {**written, "holder": "a\nb"}, {**written, "holder": 7}, {**written, "since_ns": 7 * S},
@@ -176,7 +177,7 @@ def test_only_what_a_gateway_would_have_written_is_believed() -> None:
         {**written, "until_ns": "soon"}, {**written, "until_ns": 1e30},
     ]  # fmt: skip
     for forged in bad:
-        assert believed(forged, TERM, now) is None, forged
+        assert valid_lease(forged, TERM, now) is None, forged
 
 
 def test_a_denial_says_who_since_when_how_long_and_how_to_take_over() -> None:
@@ -191,13 +192,13 @@ def test_a_denial_says_who_since_when_how_long_and_how_to_take_over() -> None:
 
 
 def test_an_act_on_the_lease_is_read() -> None:
-    assert ACTS == {"lease_take": Act.TAKE, "lease_return": Act.RETURN}
+    assert ACTS == {"lease_take": LeaseAct.TAKE, "lease_return": LeaseAct.RETURN}
     payload = {"operator": " kim ", "lease": ID, "reason": " tea "}
-    assert parse_lease(Act.TAKE, msgspec.json.encode(payload)) == LeaseRequest(Act.TAKE, "kim", ID, "tea")
-    assert parse_lease(Act.RETURN, b'{"operator": "kim"}') == LeaseRequest(Act.RETURN, "kim")
+    assert parse_lease(LeaseAct.TAKE, msgspec.json.encode(payload)) == LeaseRequest(LeaseAct.TAKE, "kim", ID, "tea")
+    assert parse_lease(LeaseAct.RETURN, b'{"operator": "kim"}') == LeaseRequest(LeaseAct.RETURN, "kim")
 
 
-@pytest.mark.parametrize("act", Act)
+@pytest.mark.parametrize("act", LeaseAct)
 @pytest.mark.parametrize(
     "more",
     [
@@ -206,7 +207,7 @@ def test_an_act_on_the_lease_is_read() -> None:
         {"operator": ""}, {"value": 1}, {"lease": ID + "\n"},
     ],
 )  # fmt: skip
-def test_a_malformed_act_is_one_line(act: Act, more: dict[str, Any]) -> None:
+def test_a_malformed_act_is_one_line(act: LeaseAct, more: dict[str, Any]) -> None:
     with pytest.raises(RequestError, match="expected") as refused:
         parse_lease(act, msgspec.json.encode({"operator": "kim"} | more))
     assert "\n" not in str(refused.value)

@@ -19,7 +19,7 @@ from rigctl.ipc.record import EVENT, NOTE, RECORD
 from rigctl.wire import command_request as request
 from rigctl.wire.block import decode, encode
 from rigctl.wire.event_message import event_message
-from rigctl.wire.lease import Act
+from rigctl.wire.lease import LeaseAct
 from rigctl.wire.lease_request import parse_lease
 from rigctl.wire.schema import VERSION, schema
 
@@ -82,9 +82,9 @@ def test_every_verb_is_there_with_just_what_it_takes() -> None:
 
 def test_the_lease_is_there_with_just_what_it_takes() -> None:
     verbs = SCHEMA["lease"]["verbs"]
-    assert set(verbs) == {act.value for act in Act}
+    assert set(verbs) == {act.value for act in LeaseAct}
     assert described(SCHEMA["lease"]["payload"]) == {"operator", "lease", "reason", "run_id"}
-    for act in Act:
+    for act in LeaseAct:
         body = msgspec.json.encode({"operator": "kim", "reason": "tea"})
         if "reason" in verbs[act.value]["options"]:
             assert parse_lease(act, body).reason == "tea"

@@ -19,7 +19,7 @@ from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action
-from rigctl.gateway.active import Active
+from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
 from rigctl.gateway.published_position import Cursor
 from rigctl.gateway.streams import BLOCK_RECORDS, blocks_of
@@ -29,7 +29,7 @@ from rigctl.ipc.ring import RingReader, create
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.metrics.tension_error import percentiles_us
 from rigctl.wire.event_message import event_message
-from rigctl.wire.state_message import ALIVE_NS, Recent, Trip, quality_words, state_of, warnings_of
+from rigctl.wire.state_message import ALIVE_NS, Recent, TripEvents, quality_words, state_of, warnings_of
 from tests.builders.paths import ROOT
 
 NOW, WALL = 10_000_000_000, 1_700_000_000_000_000_000
@@ -46,8 +46,8 @@ def event(kind: int, a: int = 0, b: int = 0, value: float = 0.0, limit: float = 
     return np.array([(1, NOW, kind, a, b, value, limit, text)], EVENT.dtype)[0]  # type: ignore[no-any-return]
 
 
-def state(found: np.void | None, trip: Trip | None = None) -> dict[str, Any]:
-    made = state_of(found, trip or Trip(), Recent(), NOW, WALL)
+def state(found: np.void | None, trip: TripEvents | None = None) -> dict[str, Any]:
+    made = state_of(found, trip or TripEvents(), Recent(), NOW, WALL)
     return dict(msgspec.json.decode(msgspec.json.encode(made)))
 
 
@@ -99,7 +99,7 @@ def test_numbers_from_another_version_are_shown_not_raised() -> None:
 
 
 def test_the_trip_is_worded_with_its_figures() -> None:
-    trip = Trip()
+    trip = TripEvents()
     trip.note(np.array([event(Kind.STARTED), event(Kind.TRIP, Fault.CELL_STALE, 0, 2e7, 1.5e7)]))
     assert trip.text(Fault.CELL_STALE) == "no tension sample for 20 ms (limit 15 ms)"
     assert trip.text(Fault.TENSION_HIGH) == "tension high"  # its event is overwritten
@@ -123,7 +123,7 @@ def test_a_state_with_a_fault_says_why_however_the_trip_falls_between_what_is_re
             return found
 
     for torn in ("_events", "_records"):
-        view = StateView(runtime, settings, Active(runtime))
+        view = StateView(runtime, settings, ActiveConfiguration(runtime))
         ring = runtime.events if torn == "_events" else runtime.records
         setattr(view, torn, Tripping(ring.path, ring.slot.dtype, from_start=True))
         cursor = Cursor(tmp_path / "cursor", runtime.records.path, 0)

@@ -1,7 +1,6 @@
-"""A stream's logic without I/O: received payloads go in, items in order come out, or a question for the daemon.
+"""A stream's logic without input and output: received payloads go in, items in order come out, or a query is needed.
 
-The plain and the asynchronous client differ only in how they wait and query; see `rigctl.client.stream` and
-`rigctl.client.stream_async`.
+`rigctl.client.stream` waits and queries.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ class Question:
     check: Callable[[bytes], object]
 
 
-class Source(Protocol[Item_co]):
+class StreamSource(Protocol[Item_co]):
     """A stream's logic; it reads from ``mailbox``."""
 
     mailbox: Mailbox

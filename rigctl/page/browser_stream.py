@@ -9,13 +9,13 @@ from typing import Any
 import msgspec
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from rigctl.page.chart_frame import frame
+from rigctl.page.chart_signals import SIGNALS
 from rigctl.page.history import WINDOWS_S
 from rigctl.page.lateness import EDGES_US
 from rigctl.page.page_commands import PageCommands
 from rigctl.page.panel import events_message, settings_message, state_message
 from rigctl.page.picture import Picture
-from rigctl.page.signals import SIGNALS
-from rigctl.page.wire import frame
 
 FRAME_S = 0.04
 WORDS_EVERY = 3  # frames
@@ -23,7 +23,7 @@ LATENESS_EVERY = 12
 _SLOW_S = 10.0  # a browser that accepts no data for this long counts as gone
 
 
-class Stream:
+class BrowserStream:
     """One websocket. The browser sends ``{"window": N}`` and gets that window from its start."""
 
     def __init__(

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 from rigctl.client.mailbox import Mailbox
 from rigctl.client.shapes import MessageRefusedError
-from rigctl.client.source import Question
-from rigctl.wire.block import Block, BlockError, decode
+from rigctl.client.stream_source import Question
+from rigctl.wire.block import Block, FastBlockError, decode
+
+DEPTH_BLOCKS = 2048  # 40 s at 50 Hz
 
 
 def block(payload: bytes) -> Block:
@@ -23,7 +25,7 @@ def block(payload: bytes) -> Block:
     """
     try:
         return decode(payload)
-    except BlockError as error:
+    except FastBlockError as error:
         raise MessageRefusedError(str(error)) from None
 
 
@@ -50,22 +52,25 @@ class Count:
 class BlockSource:
     """Blocks without gaps or repetitions."""
 
-    def __init__(self, mailbox: Mailbox, key: str, *, recover: bool = True) -> None:
-        """``recover``: query missed records; False: a gap counts as lost at once."""
+    def __init__(self, mailbox: Mailbox, key: str, *, recover: bool = True, past: bool = False) -> None:
+        """``recover``: query missed records; False: a gap counts as lost at once.
+
+        ``past``: begin with the oldest record that the daemon's ring holds.
+        """
         self.mailbox = mailbox
         self.count = Count()
-        self._key, self._recover = key, recover
+        self._key, self._recover, self._past = key, recover, past
         self._stream = 0
         self._ready: deque[Block] = deque()
         self._held: Block | None = None  # came after a gap and waits for the missing records
 
     def poll(self) -> Block | Question | None:
-        """See `rigctl.client.source.Source`."""
+        """See `rigctl.client.stream_source.StreamSource`."""
         while True:
             if self._ready:
                 return self._ready.popleft()
-            if self._held is not None:
-                after = self.count.last_seq if self._held.stream == self._stream else 0
+            if self._past or self._held is not None:
+                after = self.count.last_seq if self._held is None or self._held.stream == self._stream else 0
                 return Question(f"{self._key}?after={after}", block)
             payload = self.mailbox.take()
             if payload is None:
@@ -86,20 +91,17 @@ class BlockSource:
             return
         count.blocks += 1
         if not count.streams:
-            self._begin(found)
+            self._begin(found.stream, found.first_seq)
         anew = found.stream != self._stream  # a restarted daemon or a forged block: a query decides
         if anew or (found.first_seq > count.last_seq + 1 and self._recover):
             self._held = found
         else:
             self._pass(found)
 
-    def _begin(self, found: Block) -> None:
-        """Start a stream: the first at the block's first record, one after a restart of the daemon at record 1."""
-        count = self.count
-        self._stream = found.stream
-        count.streams += 1
-        count.first_seq = found.first_seq if count.streams == 1 else 1
-        count.last_seq = count.first_seq - 1
+    def _begin(self, stream: int, first_seq: int = 1) -> None:
+        self._stream = stream
+        self.count.streams += 1
+        self.count.first_seq, self.count.last_seq = first_seq, first_seq - 1
 
     def _pass(self, found: Block) -> None:
         """Pass on the new records of a block; records missing before it count as lost."""
@@ -119,18 +121,19 @@ class BlockSource:
             self._ready.append(block)
 
     def answer(self, payload: bytes | None) -> None:
-        """See `rigctl.client.source.Source`."""
+        """See `rigctl.client.stream_source.StreamSource`."""
         held, count = self._held, self.count
-        if held is None:
-            return
         found = block(payload) if payload is not None else None
+        if held is None:
+            self._take_past(found)
+            return
         if found is not None and not self._is_known(held, found):
             self._held = None
             count.malformed += 1
             self.mailbox.refuse("records the daemon knows nothing of")
             return
         if held.stream != self._stream:
-            self._begin(held)
+            self._begin(held.stream)
         if found is not None and found.stream == self._stream:
             part = found.part(count.last_seq + 1, held.first_seq - 1)
             if part.count:
@@ -143,6 +146,17 @@ class BlockSource:
                     return
         self._held = None
         self._pass(held)
+
+    def _take_past(self, found: Block | None) -> None:
+        """Pass on records that the ring held before this subscription, until the newest of them."""
+        self._past = False
+        if found is None or not found.count or found.last_seq <= self.count.last_seq:
+            return
+        if not self.count.streams:
+            self._begin(found.stream, found.first_seq)
+        if found.stream == self._stream:  # else the daemon was restarted, which its next publication shows
+            self._pass(found)
+            self._past = found.last_seq < found.head_seq
 
     def _is_known(self, held: Block, answer: Block) -> bool:
         """Whether the block held is genuine: the answering daemon, or the one before it, can have written it."""

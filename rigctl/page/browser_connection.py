@@ -24,7 +24,7 @@ ANSWER_S = 30.0  # to make and deliver the answer
 HEADER_BYTES = 16_384
 
 
-class Connection(H11Protocol):
+class BrowserConnection(H11Protocol):
     """One connection, until it is closed or becomes a viewer's stream."""
 
     guard: Guard
@@ -32,13 +32,13 @@ class Connection(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """See `asyncio.Protocol`."""
         super().connection_made(transport)
-        self._opened_s, self._asked = self.loop.time(), False
+        self._opened_s, self._answering = self.loop.time(), False
         self._timer = self.loop.call_later(REQUEST_S, transport.abort)
         if len(self.connections) > CONNECTIONS:
             self._make_room()
 
     def _make_room(self) -> None:
-        others = [one for one in self.connections if isinstance(one, Connection) and not one.commands]
+        others = [one for one in self.connections if isinstance(one, BrowserConnection) and not one.commands]
         oldest = min(others, key=lambda one: one._opened_s)
         self.connections.discard(oldest)  # abort removes it only in the next turn, but its place is needed now
         oldest.transport.abort()
@@ -46,20 +46,20 @@ class Connection(H11Protocol):
     @property
     def commands(self) -> bool:
         """Whether a command with the token is being carried out here."""
-        if not self._asked or not self.scope["path"].startswith("/api/"):
+        if not self._answering or not self.scope["path"].startswith("/api/"):
             return False
         return self.guard.may_command(Headers(raw=self.headers))
 
     def data_received(self, data: bytes) -> None:
         """See `asyncio.Protocol`."""
         super().data_received(data)
-        self._look()
+        self._check_request()
 
-    def _look(self) -> None:
+    def _check_request(self) -> None:
         """Extend the time limit once a request is complete."""
-        if not self._asked and self.cycle is not None and self.conn.their_state is not h11.SEND_BODY:
-            self._asked = not self.cycle.response_complete
-            if self._asked:
+        if not self._answering and self.cycle is not None and self.conn.their_state is not h11.SEND_BODY:
+            self._answering = not self.cycle.response_complete
+            if self._answering:
                 self._allow(ANSWER_S)
 
     def _allow(self, seconds: float) -> None:
@@ -68,14 +68,14 @@ class Connection(H11Protocol):
 
     def on_response_complete(self) -> None:
         """See `H11Protocol`."""
-        self._asked = False
+        self._answering = False
         self._allow(REQUEST_S)
         super().on_response_complete()
-        self._look()
+        self._check_request()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
         """See `H11Protocol`; a viewer's stream has its own limits."""
-        if sum(not isinstance(one, Connection) for one in self.connections) >= VIEWERS:
+        if sum(not isinstance(one, BrowserConnection) for one in self.connections) >= VIEWERS:
             self.transport.write(b"HTTP/1.1 503 Service Unavailable\r\ncontent-length: 0\r\nconnection: close\r\n\r\n")
             self.transport.close()
             return
@@ -91,4 +91,4 @@ class Connection(H11Protocol):
 def protocol(guard: Guard) -> type[asyncio.Protocol]:
     """The protocol of one server."""
     attributes: dict[str, Any] = {"guard": guard}
-    return type("GuardedConnection", (Connection,), attributes)
+    return type("GuardedConnection", (BrowserConnection,), attributes)
