@@ -158,7 +158,7 @@ REQUEST = Slot(
         Field("t_ns", "q", "ns", "when, CLOCK_MONOTONIC"),
         Field("answered", "B", "", "0 given to the loop, 1 answered"),
         Field("id", "Q", "", "of the command in the loop's ring; 0 where it did not get there"),
-        Field("verb", "32s", "", "what was asked"),
+        Field("verb", "32s", "", "the command"),
         Field("value", "d", "", "of the command, NaN for none"),
         Field("operator", "256s", "", "who"),
         Field("holder", "256s", "", "who holds the lease"),
