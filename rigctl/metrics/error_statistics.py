@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.metrics.phases import JudgedPhase
-from rigctl.metrics.tension_error import largest_and_rms_pct
+from rigctl.metrics.tension_error import largest_and_rms_pct, stretches
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -77,6 +77,5 @@ def statistics(records: Array, judged: list[JudgedPhase], rate_hz: float) -> Err
 
 def longest_beyond_s(errors_n: Floats, bound_n: float, rate_hz: float) -> float:
     """Longest unbroken time of ``|error|`` above ``bound_n``, in s; 0 if it never was."""
-    beyond = np.abs(errors_n) > bound_n
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], beyond, [False])).astype(np.int8)))
-    return float(np.max(edges[1::2] - edges[::2], initial=0)) / rate_hz
+    longest = max((after - first for first, after in stretches(np.abs(errors_n) > bound_n)), default=0)
+    return longest / rate_hz

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.control.modes import Mode
+from rigctl.metrics.tension_error import stretches
 
 SETTLE_S = 2.0
 """Time left out after entry into COMPENSATING, and after a new target is reached."""
@@ -47,10 +48,8 @@ def phases(records: Array, settle_s: float = SETTLE_S) -> list[JudgedPhase]:
         records: ``RECORD`` slots, sorted.
         settle_s: time left out at the beginning of each phase.
     """
-    inside = records["mode"] == Mode.COMPENSATING
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
     found: list[JudgedPhase] = []
-    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for begin, end in stretches(records["mode"] == Mode.COMPENSATING):
         targets = records["target_n"][begin:end]
         cuts = [begin, *(np.flatnonzero(np.diff(targets)) + begin + 1).tolist(), end]
         for start, after in itertools.pairwise(cuts):

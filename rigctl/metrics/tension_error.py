@@ -22,12 +22,16 @@ def percentiles_us(values_ns: Array) -> dict[str, float]:
     return {name: round(float(value) / 1000.0, 1) for name, value in zip(PERCENTILES, found, strict=True)}
 
 
+def stretches(mask: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and after-last index of each unbroken stretch of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
 def compensating_windows(records: Array, settle_s: float) -> list[tuple[int, int]]:
     """Spans ``(from_ns, to_ns)`` of COMPENSATING, each without its first ``settle_s``."""
-    inside = records["mode"] == Mode.COMPENSATING
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
     spans = []
-    for first, after in zip(edges[::2], edges[1::2], strict=True):
+    for first, after in stretches(records["mode"] == Mode.COMPENSATING):
         start = int(records["t_ns"][first]) + round(settle_s * 1e9)
         end = int(records["t_ns"][after - 1])
         if start < end:

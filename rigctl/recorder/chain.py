@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
@@ -125,13 +125,9 @@ def verify(lines: Iterable[bytes], head: str | None = None) -> Verification:
         except ChainError as error:
             why = str(error)
         if why:
-            return _broken(report, number, why)
+            return replace(report, line=number, why=why)
         head_line = number if own == head else report.head_line
         report = Verification(number, entry.rig, report.first or entry.wall, entry.wall, own, head_line=head_line)
     if head is not None and not report.head_line and head != ORIGIN:
-        return _broken(report, report.entries + 1, f"truncated: the head {head[:16]}... is not in it")
+        return replace(report, line=report.entries + 1, why=f"truncated: the head {head[:16]}... is not in it")
     return report
-
-
-def _broken(report: Verification, line: int, why: str) -> Verification:
-    return Verification(report.entries, report.rig, report.first, report.last, report.head, line, why, report.head_line)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
+from rigctl.recorder import audit_log
+from rigctl.recorder.enums import name_of
 from rigctl.recorder.file_reader import RECORDER
 from rigctl.recorder.recording import Recording
 
@@ -18,17 +19,10 @@ _NOT_METADATA = ("versions",)
 
 def moment(recording: Recording, t_ns: int) -> str:
     """A time of the recording on the wall clock, UTC."""
-    seconds, rest_ns = divmod(t_ns + recording.wall_offset_ns, 1_000_000_000)
     try:
-        whole = datetime.fromtimestamp(seconds, UTC)
+        return audit_log.moment(t_ns + recording.wall_offset_ns)
     except (ValueError, OverflowError, OSError):
         return "not a time"
-    return f"{whole:%Y-%m-%dT%H:%M:%S}.{rest_ns // 1_000_000:03d}Z"
-
-
-def mode_name(number: int) -> str:
-    """A mode's name, or its number if this version does not know it."""
-    return Mode(number).name if number in Mode._value2member_map_ else str(number)
 
 
 def modes(recording: Recording) -> list[dict[str, Any]]:
@@ -42,13 +36,12 @@ def modes(recording: Recording) -> list[dict[str, Any]]:
     found = []
     for start, end in zip(starts.tolist(), ends, strict=True):
         fault = int(records["fault"][min(start + 1, len(records) - 1)])
-        known = fault in Fault._value2member_map_
         found.append(
             {
-                "mode": mode_name(int(records["mode"][start])),
+                "mode": name_of(Mode, int(records["mode"][start])),
                 "t_s": round(float(times[start]), 3),
                 "for_s": round(float(times[end] - times[start]), 3),
-                "fault": None if not fault else Fault(fault).name if known else str(fault),
+                "fault": name_of(Fault, fault) if fault else None,
             }
         )
     return found

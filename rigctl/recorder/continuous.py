@@ -114,7 +114,7 @@ class Continuous:
         if not final and now_ns < self._due_ns:
             return
         self._due_ns = now_ns + BATCH_NS
-        self._look(now_ns, wall_ns)
+        self._check(now_ns, wall_ns)
         if self._part is not None and self._part.disk.pending < PENDING_MAX:
             self._write(self._part, now_ns)
 
@@ -127,7 +127,7 @@ class Continuous:
                 self.why = f"{part.disk.path} was not written to its end: {part.disk.error or 'no answer'}"
 
     # -- the part ----------------------------------------------------------------------------------------------
-    def _look(self, now_ns: int, wall_ns: int) -> None:
+    def _check(self, now_ns: int, wall_ns: int) -> None:
         """Check the state of the part's file, close the part if it is over, and open a new one if none is open."""
         part = self._part
         if part is not None:

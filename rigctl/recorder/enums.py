@@ -27,6 +27,11 @@ _KINDS: dict[str, Names] = {
 """Names of each enumeration by number. Quality is a set of bits, so every combination has a name."""
 
 
+def name_of(kind: type[IntEnum], number: int) -> str:
+    """A member's name; its number if this version does not know it."""
+    return kind(number).name if number in kind._value2member_map_ else str(number)
+
+
 def enum_of(slot: Slot, field: str) -> tuple[str, Names] | None:
     """The enumeration of a field and its names; None for a plain number."""
     if slot.name != RECORD.name:

@@ -43,8 +43,7 @@ class ReadFile:
     note: str
 
 
-@dataclass(frozen=True)
-class Said:
+class Said(msgspec.Struct):
     """An event, reply, note or entry of the audit log. ``seq``: its number in its ring, or in the audit log."""
 
     seq: int
@@ -53,6 +52,8 @@ class Said:
     who: str
     text: str
     details: dict[str, Any]
+    n: int | None = None
+    """Number of an entry of the audit log, whose ``seq`` is that of its source."""
 
 
 @dataclass(frozen=True)
@@ -167,15 +168,12 @@ def _whole(decoded: list[npt.NDArray[np.void]], slot: Slot, path: pathlib.Path) 
 
 
 def _said(data: bytes) -> Said:
-    found = msgspec.json.decode(data)
     try:
-        number = found["seq"] if found.get("n") is None else found["n"]
-        item = Said(number, found["t_ns"], found["what"], found["who"], found["text"], found["details"])
-    except (KeyError, TypeError, AttributeError):
+        found = msgspec.json.decode(data, type=Said)
+    except msgspec.ValidationError:
         raise DamageError("a message is not what its schema says") from None
-    if not isinstance(item.seq, int) or not isinstance(item.t_ns, int) or not isinstance(item.details, dict):
-        raise DamageError("a message is not what its schema says")
-    return item
+    found.seq = found.seq if found.n is None else found.n
+    return found
 
 
 @contextlib.contextmanager

@@ -37,10 +37,10 @@ from rigctl.recorder.trips import Trips
 
 POLL_S = 0.05
 RETRY_NS = 1_000_000_000
-TELL_NS = 1_000_000_000
+PUBLISH_NS = 1_000_000_000
 KEEP_STROKE_NS = 1_000_000_000
 WAITING_MAX = 20_000  # entries kept while the disk fails; beyond it the rings hold the data
-FAREWELL_S = 6.0  # after SIGTERM, limit for the wait for the supervisor's last entry
+LAST_ENTRY_S = 6.0  # after SIGTERM, limit for the wait for the supervisor's last entry
 _OVER = frozenset(doing.name.lower() for doing in OVER)
 
 
@@ -87,16 +87,16 @@ class Recorder:
         """
         self._runtime, self._settings = runtime, settings
         self._run = int(runtime.known(ACTIVE).get("started_wall_ns", 0))
-        told = runtime.known(RECORDED)
-        mine = told.get("run") == self._run
-        self.log = AuditLog(settings.audit_log, settings.rig, int(told.get("entries", 0)) if mine else 0)
+        before = runtime.known(RECORDED)
+        mine = before.get("run") == self._run
+        self.log = AuditLog(settings.audit_log, settings.rig, int(before.get("entries", 0)) if mine else 0)
         self.trouble = Trouble()
-        self.trip_dump: str | None = told.get("trip_dump") if mine else None
+        self.trip_dump: str | None = before.get("trip_dump") if mine else None
         self.over = False
         self._thinning = Thinning()
         self._waiting: list[tuple[Item, dict[str, int]]] = []
-        self._told: dict[str, Any] = {}
-        self._tell_ns = 0
+        self._published: dict[str, Any] = {}
+        self._publish_ns = 0
         try:
             self.log.open()
         except (OSError, AuditError) as error:  # the log was good at the daemon's start; the rest goes on
@@ -124,7 +124,7 @@ class Recorder:
         self._dump(now_ns, wall_ns, final=final)
         self._record(now_ns, wall_ns)
         self._keep_stroke(now_ns, wall_ns, final=final)
-        self._tell(now_ns)
+        self._publish(now_ns)
 
     def close(self, now_ns: int, wall_ns: int) -> None:
         """Write the rest and close the files."""
@@ -135,7 +135,7 @@ class Recorder:
             self._recording.close(now_ns, wall_ns)
             if self._recording.why:
                 self.trouble.begins("recording", self._recording.why, now_ns)
-        self._tell(now_ns, at_once=True)
+        self._publish(now_ns, at_once=True)
         self.log.close()
 
     def _record(self, now_ns: int, wall_ns: int) -> None:
@@ -253,9 +253,9 @@ class Recorder:
             _say(f"trip dump: {dump.path}")
         self._write(now_ns, final=final)
 
-    def _tell(self, now_ns: int, *, at_once: bool = False) -> None:
+    def _publish(self, now_ns: int, *, at_once: bool = False) -> None:
         """Write the recorder's figures to the runtime folder, at least once a second."""
-        told = {
+        figures = {
             "run": self._run,
             "pid": os.getpid(),
             "audit_log": str(self.log.path),
@@ -267,11 +267,11 @@ class Recorder:
             "failures": self.trouble.count,
             "warnings": [f"recorder: {why}" for why in self.trouble.now.values()],
         }
-        if not at_once and told == self._told and now_ns < self._tell_ns:
+        if not at_once and figures == self._published and now_ns < self._publish_ns:
             return
-        self._told, self._tell_ns = told, now_ns + TELL_NS
+        self._published, self._publish_ns = figures, now_ns + PUBLISH_NS
         with contextlib.suppress(OSError):  # the runtime folder may be gone, or its memory full
-            self._runtime.write_json(RECORDED, {**told, "t_ns": now_ns})
+            self._runtime.write_json(RECORDED, {**figures, "t_ns": now_ns})
 
 
 def _say(text: str) -> None:
@@ -290,7 +290,7 @@ def _serve(recorder: Recorder, stop: Termination) -> None:
     while True:
         recorder.poll(time.monotonic_ns(), time.time_ns())
         if until is None and stop.requested:
-            until = time.monotonic() + FAREWELL_S
+            until = time.monotonic() + LAST_ENTRY_S
         if until is not None and (recorder.over or os.getppid() != parent or time.monotonic() > until):
             return
         time.sleep(POLL_S)

@@ -10,6 +10,7 @@ import pathlib
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -108,6 +109,14 @@ class Recording:
         before = [attachment for attachment in known if attachment.t_ns <= t_ns]
         found = before[-1:] or known[:1]
         return found[0].data if found else None
+
+    def table(self, name: str, t_ns: int) -> dict[str, Any] | None:
+        """The keys of the document in force at a time; None without it, or if it cannot be read."""
+        try:
+            found = msgspec.json.decode(self.in_force(name, t_ns) or b"")
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            return None
+        return found if isinstance(found, dict) else None
 
 
 def parts_of(path: str | pathlib.Path) -> tuple[pathlib.Path, ...]:

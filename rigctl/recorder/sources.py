@@ -22,6 +22,7 @@ from rigctl.ipc.record import figure_of
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.recorder.audit_log import Item
+from rigctl.recorder.enums import name_of
 from rigctl.wire.event_message import event_message
 
 BATCH = 1000  # slots read from a ring at once
@@ -37,13 +38,6 @@ def _number(slot: np.void, name: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _name(kind: type[IntEnum], number: int) -> str:
-    try:
-        return kind(number).name
-    except ValueError:
-        return str(number)
-
-
 def _event(slot: np.void) -> Words:
     severity, message = event_message(slot, 0)
     numbers = {name: _number(slot, name) for name in ("value", "limit")}
@@ -53,7 +47,7 @@ def _event(slot: np.void) -> Words:
 
 def _names(slot: np.void) -> dict[str, str]:
     """Names for ``a`` and ``b`` of an event."""
-    return {word: _name(kind, int(slot[field])) for field, (word, kind) in _NAMED.get(int(slot["kind"]), {}).items()}
+    return {word: name_of(kind, int(slot[field])) for field, (word, kind) in _NAMED.get(int(slot["kind"]), {}).items()}
 
 
 _TRIPPED: dict[str, tuple[str, type[IntEnum]]] = {"a": ("fault", Fault), "b": ("action", Action)}
@@ -74,18 +68,18 @@ def _note(slot: np.void) -> Words:
 
 def _request(slot: np.void) -> Words:
     verb, value = _text(slot, "verb"), _number(slot, "value")
-    asked = {"id": int(slot["id"]), "verb": verb, "value": value, "holder": _text(slot, "holder")}
+    command = {"id": int(slot["id"]), "verb": verb, "value": value, "holder": _text(slot, "holder")}
     who = _text(slot, "operator")
     if not slot["answered"]:
-        return "command_given", who, verb + (f" {significant(value)}" if value is not None else ""), asked
+        return "command_given", who, verb + (f" {significant(value)}" if value is not None else ""), command
     accepted = bool(slot["accepted"])
-    details = {**asked, "accepted": accepted, "reason": _text(slot, "reason"), "ledger_entry": _text(slot, "entry")}
+    details = {**command, "accepted": accepted, "reason": _text(slot, "reason"), "ledger_entry": _text(slot, "entry")}
     return "command_accepted" if accepted else "command_refused", who, _text(slot, "text"), details
 
 
 def _order(slot: np.void) -> Words:
     code = int(slot["verb"])
-    name = _name(Verb if code in Verb._value2member_map_ else Setting, code)
+    name = name_of(Verb if code in Verb._value2member_map_ else Setting, code)
     values = {field: value for field in VALUES.get(code, ()) if (value := _number(slot, field)) is not None}
     text = " ".join((name, *map(significant, values.values())))
     more = values if len(values) > 1 else {}
@@ -99,8 +93,8 @@ def _hold(slot: np.void) -> Words:
 
 
 def _reply(slot: np.void) -> Words:
-    accepted, reason = bool(slot["accepted"]), _name(Refusal, int(slot["reason"]))
-    mode, checks = _name(Mode, int(slot["mode"])), failed_checks(int(slot["checks"]))
+    accepted, reason = bool(slot["accepted"]), name_of(Refusal, int(slot["reason"]))
+    mode, checks = name_of(Mode, int(slot["mode"])), failed_checks(int(slot["checks"]))
     text = f"carried out, {mode}" if accepted else f"not carried out: {reason}, {mode}"
     details = {"id": int(slot["id"]), "accepted": accepted, "reason": reason, "mode": mode, "checks": checks}
     return "reply", "", text, {**details, "value": figure_of(slot), "spread": _number(slot, "rms_n") or 0.0}

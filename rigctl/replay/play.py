@@ -113,14 +113,9 @@ def _span(recording: Recording, records: Slots) -> ProcessSpan:
 
 
 def _document(recording: Recording, name: str, t_ns: int) -> dict[str, Any]:
-    data = recording.in_force(name, t_ns)
-    if data is None:
+    if recording.in_force(name, t_ns) is None:
         raise ReplayError(f"{name} is not in it: not known what the loop was started with")
-    try:
-        found = msgspec.json.decode(data)
-    except msgspec.MsgspecError:
-        found = None
-    if not isinstance(found, dict):
+    if (found := recording.table(name, t_ns)) is None:
         raise ReplayError(f"{name} in it cannot be read")
     return found
 

@@ -14,12 +14,12 @@ from pydantic import ValidationError
 from rigctl.config.quantity import count
 from rigctl.config.settings import RigSettings
 from rigctl.control.tension import Gains
-from rigctl.ipc import ledger
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.metrics import timing
 from rigctl.metrics.error_statistics import ErrorStatistics, error_n, statistics
 from rigctl.metrics.phases import SETTLE_S, JudgedPhase, phases
+from rigctl.recorder.audit_log import moment
 from rigctl.recorder.recording import Recording
 from rigctl.report import bus, happenings, sensor_budget, spectrum, verdict
 
@@ -77,7 +77,7 @@ class Findings:
         """A time of CLOCK_MONOTONIC on the wall clock, to the millisecond."""
         wall_ns = t_ns + self.recording.wall_offset_ns
         try:
-            return f"{ledger.utc(wall_ns)[:-1]}.{wall_ns // 1_000_000 % 1000:03d}Z"
+            return moment(wall_ns)
         except (ValueError, OverflowError, OSError):  # a clock that was never set, or a damaged file
             return f"{wall_ns} ns"
 
@@ -96,7 +96,7 @@ def find(recording: Recording) -> Findings:
         raise ReportError(f"{where}: its records have no {', '.join(missing)}: written by another version of rigctl")
     found = phases(records)
     at_ns = found[0].entered_ns if found else recording.end_ns
-    active, control = _document(recording, ACTIVE, at_ns), _document(recording, "control.json", at_ns)
+    active, control = recording.table(ACTIVE, at_ns) or {}, recording.table("control.json", at_ns) or {}
     settings, gains = _settings(active), _gains(active)
     rate_hz = _rate(recording, settings)
     by_phase = [statistics(records, [phase], rate_hz) for phase in found]
@@ -135,15 +135,6 @@ def _seconds(records: npt.NDArray[np.void], phase: JudgedPhase) -> npt.NDArray[n
     return np.asarray(t_ns - t_ns[0], np.float64) * 1e-9
 
 
-def _document(recording: Recording, name: str, t_ns: int) -> dict[str, Any]:
-    data = recording.in_force(name, t_ns)
-    try:
-        found = msgspec.json.decode(data) if data is not None else None
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-        found = None
-    return found if isinstance(found, dict) else {}
-
-
 def _settings(active: dict[str, Any]) -> RigSettings | None:
     try:
         return RigSettings.model_validate(active.get("settings"))
@@ -172,7 +163,7 @@ def _standings(recording: Recording) -> list[tuple[int, Standing]]:
 
 def _entries(recording: Recording, t_ns: int) -> list[dict[str, Any]]:
     """Entries of the ledger in force at ``t_ns``, the oldest first."""
-    found = _document(recording, "calibration_ledger.json", t_ns).get("entries")
+    found = (recording.table("calibration_ledger.json", t_ns) or {}).get("entries")
     return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
 
 

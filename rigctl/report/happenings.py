@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.control.modes import Mode
+from rigctl.recorder.enums import name_of
 from rigctl.recorder.recording import Recording
 
 Array = npt.NDArray[Any]
@@ -47,7 +48,6 @@ class RecordedTrip:
 class ModeSpan:
     """A stay in one mode."""
 
-    mode: int
     name: str
     start_ns: int
     end_ns: int
@@ -95,6 +95,5 @@ def mode_spans(records: Array) -> list[ModeSpan]:
     spans = []
     for start, after in itertools.pairwise(cuts):
         mode = int(modes[start])
-        name = Mode(mode).name if mode in Mode._value2member_map_ else str(mode)
-        spans.append(ModeSpan(mode, name, int(t_ns[start]), int(t_ns[min(after, len(records) - 1)])))
+        spans.append(ModeSpan(name_of(Mode, mode), int(t_ns[start]), int(t_ns[min(after, len(records) - 1)])))
     return spans
