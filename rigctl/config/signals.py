@@ -13,7 +13,7 @@ CELL, INCLINOMETER, DRIVE, STATUS = "cell_age_ns", "inclination_age_ns", "drive_
 """Ages in the snapshot: of each device's newest sample, and of the drive's status (``cylinder.status_rate_hz``)."""
 
 
-class Watch(NamedTuple):
+class Reading(NamedTuple):
     """A signal as limits see it: ``factor`` times a field of the loop's snapshot, or the magnitude of that."""
 
     place: int
@@ -22,7 +22,7 @@ class Watch(NamedTuple):
     unit: str
     meaning: str
     snapshot: str
-    """The field of `rigctl.control.safety.Snapshot`."""
+    """The field of `rigctl.control.snapshot.Snapshot`."""
     factor: float = 1.0
     magnitude: bool = False
     words: str = ""
@@ -42,7 +42,7 @@ class Signal(NamedTuple):
     meaning: str = ""
     exact: bool = False
     """A double that a recording keeps with 64 bits instead of 32."""
-    limit: Watch | None = None
+    limit: Reading | None = None
 
 
 _AGE = "age of that sample; null before the first one (in a record: above 2^60)"
@@ -53,67 +53,68 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("t_ns", "q", "ns", "grid point of the tick, CLOCK_MONOTONIC"),
     Signal("tick", "Q", "", "ticks on the grid since the loop started, skipped ones included"),
     Signal("skipped", "Q", "", "ticks skipped so far because the one before ran over"),
-    Signal(limit=Watch(19, "skipped_ticks", "ticks", "skipped within safety.overrun_window_ms", "skipped_in_window")),
+    Signal(limit=Reading(19, "skipped_ticks", "ticks", "skipped within safety.overrun_window_ms", "skipped_in_window")),
     Signal("lateness_ns", "q", "ns", "wake-up after the grid point",
-           limit=Watch(18, "lateness_us", "us", "of the tick against its grid", "lateness_ns", factor=1e-3)),
+           limit=Reading(18, "lateness_us", "us", "of the tick against its grid", "lateness_ns", factor=1e-3)),
     Signal("work_ns", "q", "ns", "of the tick before, from its wake-up to its end"),
     Signal("mode", "B", "", "mode, see modes"),
     Signal("fault", "H", "", "latched fault, see faults; 0 none"),
     Signal("flags", "H", "", "bits, see flags"),
     Signal("tension_n", "d", "N", "tension cell, along the rope",
-           limit=Watch(1, "tension_n", "N", "tension of the rope, corrected", "tension_n", words="tension", age=CELL,
+           limit=Reading(1, "tension_n", "N", "tension of the rope, corrected", "tension_n", words="tension", age=CELL,
                        fast=True)),
-    Signal(limit=Watch(2, "tension_rate_n_s", "N/s", "its rate of change, low-passed by 5 ms, absolute",
+    Signal(limit=Reading(2, "tension_rate_n_s", "N/s", "its rate of change, low-passed by 5 ms, absolute",
                        "tension_rate_n_s", magnitude=True, words="tension rate", age=CELL, fast=True)),
     Signal("reading_n", "d", "N", "the same as the cell sends it, before zero and scale"),
     Signal("tension_age_ns", "q", "ns", _AGE,
-           limit=Watch(13, "cell_age_ms", "ms", "age of the newest tension sample", "cell_age_ns", factor=1e-6)),
+           limit=Reading(13, "cell_age_ms", "ms", "age of the newest tension sample", "cell_age_ns", factor=1e-6)),
     Signal("tension_quality", "B", "", "bits, see quality; 0 good"),
     Signal("tangential_rad", "d", "rad", "rope inclination along the move",
-           limit=Watch(4, "tangential_deg", "deg", "inclination of the rope along the move", "tangential_rad",
+           limit=Reading(4, "tangential_deg", "deg", "inclination of the rope along the move", "tangential_rad",
                        factor=_DEG, words="tangential inclination", age=INCLINOMETER, fast=True)),
     Signal("normal_rad", "d", "rad", "rope inclination along the rail",
-           limit=Watch(5, "normal_deg", "deg", "inclination of the rope along the rail", "normal_rad", factor=_DEG,
+           limit=Reading(5, "normal_deg", "deg", "inclination of the rope along the rail", "normal_rad", factor=_DEG,
                        words="normal inclination", age=INCLINOMETER, fast=True)),
     Signal("inclination_age_ns", "q", "ns", _AGE,
-           limit=Watch(14, "inclination_age_ms", "ms", "age of the newest inclination", "inclination_age_ns",
+           limit=Reading(14, "inclination_age_ms", "ms", "age of the newest inclination", "inclination_age_ns",
                        factor=1e-6)),
     Signal("inclination_quality", "B", "", "bits, see quality; 0 good"),
     Signal("stroke_mm", "d", "mm", "cylinder stroke, positive shortens the rope",
-           limit=Watch(6, "stroke_mm", "mm", "stroke of the cylinder, positive = shorter rope", "stroke_mm",
+           limit=Reading(6, "stroke_mm", "mm", "stroke of the cylinder, positive = shorter rope", "stroke_mm",
                        words="stroke", age=DRIVE, fast=True)),
-    Signal(limit=Watch(7, "travel_mm", "mm", "stroke since the target was reached, absolute; 0 unless COMPENSATING",
+    Signal(limit=Reading(7, "travel_mm", "mm", "stroke since the target was reached, absolute; 0 unless COMPENSATING",
                        "travel_mm", magnitude=True, words="travel", age=DRIVE, fast=True)),
     Signal("speed_mm_s", "d", "mm/s", "cylinder speed",
-           limit=Watch(8, "speed_mm_s", "mm/s", "speed the drive reports", "speed_mm_s", words="cylinder speed",
+           limit=Reading(8, "speed_mm_s", "mm/s", "speed the drive reports", "speed_mm_s", words="cylinder speed",
                        age=DRIVE, fast=True)),
     Signal("drive_age_ns", "q", "ns", _AGE,
-           limit=Watch(15, "drive_age_ms", "ms", "age of the newest word from the drive", "drive_age_ns", factor=1e-6)),
+           limit=Reading(15, "drive_age_ms", "ms", "age of the newest word from the drive", "drive_age_ns",
+                         factor=1e-6)),
     Signal("drive_quality", "B", "", "bits, see quality; 0 good"),
     Signal("statusword", "H", "", "CiA 402 statusword 0x6041"),
-    Signal(limit=Watch(12, "drive_warning", "", "1 while the drive warns (statusword bit 7)", "drive_warning",
+    Signal(limit=Reading(12, "drive_warning", "", "1 while the drive warns (statusword bit 7)", "drive_warning",
                        words="drive warning", age=DRIVE)),
     Signal("controlword", "H", "", "CiA 402 controlword 0x6040 sent"),
     Signal("command_mm_s", "d", "mm/s", "speed sent to the drive", exact=True),
     Signal("target_n", "d", "N", "vertical tension the operator wants"),
     Signal("setpoint_n", "d", "N", "rope tension the law holds now"),
     Signal("vertical_n", "d", "N", "vertical component of the measured tension"),
-    Signal(limit=Watch(3, "vertical_error_n", "N",
+    Signal(limit=Reading(3, "vertical_error_n", "N",
                        "vertical tension less its set-point, absolute; 0 where nothing is regulated",
                        "vertical_error_n", magnitude=True, words="vertical error", age=CELL, fast=True)),
     Signal("estimate_n", "d", "N", "estimated tension"),
     Signal("estimate_mm_s", "d", "mm/s", "estimated cylinder speed"),
     Signal("disturbance_mm_s", "d", "mm/s", "estimated disturbance speed",
-           limit=Watch(9, "disturbance_mm_s", "mm/s", "speed of the rope's ends as the filter finds it, absolute",
+           limit=Reading(9, "disturbance_mm_s", "mm/s", "speed of the rope's ends as the filter finds it, absolute",
                        "disturbance_mm_s", magnitude=True, words="disturbance speed", age=CELL, fast=True)),
     Signal("integral_mm_s", "d", "mm/s", "integral action"),
     Signal("innovation_n", "d", "N", "innovation of the tension"),
     Signal("innovation_n2", "d", "N^2", "its variance"),
     Signal("tension_verdict", "B", "", "what became of the sample, see verdicts"),
-    Signal(limit=Watch(16, "rejects", "samples",
+    Signal(limit=Reading(16, "rejects", "samples",
                        "consecutive samples of cell or drive that the innovation gate refused", "rejects")),
     Signal("tension_nis", "d", "", "running mean of the squared innovation over its variance; 1 fits the model",
-           limit=Watch(17, "cell_nis", "",
+           limit=Reading(17, "cell_nis", "",
                        "running mean of the cell's normalised innovation squared: 1 for a filter that fits",
                        "cell_nis")),
     Signal("speed_innovation_mm_s", "d", "mm/s", "innovation of the cylinder speed"),
@@ -139,21 +140,21 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("frames_refused", "Q", "", "frames with a wrong length or a non-finite value, so far"),
     Signal("send_failures", "Q", "", "unsent frames, so far: the bus did not take them"),
     Signal("error_frames", "Q", "", "CAN error frames seen so far"),
-    Signal(limit=Watch(20, "error_frames", "frames", "CAN error frames within the last second", "error_frames")),
+    Signal(limit=Reading(20, "error_frames", "frames", "CAN error frames within the last second", "error_frames")),
     Signal("rail_rad", "d", "rad", "angle of the rail's shaft, -pi up to pi"),
     Signal("rail_quality", "B", "", "bits, see quality; 0 good; NEVER where no encoder is fitted"),
     Signal("run_out_mm_s", "d", "mm/s", "disturbance speed known from the run-out table"),
     Signal("drive_current_a", "d", "A", "motor current; NaN while it is not known",
-           limit=Watch(11, "drive_current_a", "A",
+           limit=Reading(11, "drive_current_a", "A",
                        "of the motor, absolute; a limit on it is a fault while it does not come", "drive_current_a",
                        magnitude=True, words="motor current", age=STATUS)),
     Signal("drive_temperature_c", "d", "deg C", "of the drive; NaN while it is not known",
-           limit=Watch(10, "drive_temperature_c", "deg C",
+           limit=Reading(10, "drive_temperature_c", "deg C",
                        "of the drive; a limit on it is a fault while it does not come", "drive_temperature_c",
                        words="drive temperature", age=STATUS)),
     Signal("checks", "Q", "", "preflight checks that fail, bits, see checks; not looked at while armed"),
     Signal("command_seq", "Q", "", "sequence number of the last slot the loop has taken from the command ring"),
-    Signal(limit=Watch(21, "command_age_s", "s", "since an operator gave the last command", "command_age_ns",
+    Signal(limit=Reading(21, "command_age_s", "s", "since an operator gave the last command", "command_age_ns",
                        factor=1e-9)),
     Signal("hold_seq", "Q", "", "sequence number of the last slot the loop has taken from the ring of holds"),
     Signal("cause_bits", "Q", "",

@@ -8,7 +8,7 @@ from operator import attrgetter
 
 from rigctl.config.limits_section import LimitSettings
 from rigctl.config.settings import RigSettings
-from rigctl.config.signals import INCLINOMETER, STATUS, WATCHED, Watch
+from rigctl.config.signals import INCLINOMETER, STATUS, WATCHED, Reading
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
 from rigctl.control.safety import ARMED, Action, Row, status_stale_ns
@@ -18,7 +18,7 @@ RATE_S = 0.02  # low-pass of a signal before its rate is taken
 _GAP_NS = 100_000_000
 
 
-def value_of(watch: Watch) -> Callable[[Snapshot], float]:
+def value_of(watch: Reading) -> Callable[[Snapshot], float]:
     """Reads a signal off a snapshot."""
     read: Callable[[Snapshot], float] = attrgetter(watch.snapshot)
     factor = watch.factor

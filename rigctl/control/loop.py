@@ -22,7 +22,7 @@ from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
 from rigctl.control.outbox import Outbox
 from rigctl.control.readback import Readback
-from rigctl.control.safety import Action, Findings, Trip, Watch
+from rigctl.control.safety import Action, RowFindings, Trip, Watch
 from rigctl.control.signs import SignCheck
 from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
 from rigctl.control.tension import Estimate, Gains, TensionLaw
@@ -40,7 +40,7 @@ FAILING_TICKS = 100  # consecutive ticks that end in an exception, after which t
 SKIP_NOTICE = 5  # ticks skipped at once from which an event is written
 _KEEPS = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
 """Modes that keep the stroke."""
-_NO_FINDINGS = Findings(None)
+_NO_FINDINGS = RowFindings(None)
 LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]
 
 

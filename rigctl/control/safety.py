@@ -280,7 +280,7 @@ class Trip:
     text: str = ""
 
 
-class Findings(NamedTuple):
+class RowFindings(NamedTuple):
     """What the table found in one tick.
 
     ``trip``: of the strongest row that has been bad for its persistence, the first among equals; None if none has.
@@ -311,7 +311,7 @@ class Watch:
         self._stands = [False] * len(self._rows)
         self.standing = 0  # bits 1 << fault of the rows that have been bad for their persistence, LOG rows excepted
 
-    def look(self, snapshot: Snapshot, mode: Mode, t_ns: int) -> Findings:
+    def look(self, snapshot: Snapshot, mode: Mode, t_ns: int) -> RowFindings:
         """One tick of the table."""
         strongest: Trip | None = None
         since = self._since
@@ -340,10 +340,10 @@ class Watch:
             if strongest is None or row.action > strongest.action:
                 strongest = row.trip(value, snapshot)
         if not self._reports:
-            return _NOTHING if strongest is None else Findings(strongest)
+            return _NOTHING if strongest is None else RowFindings(strongest)
         reports, self._reports = self._reports, []
         limits = tuple((trip, begins) for logged, trip, begins in reports if logged)
-        return Findings(strongest, limits, tuple((trip, begins) for logged, trip, begins in reports if not logged))
+        return RowFindings(strongest, limits, tuple((trip, begins) for logged, trip, begins in reports if not logged))
 
     def beyond(self, snapshot: Snapshot, mode: Mode) -> set[Fault]:
         """Faults whose rows are bad now and would trip in ``mode`` after their persistence."""
@@ -390,7 +390,7 @@ class Watch:
         self._reports.append((self._rows[i].action is Action.LOG, trip, begins))
 
 
-_NOTHING = Findings(None)
+_NOTHING = RowFindings(None)
 _IMPLAUSIBLE = frozenset({Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE})
 _EMERGENCY = frozenset({Fault.SENSOR_EMERGENCY, Fault.DRIVE_EMERGENCY})
 _LIMITED = frozenset({Fault.LIMIT, Fault.LIMIT_UNSEEN})

@@ -98,3 +98,13 @@ def test_modules_of_a_folder_import_each_other_in_one_direction() -> None:
         lowest = {file for file, others in below.items() if not others & below.keys()}
         assert lowest, f"a circle among {sorted(str(file.relative_to(ROOT)) for file in below)}"
         below = {file: others for file, others in below.items() if file not in lowest}
+
+
+def test_a_class_has_a_name_of_its_own() -> None:
+    """A name in a message, a trace or a search leads to one class."""
+    places: dict[str, list[str]] = {}
+    for file in modules():
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(file.relative_to(ROOT).as_posix())
+    assert {name: files for name, files in places.items() if len(files) > 1} == {}

@@ -12,7 +12,7 @@ from rigctl.config.signals import RECORDED, SIGNALS, WATCHED
 from rigctl.control.snapshot import Snapshot
 
 SNAPSHOT = {field.name for field in fields(Snapshot)}
-ADDED = '    Signal("winch_mm", "d", "mm", "way of the winch", limit=Watch(99, "winch_mm", "mm", "", "stroke_mm")),\n'
+ADDED = '    Signal("winch_mm", "d", "mm", "way of the winch", limit=Reading(99, "winch_mm", "mm", "", "stroke_mm")),\n'
 FOLLOWS = """
 import importlib.util, pathlib, sys
 import numpy as np
