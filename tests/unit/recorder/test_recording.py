@@ -21,6 +21,7 @@ from rigctl.ipc.record import COMMAND, FRAME, RECORD
 from rigctl.recorder import frame_block, recording
 from rigctl.recorder.audit_log import AuditLog, Item
 from rigctl.recorder.recording import RecordingError
+from tests.builders.durable import Disk
 from tests.builders.tape import OFFSET_NS, Tape, as_recorded, same
 
 
@@ -261,3 +262,11 @@ def test_blocks_of_frames_give_the_frames_back(count: int) -> None:
     found = [frame_block.decode(memoryview(message)) for _, _, message in frame_block.encode(frames)]
     again = np.concatenate(found) if found else np.empty(0, FRAME.dtype)
     assert again.tobytes() == frames.tobytes()
+
+
+def test_all_of_a_recording_that_has_ended_is_on_the_disk(tape: Tape, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = Disk(monkeypatch)
+    tape.run(2000)
+    tape.close()
+    (path,) = tape.files()
+    assert disk.holds(path)
