@@ -346,3 +346,10 @@ def test_a_stroke_that_never_reads_as_at_rest_delays_the_end_by_two_seconds_at_m
         over_ns = rig.clock.now()
     assert rig.loop.machine.fault is Fault.NONE
     assert (over_ns - began_ns) * 1e-9 == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_drive_that_is_off_is_commanded_no_speed_and_a_slack_rope_shows_no_disturbance(rig: Lockstep) -> None:
+    assert {speed for _, _, speed in words_of(rig, 100)} == {0.0}
+    records = rig.read_records()
+    assert not records["run_out_mm_s"].any()
+    assert not records["disturbance_mm_s"].any()

@@ -208,3 +208,8 @@ def test_an_entry_is_on_the_disk_before_the_ledger_has_its_name(
     ledger.append(settings, findings.tare(settings, TARE, stands(settings), measured(1.25)).entry)
     assert settings.ledger is not None
     assert disk.replaced(settings.ledger)
+
+
+def test_without_an_entry_the_cell_is_uncorrected() -> None:
+    correction = Standing().correction
+    assert (correction.zero_n, correction.scale) == (0.0, 1.0)
