@@ -27,6 +27,9 @@ from tests.mutation.sample import Place
 FIRST = 3  # tests of each file to begin with
 BUDGET_S = 40.0  # of tests a mutant, by their measured time: a survivor may have outlived these only
 PAPER = "config/paper_rig.yaml"
+_LIBRARIES_OF = ("hil.lockstep", "rigctl.gateway.gateway_process", "rigctl.recorder.recorder_process",
+                 "rigctl.commission.identification", "rigctl.design.margins", "scipy.linalg", "mcap.reader")  # fmt: skip
+"""Loaded once, for the libraries that they load."""
 _KEPT = ("rigctl.config", "hil.plant", "hil.truth")
 """Below the packages of the sample, so no mutant is in what they import, and loaded once."""
 
@@ -140,9 +143,8 @@ class Judge:
     def __init__(self, folder: pathlib.Path, workshop: Workshop, reaches: Sequence[Reach]) -> None:
         self._folder, self._workshop, self._reaches = folder, workshop, reaches
         preload(folder)
-        for name in ("hil.lockstep", "rigctl.gateway.gateway_process", "rigctl.recorder.recorder_process",
-                     "rigctl.commission.identification", "rigctl.design.margins", "scipy.linalg", "mcap.reader"):  # fmt: skip
-            importlib.import_module(name)  # for the libraries they load
+        for name in _LIBRARIES_OF:
+            importlib.import_module(name)
         self._gains = _gains(folder)
         own = ("rigctl", "hil", "tests")
         self._keep = frozenset(
