@@ -28,11 +28,7 @@ TESTS = {
     "rigctl/control/safety.py": ("test_tables", "test_safety", "test_limits"),
     "rigctl/control/tension.py": ("test_law", "test_tension"),
 }
-MAPS = {
-    "unit": tuple(f"tests/unit/{name}" for name in ("control", "commission", "devices", "gateway", "hil", "hold", "ipc",
-                                                    "recorder", "wire", "supervisor")),
-    "loop": ("tests/loop",),
-}  # fmt: skip
+MAPS = {"unit": ("tests/unit",), "loop": ("tests/loop",)}
 """Tests whose lines are found out at the same time."""
 LEAST, LEAST_OF_SAMPLE = 0.9, 0.85
 SAMPLE = "sample"

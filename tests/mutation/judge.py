@@ -24,11 +24,19 @@ from tests.mutation.reach import Reach
 from tests.mutation.run import Instead, Repeatable, forget, preload
 from tests.mutation.sample import Place
 
+SHORT = 5  # names of functions up to this length are anywhere
 FIRST = 3  # tests of each file to begin with
 BUDGET_S = 40.0  # of tests a mutant, by their measured time: a survivor may have outlived these only
 PAPER = "config/paper_rig.yaml"
-_LIBRARIES_OF = ("hil.lockstep", "rigctl.gateway.gateway_process", "rigctl.recorder.recorder_process",
-                 "rigctl.commission.identification", "rigctl.design.margins", "scipy.linalg", "mcap.reader")  # fmt: skip
+_LIBRARIES_OF = (
+    "hil.lockstep",
+    "rigctl.gateway.gateway_process",
+    "rigctl.recorder.recorder_process",
+    "rigctl.commission.identification",
+    "rigctl.design.margins",
+    "scipy.linalg",
+    "mcap.reader",
+)
 """Loaded once, for the libraries that they load."""
 _KEPT = ("rigctl.config", "hil.plant", "hil.truth")
 """Below the packages of the sample, so no mutant is in what they import, and loaded once."""
@@ -65,8 +73,17 @@ def tests_of(place: Place, sources: Mapping[str, str], reaches: Sequence[Reach],
         if not numbers:
             numbers = {n for tests in reach.lines.get(file, {}).values() for n in tests}
         found |= {(reach.seconds[n], reach.tests[n]) for n in numbers}
-    files = {test.partition("::")[0] for _, test in found}
-    saying = {name for name in files if pattern is not None and pattern.search((folder / name).read_text())}
+    if pattern is None and len(place.function) > SHORT:
+        pattern = re.compile(rf"\b{place.function}\b")
+    saying = set()
+    if pattern is not None:  # also tests of what was executed when their module was imported
+        for reach in reaches:
+            texts = {name: (folder / name).read_text() for name in {test.partition("::")[0] for test in reach.tests}}
+            saying |= {name for name, text in texts.items() if pattern.search(text)}
+            pairs = zip(reach.seconds, reach.tests, strict=True)
+            found |= {
+                item for item in pairs if item[1].startswith("tests/unit") and item[1].partition("::")[0] in saying
+            }
     return _in_order(file, found, saying)
 
 

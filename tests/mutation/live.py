@@ -7,18 +7,20 @@ import pathlib
 import subprocess
 import sys
 
+_GATEWAY = ("test_gateway", "test_gateway_commands", "test_operator_commands", "test_lease_sessions")
 LIVE = {
-    "rigctl/gateway": ("telemetry/test_gateway.py", "telemetry/test_gateway_commands.py",
-                       "telemetry/test_operator_commands.py", "telemetry/test_lease_sessions.py"),
-    "rigctl/recorder": ("system/test_recorder.py", "system/test_recording_kept.py"),
-    "rigctl/control": ("system/test_daemon.py",),
-}  # fmt: skip
+    "rigctl/control/realtime": ("tests/unit/control/test_realtime.py",),
+    "rigctl/control/": ("tests/live/system/test_daemon.py",),
+    "rigctl/gateway/": tuple(f"tests/live/telemetry/{name}.py" for name in _GATEWAY),
+    "rigctl/recorder/": ("tests/live/system/test_recorder.py", "tests/live/system/test_recording_kept.py"),
+}
+"""Tests by the beginning of a module's name, the more exact first."""
 LIMIT_S = 600.0
 
 
 def tests_of(file: str) -> tuple[str, ...]:
     """The live tests of a module's package."""
-    return next((found for package, found in LIVE.items() if file.startswith(f"{package}/")), ())
+    return next((found for package, found in LIVE.items() if file.startswith(package)), ())
 
 
 def first_failure(folder: pathlib.Path, file: str, source: str | None) -> tuple[str, int]:
@@ -28,7 +30,7 @@ def first_failure(folder: pathlib.Path, file: str, source: str | None) -> tuple[
     """
     place = folder / file
     before = place.read_text()
-    tests = [f"tests/live/{test}" for test in tests_of(file)]
+    tests = list(tests_of(file))
     try:
         place.write_text(before if source is None else source)
         failed, ran = _run(folder, tests)

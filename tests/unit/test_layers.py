@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import pathlib
 import re
 from collections.abc import Iterator
@@ -98,3 +99,9 @@ def test_modules_of_a_folder_import_each_other_in_one_direction() -> None:
         lowest = {file for file, others in below.items() if not others & below.keys()}
         assert lowest, f"a circle among {sorted(str(file.relative_to(ROOT)) for file in below)}"
         below = {file: others for file, others in below.items() if file not in lowest}
+
+
+def test_every_module_can_be_imported() -> None:
+    for file in modules():
+        if file.name != "__main__.py":
+            importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"))
