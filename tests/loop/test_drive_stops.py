@@ -307,14 +307,21 @@ def test_a_drive_keeps_its_power_for_the_time_it_needs_to_stop(
         assert (cut - asked) * 1e-9 == pytest.approx(needs_s, abs=2e-3)
 
 
-def test_ten_commands_of_no_speed_precede_the_end_of_the_drives_power(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.TENSIONING)
-    assert abs(rig.rig.truth.speed_mm_s) > 1.0
+@pytest.mark.parametrize("before", [Mode.TENSIONING, Mode.HOLD])
+def test_ten_commands_of_no_speed_precede_the_end_of_the_drives_power(
+    rig: Lockstep, enter: Enter, before: Mode
+) -> None:
+    """Also where nothing moves: a held stroke is commanded against a drive that creeps, until the end begins."""
+    enter(before)
+    if before is Mode.HOLD:
+        rig.rig.drive.defect = lambda speed, closed: (speed + 0.07, closed)
+        rig.run(3.0)
+    assert rig.run(0.01)["command_mm_s"][-1] != 0.0
     rig.give(Verb.HOLD)
     rig.give(Verb.DISARM)
     words = words_of(rig, 400)
     off = next(i for i, (_, word, _) in enumerate(words) if word != objects.Controlword.ENABLE_OPERATION)
-    last = max(i for i, (_, _, speed) in enumerate(words[:off]) if speed != 0.0)
+    last = max((i for i, (_, _, speed) in enumerate(words[:off]) if speed != 0.0), default=-1)
     assert off - last - 1 >= 10, "the brake must not stop a load that moves"
 
 
