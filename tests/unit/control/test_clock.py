@@ -85,7 +85,12 @@ def test_the_simulated_twin_runs_the_world_to_each_point() -> None:
 def test_it_leaves_the_processor_to_others_until_its_point(fake: FakeTime, monkeypatch: pytest.MonkeyPatch) -> None:
     slept: list[float] = []
     sleep = fake.sleep
-    monkeypatch.setattr(fake, "sleep", lambda seconds: (slept.append(seconds), sleep(seconds)))
+
+    def noted(seconds: float) -> None:
+        slept.append(seconds)
+        sleep(seconds)
+
+    monkeypatch.setattr(fake, "sleep", noted)
     clock = GridClock(MS, 50_000)
     clock.next_tick()
     slept.clear()
