@@ -8,6 +8,7 @@ from collections import Counter, defaultdict
 from tests.mutation.judge import Verdict
 from tests.mutation.mutants import Change
 from tests.mutation.run import SURVIVED
+from tests.mutation.sample import SIZE
 
 Result = tuple[str, "Counter[str]", list[Change]]
 MISSING = "**not argued**"
@@ -52,7 +53,8 @@ def document(results: list[Result], sample: list[Verdict], known: dict[tuple[str
         parts.append(f"| sample of `{package}` | {total} | {killed} | {killed / total:.1%} |\n")
     if sample:
         killed = sum(found.killed for found in sample)
-        parts.append(f"| sample | {len(sample)} | {killed} | {killed / len(sample):.1%} |\n")
+        what = "sample" if len(sample) == SIZE else f"first {len(sample)} of the sample"
+        parts.append(f"| {what} | {len(sample)} | {killed} | {killed / len(sample):.1%} |\n")
     survivors: dict[str, list[Change]] = defaultdict(list)
     for found in sorted(sample, key=lambda found: (found.file, found.line)):
         if not found.killed:
