@@ -1,7 +1,7 @@
 # make demo   the daemon's main job on the simulated rig, judged       make lint   ruff and mypy strict
 # make test   what a change is judged by, in minutes                   make bench  timing against cyclictest
 # make test-live   all real processes in real time, studies, guest kernel's bus faults
-# make coverage   branches of modes and safety table    make mutation   mutants of modes, safety, law    make fuzz
+# make coverage   branches of modes and safety table    make mutation   mutants, all or a sample    make fuzz
 SHELL := /bin/bash
 VENV := .venv
 PYTHON := $(VENV)/bin/python

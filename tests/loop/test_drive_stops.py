@@ -9,6 +9,7 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
+from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
 from rigctl.config.signals import STATUS, WATCHED
 from rigctl.control.checks import HOST_CHECKS, Check
@@ -18,6 +19,7 @@ from rigctl.control.safety import STATUS_PERIODS, Action, Trip
 from rigctl.control.tension import Gains
 from rigctl.devices import objects
 from rigctl.devices.objects import drive_state
+from tests.builders.rig_bench import SAME_CLOCKS, changed
 
 Enter = Callable[[Mode], None]
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
@@ -264,3 +266,97 @@ def test_what_the_host_says_stands_against_arming_until_it_says_otherwise(rig: L
     assert rig.reply["checks"] == Check.HOST
     assert rig.command(Setting.HOST_CHECKS, 0.0) is Refusal.NONE
     assert rig.command(Verb.ARM) is Refusal.NONE
+
+
+def words_of(
+    rig: Lockstep, ticks: int, seen_as: Callable[[bytes], bytes] = lambda frame: frame
+) -> list[tuple[int, int, float]]:
+    """Time in ns, controlword and speed in mm/s of the drive's next commands; ``seen_as`` changes frames on the bus."""
+    found: list[tuple[int, int, float]] = []
+    command = objects.RPDO1_BASE + rig.settings.cylinder.node
+
+    def tap(_port: object, frame: bytes) -> tuple[bytes, ...]:
+        can_id, size, data = FRAME.unpack(frame)
+        if can_id == command:
+            word, speed = objects.DRIVE_RPDO.codec.unpack(data[:size])
+            found.append((rig.clock.now(), word, speed / 1000))
+        return (seen_as(frame),)
+
+    rig.hub.tap = tap
+    for _ in range(ticks):
+        rig.loop.tick()
+    rig.hub.tap = None
+    return found
+
+
+@pytest.mark.parametrize("lag_s", [0.02, 0.05])
+def test_a_drive_keeps_its_power_for_the_time_it_needs_to_stop(
+    settings: RigSettings, gains: Gains, lag_s: float
+) -> None:
+    """From top speed at its own deceleration, with two of its lags to spare; then the power is cut."""
+    slow = changed(settings, plant={"cylinder_lag_s": lag_s}, simulation=SAME_CLOCKS)
+    with lockstep(slow, gains) as rig:
+        rig.run(0.2)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        rig.rig.drive.defect = lambda speed, closed: (5.0 if rig.rig.drive.control.stage.powered else speed, closed)
+        words = [(t_ns, word) for t_ns, word, _ in words_of(rig, 1000)]
+        asked = next(t_ns for t_ns, word in words if word == objects.Controlword.QUICK_STOP)
+        cut = next(t_ns for t_ns, word in words if word == objects.Controlword.DISABLE_VOLTAGE)
+        tension, cylinder = slow.tension, slow.cylinder
+        needs_s = tension.speed_max_mm_s / cylinder.stop_deceleration_mm_s2 + 2 * lag_s
+        assert (cut - asked) * 1e-9 == pytest.approx(needs_s, abs=2e-3)
+
+
+@pytest.mark.parametrize("before", [Mode.TENSIONING, Mode.HOLD])
+def test_ten_commands_of_no_speed_precede_the_end_of_the_drives_power(
+    rig: Lockstep, enter: Enter, before: Mode
+) -> None:
+    """Also where nothing moves: a held stroke is commanded against a drive that creeps, until the end begins."""
+    enter(before)
+    if before is Mode.HOLD:
+        rig.rig.drive.defect = lambda speed, closed: (speed + 0.07, closed)
+        rig.run(3.0)
+    assert rig.run(0.01)["command_mm_s"][-1] != 0.0
+    rig.give(Verb.HOLD)
+    rig.give(Verb.DISARM)
+    words = words_of(rig, 400)
+    off = next(i for i, (_, word, _) in enumerate(words) if word != objects.Controlword.ENABLE_OPERATION)
+    last = max((i for i, (_, _, speed) in enumerate(words[:off]) if speed != 0.0), default=-1)
+    assert off - last - 1 >= 10, "the brake must not stop a load that moves"
+
+
+@pytest.mark.parametrize("end", ["disarm", "stop"])
+def test_a_stroke_that_never_reads_as_at_rest_delays_the_end_by_two_seconds_at_most(
+    rig: Lockstep, enter: Enter, end: str
+) -> None:
+    enter(Mode.HOLD)
+    rig.run(0.5)
+    status = objects.TPDO1_BASE + rig.settings.cylinder.node
+
+    def offset(frame: bytes) -> bytes:
+        can_id, size, data = FRAME.unpack(frame)
+        if can_id != status:
+            return frame
+        word, stroke, speed = objects.DRIVE_TPDO.codec.unpack(data[:size])
+        return bytes(FRAME.pack(can_id, size, objects.DRIVE_TPDO.codec.pack(word, stroke, speed + 80)))
+
+    words_of(rig, 20, seen_as=offset)
+    began_ns = rig.clock.now()
+    if end == "disarm":
+        rig.give(Verb.DISARM)
+        words = words_of(rig, 2200, seen_as=offset)
+        over_ns = next(t_ns for t_ns, word, _ in words if word != objects.Controlword.ENABLE_OPERATION)
+    else:
+        rig.loop.stop_requested = True
+        while not rig.loop.finished:
+            words_of(rig, 1, seen_as=offset)
+        over_ns = rig.clock.now()
+    assert rig.loop.machine.fault is Fault.NONE
+    assert (over_ns - began_ns) * 1e-9 == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_drive_that_is_off_is_commanded_no_speed_and_a_slack_rope_shows_no_disturbance(rig: Lockstep) -> None:
+    assert {speed for _, _, speed in words_of(rig, 100)} == {0.0}
+    records = rig.read_records()
+    assert not records["run_out_mm_s"].any()
+    assert not records["disturbance_mm_s"].any()

@@ -476,3 +476,26 @@ def test_a_brake_that_slips_is_told_once_and_does_not_keep_the_operator_from_hav
     assert rig.loop.machine.mode is Mode.DISARMED
     assert rig.command(Verb.ARM) is Refusal.NONE
     assert np.abs(rig.run(0.5)["speed_mm_s"][300:]).max() < 0.05
+
+
+def test_after_an_exception_the_drive_starts_from_rest_and_the_filter_knows_it(
+    rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    enter(Mode.COMPENSATING)
+    assert rig.command(Verb.TARGET, 250.0) is Refusal.NONE
+    before = rig.run(0.4)
+    assert abs(before["command_mm_s"][-1]) > 5.0
+
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("made up")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.loop.observer, "estimate", broken)
+        rig.loop.tick()
+    assert rig.read_records()["command_mm_s"][-1] == 0.0
+    after = rig.run(0.1)
+    step = rig.settings.tension.acceleration_max_mm_s2 * rig.settings.loop.period_ns * 1e-9
+    assert abs(after["command_mm_s"][0]) <= step, "it does not go on from the speed before"
+    usual = np.abs(before["speed_innovation_mm_s"][-200:]).max()
+    sooner = after["speed_innovation_mm_s"] * -np.sign(before["command_mm_s"][-1])
+    assert sooner.max() < 2.0 * usual, "the filter expects the drive to brake, no later than it does"

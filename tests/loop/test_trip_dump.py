@@ -29,6 +29,7 @@ from rigctl.recorder import recording as recordings
 from rigctl.recorder.recorder_process import Recorder
 from rigctl.replay.compare import first_difference
 from rigctl.replay.play import play, spans
+from tests.builders.durable import Disk
 from tests.loop.test_loop import nmt, stop_node
 
 WALL_OFFSET_NS = 1_700_000_000_000_000_000
@@ -327,3 +328,11 @@ def test_a_folder_that_takes_no_dump_is_told_and_tried_again_and_given_up_in_the
     kept.poll()
     assert kept.log()[-1].what == "trip_dump_lost"
     assert kept.recorder.trouble.now
+
+
+def test_a_dump_is_on_the_disk_before_it_has_its_name(kept: Kept, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = Disk(monkeypatch)
+    trip(kept.rig)
+    kept.poll(final=True)
+    (file,) = kept.files()
+    assert disk.replaced(file)

@@ -1,60 +1,74 @@
-"""``python -m tests.mutation``: mutants of modes, safety and tension against their tests; see docs/mutation.md.
+"""``python -m tests.mutation``: mutants against their tests; see docs/mutation.md.
 
-Exit code 1 when fewer than 90 % are killed in a module, or a survivor is not argued in that file.
+All mutants of modes, safety table and tension law, and a fixed random sample of the other packages.
+Exit code 1 when too few are killed, or a survivor is not argued in that file.
 """
 
 from __future__ import annotations
 
 import argparse
 import pathlib
+import subprocess
 import sys
 import tempfile
 from collections import Counter
+from dataclasses import replace
 
 from tests.builders.paths import ROOT
-from tests.mutation import page
+from tests.mutation import live, page, sample
+from tests.mutation.judge import Judge, Verdict, read, write
 from tests.mutation.mutants import Change, Workshop
+from tests.mutation.reach import Reach
 from tests.mutation.run import SAME, SURVIVED, Runner, copy_tree
 
 PAGE = ROOT / "docs/mutation.md"
+VERDICTS = ROOT / "results/mutation/sample.json"
 TESTS = {
     "rigctl/control/modes.py": ("test_tables", "test_modes", "test_diagram"),
     "rigctl/control/safety.py": ("test_tables", "test_safety", "test_limits"),
     "rigctl/control/tension.py": ("test_law", "test_tension"),
 }
-LEAST = 0.9
+MAPS = {"unit": ("tests/unit",), "loop": ("tests/loop",)}
+"""Tests whose lines are found out at the same time."""
+LEAST, LEAST_OF_SAMPLE = 0.9, 0.85
+SAMPLE = "sample"
 
 
 def main() -> int:
-    """Run the requested modules, print a line for each survivor and the score of each module."""
+    """Run the requested modules and the sample, print a line for each survivor and each score."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__)
-    parser.add_argument("modules", nargs="*", help="modes, safety, tension; all without a word")
+    words = [*(pathlib.Path(file).stem for file in TESTS), SAMPLE]
+    parser.add_argument("parts", nargs="*", help=f"{', '.join(words)}; all without a word")
     parser.add_argument("--write", action="store_true", help="bring docs/mutation.md up to date, keeping its arguments")
     parser.add_argument("--parallel", type=int, default=2, metavar="N", help="mutants at once")
-    asked = parser.parse_args()
-    chosen = [file for file in TESTS if not asked.modules or pathlib.Path(file).stem in asked.modules]
-    if not chosen or len(chosen) < len(set(asked.modules)) or asked.parallel < 1:
-        parser.error(f"found {asked.modules}, expected {', '.join(pathlib.Path(file).stem for file in TESTS)}")
-    if asked.write and len(chosen) < len(TESTS):
-        parser.error("--write needs all modules")
+    parser.add_argument("--again", action="store_true", help="of the sample, only what has survived the last time")
+    parser.add_argument("--size", type=int, default=sample.SIZE, metavar="N", help="the first N of the sample")
+    given = parser.parse_args()
+    chosen = set(given.parts or words)
+    if not chosen <= set(words) or given.parallel < 1:
+        parser.error(f"found {given.parts}, expected {', '.join(words)}")
+    if given.write and chosen != set(words):
+        parser.error("--write needs all")
     with tempfile.TemporaryDirectory(prefix="rigctl-mutation-", dir="/dev/shm") as name:
         folder = pathlib.Path(name)
         copy_tree(ROOT, folder)
-        results = [_module(folder, file, asked.parallel) for file in chosen]
+        full = [_module(folder, file, given.parallel) for file in TESTS if pathlib.Path(file).stem in chosen]
+        known = read(VERDICTS) if given.again else []
+        drawn = _sample(folder, given.size, given.parallel, known) if SAMPLE in chosen else []
     arguments = page.arguments(PAGE.read_text()) if PAGE.exists() else {}
-    if asked.write:
-        PAGE.write_text(page.document(results, arguments))
-    unargued = [(file, change) for file, _, changes in results for change in changes
-                if (file, change.before, change.after) not in arguments]  # fmt: skip
+    if given.write:
+        PAGE.write_text(page.document(full, drawn, arguments))
+    survivors = [(file, change) for file, _, changes in full for change in changes]
+    survivors += [(found.file, Change(found.line, found.before, found.after)) for found in drawn if not found.killed]
+    unargued = [(file, change) for file, change in survivors if (file, change.before, change.after) not in arguments]
     for file, change in unargued:
         print(f"not argued in {PAGE.relative_to(ROOT)}: {file}:{change.line}: {change.before}  ->  {change.after}")
-    good = not unargued
-    for file, ends, _ in results:
-        total = ends.total()
-        killed = total - ends[SURVIVED]
-        good &= killed >= LEAST * total
-        print(f"{file}: {killed} of {total} killed, {killed / total:.1%} (allowed {LEAST:.0%} or more)")
-    return 0 if good else 1
+    scores = [(file, ends.total() - ends[SURVIVED], ends.total(), LEAST) for file, ends, _ in full]
+    if drawn:
+        scores.append((SAMPLE, sum(found.killed for found in drawn), len(drawn), LEAST_OF_SAMPLE))
+    for what, killed, total, least in scores:
+        print(f"{what}: {killed} of {total} killed, {killed / total:.1%} (allowed {least:.0%} or more)")
+    return 0 if not unargued and all(killed >= least * total for _, killed, total, least in scores) else 1
 
 
 def _module(folder: pathlib.Path, file: str, parallel: int) -> page.Result:
@@ -74,6 +88,42 @@ def _module(folder: pathlib.Path, file: str, parallel: int) -> page.Result:
             changes.append(workshop.change_of(mutant))
             print(f"{file}:{changes[-1].line}: {changes[-1].before}  ->  {changes[-1].after}", flush=True)
     return file, ends, sorted(changes, key=lambda change: change.line)
+
+
+def _sample(folder: pathlib.Path, size: int, parallel: int, known: list[Verdict]) -> list[Verdict]:
+    """Verdicts of the sample, those of ``known`` that were killed taken as they are; written as they come."""
+    reaches = _maps(folder)
+    sources = sample.sources_of(folder, set(TESTS))
+    workshop = sample.workshop(folder, sources)
+    judge, drawn = Judge(folder, workshop, reaches), list(sample.draw(workshop))
+    places = {place.number: place for place in drawn}
+    verdicts = [verdict for verdict in known if verdict.killed]
+    done = {verdict.number for verdict in verdicts}
+    for verdict in judge.verdicts(iter(drawn), size, parallel, done):
+        found = verdict
+        if not verdict.killed and not verdict.tests and live.tests_of(verdict.file):
+            source = workshop.source_of(places[verdict.number].mutant)
+            by, tests = live.first_failure(folder, verdict.file, source)
+            found = replace(verdict, killed=bool(by), by=by, tests=tests)
+        verdicts.append(found)
+        write(VERDICTS, verdicts)
+        if not found.killed:
+            print(f"{found.file}:{found.line}: {found.before}  ->  {found.after}", flush=True)
+    killers = sorted({found.by for found in verdicts if "::" in found.by and not found.by.startswith("tests/live")})
+    if wrong := judge.fails_unchanged(killers):
+        sys.exit(f"{wrong} fails without a mutant too")
+    return sorted(verdicts, key=lambda found: found.number)
+
+
+def _maps(folder: pathlib.Path) -> list[Reach]:
+    """Run the tests once to find out which executes which line."""
+    running = []
+    for name, tests in MAPS.items():
+        command = [sys.executable, "-m", "tests.mutation.reach", str(folder / f"{name}.json"), *tests]
+        running.append(subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL))
+    for process in running:
+        process.wait()
+    return [Reach.load(folder / f"{name}.json") for name in MAPS]
 
 
 if __name__ == "__main__":

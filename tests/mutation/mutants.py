@@ -14,7 +14,7 @@ from cosmic_ray.operators.provider import OperatorProvider
 from parso.python.tree import Name
 
 _ALIKE = ({"Add", "Sub", "Mul", "Div", "FloorDiv"}, {"BitOr", "BitAnd", "BitXor", "Sub"})
-ENUMS = ("Mode", "Event", "Verb", "Refusal", "Action", "Fault", "EStop", "Check", "Setting")
+ENUMS = ("Enum", "IntEnum", "StrEnum", "Flag", "IntFlag")
 
 
 class OtherMember:
@@ -84,7 +84,7 @@ def members_of(sources: Iterable[str]) -> dict[str, list[str]]:
     found = {}
     for source in sources:
         for node in ast.parse(source).body:
-            if isinstance(node, ast.ClassDef) and node.name in ENUMS:
+            if isinstance(node, ast.ClassDef) and any(ast.unparse(base) in ENUMS for base in node.bases):
                 targets = [target for item in node.body if isinstance(item, ast.Assign) for target in item.targets]
                 found[node.name] = [target.id for target in targets if isinstance(target, ast.Name)]
     return found
@@ -93,17 +93,19 @@ def members_of(sources: Iterable[str]) -> dict[str, list[str]]:
 class Workshop:
     """Makes the mutants of some modules, given as text by name."""
 
-    def __init__(self, sources: dict[str, str]) -> None:
+    def __init__(self, sources: dict[str, str], enums_of: Iterable[str] | None = None) -> None:
+        """``enums_of``: the sources in which the enumerations are, if they are others."""
         self.sources = sources
+        members = members_of(sources.values() if enums_of is None else enums_of)
         provider = OperatorProvider()
         takes_none = (name for name in provider if not provider[name].arguments())
-        self._operators: dict[str, Any] = {name: provider[name]() for name in takes_none if _alike(name)}
-        self._operators |= {"OtherMember": OtherMember(members_of(sources.values())), "Dropped": Dropped()}
+        self.operators: dict[str, Any] = {name: provider[name]() for name in takes_none if _alike(name)}
+        self.operators |= {"OtherMember": OtherMember(members), "Dropped": Dropped()}
 
     def mutants(self, file: str) -> Iterator[Mutant]:
         """All mutants of a module."""
         nodes = list(ast_nodes(get_ast(self.sources[file])))
-        for name, operator in self._operators.items():
+        for name, operator in self.operators.items():
             places = sum(1 for node in nodes for _ in operator.mutation_positions(node))
             for occurrence in range(places):
                 yield Mutant(file, name, occurrence)
@@ -111,7 +113,7 @@ class Workshop:
     def source_of(self, mutant: Mutant) -> str | None:
         """The mutant's text; None where the program stays the same: a change of annotations alone does not count."""
         before = self.sources[mutant.file]
-        after: str = mutate_code(before, self._operators[mutant.operator], mutant.occurrence)
+        after: str = mutate_code(before, self.operators[mutant.operator], mutant.occurrence)
         return None if _program(after) in (None, _program(before)) else after
 
     def change_of(self, mutant: Mutant) -> Change:

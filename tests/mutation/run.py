@@ -37,7 +37,7 @@ def copy_tree(root: pathlib.Path, folder: pathlib.Path) -> None:
             shutil.copy(root / part, folder / part)
 
 
-class _Instead(importlib.abc.MetaPathFinder, importlib.abc.InspectLoader):
+class Instead(importlib.abc.MetaPathFinder, importlib.abc.InspectLoader):
     """Loads one module from a text instead of its file."""
 
     def __init__(self, name: str, source: str, file: pathlib.Path) -> None:
@@ -58,7 +58,7 @@ class _Instead(importlib.abc.MetaPathFinder, importlib.abc.InspectLoader):
         exec(compile(self._source, str(self._file), "exec"), module.__dict__)
 
 
-class _Repeatable:
+class Repeatable:
     """Hypothesis makes the same examples for every mutant, and stores none."""
 
     def pytest_sessionstart(self) -> None:
@@ -73,11 +73,7 @@ class Runner:
     def __init__(self, folder: pathlib.Path, workshop: Workshop, tests: Mapping[str, Sequence[str]]) -> None:
         """``tests``: for each module, the files that test it."""
         self._folder, self._workshop, self._tests = folder, workshop, tests
-        os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
-        sys.path.insert(0, str(folder))
-        _forget()
-        for name in _HEAVY:
-            importlib.import_module(name)
+        preload(folder)
         self._loaded = frozenset(sys.modules)
 
     def passes_unchanged(self, file: str) -> bool:
@@ -125,15 +121,24 @@ class Runner:
         for stream in (0, 1, 2):
             os.dup2(nowhere, stream)
         resource.setrlimit(resource.RLIMIT_CPU, (LIMIT_CPU_S, LIMIT_CPU_S + 1))
-        _forget(but=self._loaded)
+        forget(but=self._loaded)
         if source is not None:
             module = file.removesuffix(".py").replace("/", ".")
-            sys.meta_path.insert(0, _Instead(module, source, self._folder / file))
+            sys.meta_path.insert(0, Instead(module, source, self._folder / file))
         arguments = ["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore", "--rootdir", str(self._folder)]
-        return int(pytest.main([*arguments, *self._tests[file]], plugins=[_Repeatable()]))
+        return int(pytest.main([*arguments, *self._tests[file]], plugins=[Repeatable()]))
 
 
-def _forget(but: frozenset[str] = frozenset()) -> None:
+def preload(folder: pathlib.Path) -> None:
+    """Load the libraries, and from the copy in ``folder`` what every test needs."""
+    os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
+    sys.path.insert(0, str(folder))
+    forget()
+    for name in _HEAVY:
+        importlib.import_module(name)
+
+
+def forget(but: frozenset[str] = frozenset()) -> None:
     """Unload the project's own modules, so that they are loaded again from the copy."""
     own = [name for name in sys.modules if name.split(".")[0] in ("rigctl", "hil", "tests") and name not in but]
     for name in own:

@@ -211,3 +211,14 @@ def test_a_folder_the_user_may_not_write_to_has_no_room(another_user: pathlib.Pa
     why = verdict(settings=settings, folders=found).failing[Check.DISK]
     assert f"{another_user}/calibration" in why
     assert f"(uid {os.geteuid()}) may not write there" in why
+
+
+def test_what_it_says_names_the_date_the_room_and_what_is_not_known() -> None:
+    old = verdict(standing=Standing(due=stamp(-100), tared=stamp(400)))
+    assert f"the last tare is of {stamp(400)[:10]}," in old.failing[Check.TARE]
+    short, gone = Folder(pathlib.Path("/data"), 3), Folder(pathlib.Path("/gone"), None)
+    said = verdict(folders=[short, gone]).failing[Check.DISK]
+    assert "/data has 3 MiB free" in said
+    assert "/gone is not there" in said
+    for design in ({}, {"accepted": "yes"}, None):
+        assert "are not known" in verdict(active={"design": design}).failing[Check.MARGINS]

@@ -80,3 +80,19 @@ def test_the_simulated_twin_runs_the_world_to_each_point() -> None:
     assert [clock.next_tick() for _ in range(3)] == [(6 * MS, 0), (7 * MS, 0), (8 * MS, 0)]
     assert world == [6 * MS, 7 * MS, 8 * MS]
     assert clock.now() == 8 * MS
+
+
+def test_it_leaves_the_processor_to_others_until_its_point(fake: FakeTime, monkeypatch: pytest.MonkeyPatch) -> None:
+    slept: list[float] = []
+    sleep = fake.sleep
+
+    def noted(seconds: float) -> None:
+        slept.append(seconds)
+        sleep(seconds)
+
+    monkeypatch.setattr(fake, "sleep", noted)
+    clock = GridClock(MS, 50_000)
+    clock.next_tick()
+    slept.clear()
+    clock.next_tick()
+    assert sum(slept) > 0.9e-3

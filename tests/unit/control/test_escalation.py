@@ -106,3 +106,12 @@ def test_each_reaction_has_its_own_time() -> None:
 def test_nothing_is_watched_without_a_fault() -> None:
     subject = Escalator(SETTINGS, STOP_NS)
     assert all(subject.look(Fault.NONE, Action.HOLD, replace(GOOD, speed_mm_s=9.0), t * MS) is None for t in range(900))
+
+
+@pytest.mark.parametrize(("rises_n", "found"), [(2.9, False), (3.1, True)])
+def test_a_ramp_down_may_stretch_the_rope_by_half_a_millimetre(
+    monkeypatch: pytest.MonkeyPatch, rises_n: float, found: bool
+) -> None:
+    (step,) = [step for step in STEPS if step.symptom is Symptom.RAMP_RISES]
+    monkeypatch.setitem(BAD, Symptom.RAMP_RISES, {"tension_n": 300.0 + rises_n})  # 6 N/mm
+    assert bool(watched(step, bad_from_ms=1, until_ms=time_ms(step) + 200)) == found

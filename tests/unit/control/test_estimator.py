@@ -153,3 +153,23 @@ def test_whatever_is_measured_the_state_stays_finite_and_the_covariance_positive
     covariance = kalman.covariance
     np.testing.assert_allclose(covariance, covariance.T, rtol=1e-9, atol=1e-15)
     assert np.all(np.linalg.eigvalsh(covariance) > 0)
+
+
+@pytest.mark.parametrize("gap", [0, 4])
+def test_a_jolt_is_followed_at_once_as_the_disturbance_that_explains_it(gap: int) -> None:
+    """What a surprising sample adds to the tension is a stretch since the last one: its speed is known at once."""
+    kalman, jolt_mm_s = TensionFilter(MODEL), 80.0
+    kalman.reset(300.0, 0.0)
+    for _ in range(1000):
+        kalman.update(300.0, 0.0)
+        kalman.predict()
+    for _ in range(gap):
+        kalman.update(None, 0.0)
+        kalman.predict()
+    stretched = 300.0 + SETTINGS.plant.stiffness_n_mm * jolt_mm_s * MODEL.period_s * (gap + 1)
+    kalman.update(stretched, 0.0)
+    assert kalman.cell.surprised
+    tension_n, speed_mm_s, disturbance_mm_s = kalman.state
+    assert tension_n == pytest.approx(stretched, abs=0.1 * (stretched - 300.0))
+    assert disturbance_mm_s == pytest.approx(jolt_mm_s, rel=0.1)
+    assert speed_mm_s == pytest.approx(0.0, abs=1.0)

@@ -125,3 +125,10 @@ def test_the_stretch_speed_is_the_rate_of_the_low_passed_stretch() -> None:
 
 def test_the_stretch_starts_at_rest_wherever_the_rope_stands() -> None:
     assert Stretch(1800.0, DT).speed_mm_s(math.cos(0.1)) == 0.0
+
+
+def test_the_first_sample_is_the_state_and_before_it_there_is_none() -> None:
+    subject = InclinationFilter(SETTINGS)
+    assert subject.state == (0.0, 0.0, 0.0, 0.0)
+    subject.update(0.2, -0.1)
+    assert subject.state == (0.2, 0.0, -0.1, 0.0)

@@ -11,6 +11,7 @@ from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke
 from rigctl.control.homed import LastStroke
+from tests.builders.durable import Disk
 from tests.builders.paths import ROOT
 
 WALL_NS = 1_800_000_000_000_000_000
@@ -60,3 +61,9 @@ def test_a_thousand_corruptions_are_a_stroke_that_is_not_known_or_one_to_be_held
     assert unknown > 500
     path.write_bytes(b"[" * 100_000)
     assert last_stroke.read(settings).why
+
+
+def test_it_is_on_the_disk_before_it_has_its_name(settings: RigSettings, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = Disk(monkeypatch)
+    last_stroke.write(settings, 52.0, WALL_NS)
+    assert disk.replaced(settings.last_stroke)

@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import cast
 
+import can
 import pytest
 
 from rigctl.config.settings import RailEncoderSettings, RunOutSettings
+from rigctl.control.homed import Homed, LastStroke
+from rigctl.control.inbox import Inbox
+from rigctl.control.machine import Machine
+from rigctl.control.observer import Observer
+from rigctl.control.outbox import Outbox
+from rigctl.control.readback import Readback
 from rigctl.control.run_out import STOPPED_S, RunOutTable, stale_ns
+from rigctl.control.signs import SignCheck
+from rigctl.control.stroke_hold import StrokeHold
+from rigctl.control.tension import Gains, TensionLaw
 from tests.builders.rig_bench import SETTINGS
 
 SECTION = RunOutSettings(angle_min_deg=0.0, angle_max_deg=20.0, bins=40, learning_rate=0.5)
@@ -168,3 +179,51 @@ def test_the_rate_is_right_at_any_sample_rate(divisor: int) -> None:
 
 def test_two_samples_may_be_missing() -> None:
     assert stale_ns(RailEncoderSettings(counts_per_turn=4096, rate_hz=100)) == 30_000_000
+
+
+AHEAD_TICKS = round(1000 * (SETTINGS.plant.command_delay_s + SETTINGS.plant.cylinder_lag_s))
+
+
+def test_with_its_lead_the_table_says_what_will_be_when_the_cylinder_follows() -> None:
+    rail = Rail()
+    for _ in range(6):
+        rail.out_and_back()
+    now, then = [], []
+    for _ in range(3000):
+        rail.pass_ticks(1, RATE)
+        now.append(rail.table.speed_mm_s)
+        then.append(rail.table.speed_mm_s + rail.table.lead_mm_s)
+    late = [abs(later - earlier) for earlier, later in zip(now[500:], now[500 + AHEAD_TICKS :], strict=False)]
+    off = [abs(said - later) for said, later in zip(then[500:], now[500 + AHEAD_TICKS :], strict=False)]
+    assert max(off) < 0.15 * max(late)
+
+
+def test_the_law_is_given_the_rails_speed_of_when_its_command_acts() -> None:
+    """A rope over a rail of 0.02 mm every 1.5 deg, the drive at rest: what the rail does next is known from before."""
+    wave_rad, rate = math.radians(1.5), math.radians(3.0)
+    section = RunOutSettings(angle_min_deg=0.0, angle_max_deg=6.0, bins=60, learning_rate=0.5)
+    encoder = RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=1000)
+    settings = SETTINGS.model_copy(update={"rail_encoder": encoder, "run_out": section})
+    inbox = Inbox(cast("can.BusABC", None), settings)
+    observer = Observer(
+        settings, inbox, cast("Outbox", None), Machine(), TensionLaw(settings, Gains(0.0, 0.0, 0.0)),
+        Homed(settings.cylinder, LastStroke()), Readback((), settings, 0), StrokeHold(settings), SignCheck(settings),
+    )  # fmt: skip
+    inbox.stroke_mm, inbox.rail_quality = 50.0, 0
+    angle, k = math.radians(0.2), settings.plant.stiffness_n_mm
+    found: list[tuple[float, float]] = []
+    for tick in range(24_000):
+        moving = tick % 3000 < 1800
+        speed = (1.0 if tick // 3000 % 2 == 0 else -1.0) * rate * moving
+        inbox.tension_n = 300.0 + k * 0.02 * math.sin(math.tau * angle / wave_rad)
+        inbox.rail_rad, inbox.rail_t_ns = angle, tick * 1_000_000
+        inbox.cell_fresh = inbox.drive_fresh = inbox.rail_fresh = True
+        observer.look(tick * 1_000_000, 0)
+        estimate = observer.estimate(0, regulated=True)
+        observer.filter.command(0.0)
+        rises = 0.02 * math.tau / wave_rad * math.cos(math.tau * angle / wave_rad) * speed
+        found.append((rises, estimate.disturbance_mm_s))
+        angle += speed * 1e-3
+    passes = range(18_300, 19_600)
+    lacks = [sum((found[i + later][0] - found[i][1]) ** 2 for i in passes) for later in (0, AHEAD_TICKS)]
+    assert lacks[1] < 0.5 * lacks[0]

@@ -11,6 +11,7 @@ from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.checks import Check
+from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action, Row, preflight, table
@@ -318,3 +319,12 @@ def test_a_press_trips_wherever_it_is_seen_and_its_value_says_where(mode: Mode, 
     assert trip is not None
     assert (trip.fault, trip.value, trip.action) == (Fault.E_STOP, float(pressed), Action.QUICK_STOP)
     assert WatchLog(SETTINGS).present(snapshot) is Fault.E_STOP
+
+
+def test_what_is_said_of_a_fault_has_its_numbers_in_the_unit_beside_them() -> None:
+    """A row counts an age in nanoseconds; the operator reads milliseconds."""
+    aged = [fault for fault in Fault if " ms" in worded(Kind.TRIP, fault, Action.HOLD, 50e6, 15e6, "x").text]
+    assert Fault.CELL_STALE in aged
+    for fault in aged:
+        said = worded(Kind.TRIP, fault, Action.HOLD, 50e6, 15e6, "x").text
+        assert "50 ms" in said and "15 ms" in said, said

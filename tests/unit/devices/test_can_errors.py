@@ -37,3 +37,10 @@ def test_no_word_for_any_bit_is_an_error() -> None:
     for bit in range(29):
         for found in (0, *(1 << i for i in range(16))):
             assert can_errors.in_words(1 << bit, found)
+
+
+def test_every_class_of_the_kernel_has_words_of_its_own() -> None:
+    """linux/can/error.h: the classes that need no further data."""
+    said = [can_errors.in_words(1 << bit, 0) for bit in (0, 1, 4, 5, 6, 7, 8)]
+    assert len(set(said)) == len(said)
+    assert not [words for words in said if "class 0x" in words]

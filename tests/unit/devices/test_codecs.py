@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.devices import codecs
+from rigctl.devices import codecs, sdo
 from rigctl.devices import objects as od
 from rigctl.devices.drive import Power, next_controlword
 from rigctl.devices.objects import Controlword, DriveState, PdoLayout
@@ -241,3 +241,14 @@ def test_a_pdo_knows_its_parameters(base: int, places: tuple[int, int]) -> None:
     layout = PdoLayout(base, ((od.STATUSWORD, 0, "H"),))
     assert (layout.communication, layout.mapping_object) == places
     assert layout.transmitted == (places[0] >= 0x1800)
+
+
+def test_an_upload_is_a_value_only_if_its_answer_holds_it() -> None:
+    def answer(command: int, value: int = 0) -> sdo.UploadAnswer:
+        return sdo.upload_answer(struct.pack("<BHBI", command, od.STATUSWORD, 0, value), 2)
+
+    assert answer(0x4B, 0xFFFF_0237).value == 0x0237  # two bytes, by the command's own count
+    assert answer(0x42, 0xFFFF_0237).value == 0x0237  # by the object's size
+    segmented = answer(0x41, 300)
+    assert not segmented.expedited
+    assert answer(0x80, 0x0602_0000).abort == 0x0602_0000

@@ -15,7 +15,7 @@ from hil.bus import InProcessBus
 from hil.hub import Hub
 from hil.rig import SimulatedRig
 from hil.wire import FRAME
-from rigctl.config.settings import RigSettings
+from rigctl.config.settings import RailEncoderSettings, RigSettings
 from rigctl.devices import busload, startup
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import COMMAND, DRIVE_SPEED, DRIVE_STATUS, DriveUnits, ProcessData, wanted
@@ -263,3 +263,42 @@ def test_a_fixed_mapping_too_long_for_the_bus_is_refused() -> None:
     settings = changed(settings, can={"bitrate_bit_s": round(500_000 * load / (limit - 0.001))})
     said = refusal(settings)
     assert "bus load" in said and "expected at most 80%" in said
+
+
+@pytest.mark.parametrize(("node", "pdo"), [(CELL, od.CELL_TPDO), (SLOPE, od.SLOPE_TPDO), (DRIVE, od.DRIVE_TPDO)])
+def test_another_mapping_is_replaced_in_the_order_of_cia_301_and_stands_in_the_device(
+    node: int, pdo: od.PdoLayout
+) -> None:
+    devices = Devices(SETTINGS)
+    own = next(each for each in devices.rig.nodes if each.id == node).device
+    own.set_data(pdo.mapping_object, 0, b"\1")  # one object of it
+    written = []
+    for request in (devices.bring_up(), devices.asked)[1]:
+        command, index, sub, value = struct.unpack("<BHBI", request[1:])
+        if request[0] == node and command & 0xE0 == 0x20 and index in (pdo.communication, pdo.mapping_object):
+            written.append((index, sub, value))
+    mapping = [(pdo.mapping_object, sub, entry) for sub, entry in enumerate(pdo.mapping, 1)]
+    assert [item for item in written if item[0] == pdo.mapping_object] == [
+        (pdo.mapping_object, 0, 0), *mapping, (pdo.mapping_object, 0, len(pdo.mapping)),
+    ]  # fmt: skip
+    first, last = written[0], written[-1]
+    assert (first[:2], first[2] >> 31) == ((pdo.communication, 1), 1), "it is switched off first"
+    assert (last[:2], last[2] >> 31) == ((pdo.communication, 1), 0), "and on again last"
+    in_device = own.sdo[pdo.mapping_object]
+    assert tuple(in_device[sub].raw for sub in range(1, in_device[0].raw + 1)) == pdo.mapping
+
+
+ENCODER = RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=100)
+
+
+@pytest.mark.parametrize(("total", "good"), [(1 << 20, True), (3 << 20, True), (0, False), ((1 << 20) + 1, False)])
+def test_a_rail_encoder_must_wrap_at_the_end_of_a_turn(total: int, good: bool) -> None:
+    devices = Devices(SETTINGS.model_copy(update={"rail_encoder": ENCODER}))
+    encoder = devices.rig.rail_encoder
+    assert encoder is not None
+    encoder.readers[od.ENCODER_TOTAL_RANGE, 0] = lambda: total
+    if good:
+        assert "rail_encoder" in devices.bring_up().process_data.frames
+    else:
+        with pytest.raises(StartupError, match=f"found {total}, expected whole turns of {1 << 20}"):
+            devices.bring_up()

@@ -17,6 +17,7 @@ from rigctl.gateway.calibration_findings import FindingError, Measured
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import LedgerError, Standing
 from rigctl.wire.command_request import Request
+from tests.builders.durable import Disk
 from tests.builders.paths import ROOT
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")
@@ -198,3 +199,17 @@ def test_what_cannot_be_written_leaves_the_file_as_it_was(settings: RigSettings)
     with pytest.raises(LedgerError, match="cannot be written"):
         ledger.append(settings, given)
     assert ledger.read(settings) == [given]
+
+
+def test_an_entry_is_on_the_disk_before_the_ledger_has_its_name(
+    settings: RigSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = Disk(monkeypatch)
+    ledger.append(settings, findings.tare(settings, TARE, stands(settings), measured(1.25)).entry)
+    assert settings.ledger is not None
+    assert disk.replaced(settings.ledger)
+
+
+def test_without_an_entry_the_cell_is_uncorrected() -> None:
+    correction = Standing().correction
+    assert (correction.zero_n, correction.scale) == (0.0, 1.0)

@@ -148,6 +148,7 @@ def test_who_looks_for_daemons_waits_for_nothing_that_stands_in_a_lock_s_place(t
         ("folder", pathlib.Path.mkdir),
         ("huge", lambda lock: lock.write_text("9" * 19)),
         ("negative", lambda lock: lock.write_text("-1")),
+        ("nobody", lambda lock: lock.write_text("0")),
         ("long", lambda lock: lock.write_text("1" * 5000)),
         ("binary", lambda lock: lock.write_bytes(b"\xff\0")),
     ):

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from rigctl.config import rig_file as config
 from rigctl.recorder import audit_log, chain
 from rigctl.recorder.audit_log import AuditError, AuditLog, Item
+from tests.builders.durable import Disk
 
 WALL_NS = 1_735_689_600_123_000_000
 
@@ -221,3 +222,12 @@ def test_lines_are_short_enough_to_be_found_again() -> None:
     entry = chain.AuditEntry(1, "r" * 32, "", 0, item.what, item.who, item.text, item.details, "", 0, {}, chain.ORIGIN)
     assert len(chain.line_of(entry)[0]) < audit_log.TAIL_BYTES
     assert json.loads(chain.line_of(entry)[0])["text"] == item.text
+
+
+def test_what_is_appended_is_on_the_disk_when_append_returns(
+    path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk, log = Disk(monkeypatch), AuditLog(path, "rig")
+    for name in ("a", "b"):
+        write(log, name)
+        assert disk.holds(path)

@@ -217,3 +217,14 @@ def test_a_recording_of_a_run_is_found_by_any_of_its_parts(tmp_path: pathlib.Pat
     assert len(runs) == 2
     assert recording.parts_of(files[1]) == tuple(files[:-1])
     assert recording.parts_of(tmp_path / "other.mcap") == (tmp_path / "other.mcap",)
+
+
+def test_every_recorder_of_a_run_goes_on_with_the_next_number(tmp_path: pathlib.Path) -> None:
+    tape = Tape(tmp_path)
+    for number in (1, 2, 3):
+        tape.run(1000)
+        assert (tape.recording.as_dict()["part"], tape.recording.as_dict()["failures"]) == (number, 0)
+        tape.close()
+        tape.start()
+    assert len(tape.files()) == 3
+    assert read(*tape.files()).gaps == []

@@ -24,6 +24,7 @@ from rigctl.ipc.record import COMMAND, FRAME, RECORD, FrameFlag
 from rigctl.recorder import frame_block, recording
 from rigctl.recorder.audit_log import AuditLog, Item
 from rigctl.recorder.recording import RecordingError
+from tests.builders.durable import Disk
 from tests.builders.tape import OFFSET_NS, Tape, as_recorded, same
 
 
@@ -309,3 +310,11 @@ def test_a_trip_dump_from_before_frames_came_in_blocks_gives_the_same_frames(tmp
     (message, found), *_ = decoded(path, "/frames")
     assert (message.log_time, found.can_id, found.data) == (5_000_000_000, 0x182, sent[0][2])
     assert same(recording.read(path).frames, frames)
+
+
+def test_all_of_a_recording_that_has_ended_is_on_the_disk(tape: Tape, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = Disk(monkeypatch)
+    tape.run(2000)
+    tape.close()
+    (path,) = tape.files()
+    assert disk.holds(path)

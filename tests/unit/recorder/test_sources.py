@@ -6,6 +6,7 @@ import math
 import pathlib
 import subprocess
 import sys
+from enum import IntEnum
 
 import numpy as np
 import pytest
@@ -16,11 +17,14 @@ from hypothesis import strategies as st
 from rigctl.config import rig_file as config
 from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.settings import AuditSettings, RigSettings
+from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
+from rigctl.control.gate import Verdict
 from rigctl.control.inbox import Inbox
-from rigctl.control.modes import Mode
-from rigctl.ipc.notes import RequestLog
-from rigctl.ipc.record import RECORD, Slot
+from rigctl.control.modes import Event, Mode, Refusal, Verb
+from rigctl.control.safety import Action
+from rigctl.ipc.notes import Note, RequestLog
+from rigctl.ipc.record import RECORD, FrameFlag, Quality, Slot
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.ipc.supervision import Doing, Supervision
 from rigctl.recorder import chain, protobuf
@@ -255,3 +259,16 @@ def test_the_process_without_a_daemon_is_one_line(arguments: tuple[str, ...], co
         [sys.executable, "-m", "rigctl.recorder", *arguments], capture_output=True, text=True, check=False
     )
     assert (answer.returncode, answer.stderr.count("\n")) == (code, 1)
+
+
+@pytest.mark.parametrize("kind", [Mode, Event, Verb, Refusal, Fault, Action, Kind, Note, Quality, Verdict, FrameFlag])
+def test_no_number_in_a_file_has_two_names(kind: type[IntEnum]) -> None:
+    assert len(kind.__members__) == len(set(kind.__members__.values()))
+
+
+def test_every_mode_and_fault_fits_its_field_of_the_record() -> None:
+    slots = np.zeros(1, RECORD.dtype)
+    for name, kind in (("mode", Mode), ("fault", Fault)):
+        for member in kind:
+            slots[name] = member
+            assert slots[name][0] == member

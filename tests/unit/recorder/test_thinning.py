@@ -96,3 +96,10 @@ def test_a_tension_that_hovers_about_a_limit_does_not_fill_the_log() -> None:
         items.append(item(t_ns, "limit", f"limit: tension above 300 ({300 + number})", "", "events", a=12))
         items.append(item(t_ns + 1_000_000, "limit_over", "limit: no longer tension above 300", "", "events", a=12))
     assert len(flood(Thinning(), items)) <= 2 * (WRITTEN_FIRST + 1) * 2
+
+
+def test_after_its_burst_the_log_still_takes_its_rate() -> None:
+    thin, per_s, seconds = Thinning(), 100, 120
+    orders = [item(S + n * (S // per_s), "order", f"TENSION {n}", "", "commands", id=n) for n in range(per_s * seconds)]
+    late = [one for one in flood(thin, orders) if one.what == "order" and one.t_ns > 61 * S]
+    assert len(late) == pytest.approx(RATE_HZ * (seconds - 60), rel=0.1)

@@ -1,0 +1,288 @@
+"""A sample's mutants against the tests that execute their lines, the cheapest and likeliest first."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import json
+import os
+import pathlib
+import re
+import resource
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.mutation.mutants import Workshop
+from tests.mutation.reach import Reach
+from tests.mutation.run import Instead, Repeatable, forget, preload
+from tests.mutation.sample import Place
+
+SHORT = 5  # names of functions up to this length are anywhere
+FIRST = 3  # tests of each file to begin with
+BUDGET_S = 40.0  # of tests a mutant, by their measured time: a survivor may have outlived these only
+PAPER = "config/paper_rig.yaml"
+_LIBRARIES_OF = (
+    "hil.lockstep",
+    "rigctl.gateway.gateway_process",
+    "rigctl.recorder.recorder_process",
+    "rigctl.commission.identification",
+    "rigctl.design.margins",
+    "scipy.linalg",
+    "mcap.reader",
+)
+"""Loaded once, for the libraries that they load."""
+_KEPT = ("rigctl.config", "hil.plant", "hil.truth")
+"""Below the packages of the sample, so no mutant is in what they import, and loaded once."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a mutant; ``by``: the test that failed first; ``tests``: number of tests that it met."""
+
+    number: str
+    file: str
+    function: str
+    operator: str
+    line: int
+    before: str
+    after: str
+    killed: bool
+    by: str
+    tests: int
+
+
+def tests_of(place: Place, sources: Mapping[str, str], reaches: Sequence[Reach], folder: pathlib.Path) -> list[str]:
+    """Node ids of the tests that execute the mutant's line, in the order in which they are worth running."""
+    file, names = place.mutant.file, _names_given(place.line, sources[place.mutant.file])
+    if names:  # outside functions: the tests that execute a line with a name that the statement gives
+        pattern = re.compile(rf"\b({'|'.join(sorted(names))})\b")
+        lines = {name: {n for n, text in enumerate(source.splitlines(), 1) if pattern.search(text)}
+                 for name, source in sources.items() if name == file or pattern.search(source)}  # fmt: skip
+    else:
+        pattern, lines = None, {file: _statement(place.line, sources[file])}
+    found: set[tuple[float, str]] = set()
+    for reach in reaches:
+        numbers = {n for name, at in lines.items() for line in at for n in reach.lines.get(name, {}).get(line, ())}
+        if not numbers:
+            numbers = {n for tests in reach.lines.get(file, {}).values() for n in tests}
+        found |= {(reach.seconds[n], reach.tests[n]) for n in numbers}
+    if pattern is None and len(place.function) > SHORT:
+        pattern = re.compile(rf"\b{place.function}\b")
+    saying = set()
+    if pattern is not None:  # also tests of what was executed when their module was imported
+        for reach in reaches:
+            texts = {name: (folder / name).read_text() for name in {test.partition("::")[0] for test in reach.tests}}
+            saying |= {name for name, text in texts.items() if pattern.search(text)}
+            pairs = zip(reach.seconds, reach.tests, strict=True)
+            found |= {
+                item for item in pairs if item[1].startswith("tests/unit") and item[1].partition("::")[0] in saying
+            }
+    return _in_order(file, found, saying)
+
+
+def _in_order(file: str, found: set[tuple[float, str]], saying: set[str]) -> list[str]:
+    """First files that name the module or what it gives, then unit tests; one test of each in turn, shortest first."""
+    queues: dict[str, list[tuple[float, str]]] = defaultdict(list)
+    for item in sorted(found):
+        queues[item[1].partition("::")[0]].append(item)
+    own = pathlib.Path(file).stem
+
+    def rank(name: str) -> tuple[bool, bool, bool, float]:
+        return name not in saying, own not in name, "tests/unit" not in name, queues[name][0][0]
+
+    order = sorted(queues, key=rank)
+    chosen: list[str] = []
+    spent, first = 0.0, True
+    while any(queues.values()) and spent < BUDGET_S:
+        for name in order:
+            taken = queues[name][: FIRST if first else 1]
+            del queues[name][: len(taken)]
+            chosen += [test for _, test in taken]
+            spent += sum(seconds for seconds, _ in taken)
+        first = False
+    return chosen
+
+
+def _statement(line: int, source: str) -> set[int]:
+    """The lines of a simple statement, or the line itself."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(
+            node, ast.Assign | ast.AnnAssign | ast.AugAssign | ast.Expr | ast.Return | ast.Raise | ast.Assert
+        ):
+            last = node.end_lineno or node.lineno
+            if node.lineno <= line <= last:
+                return set(range(node.lineno, last + 1))
+    return {line}
+
+
+def _names_given(line: int, source: str) -> set[str]:
+    """Names that a statement outside functions gives a value; none for a line in a function."""
+    given: set[str] = set()
+    for node in ast.walk(ast.parse(source)):
+        last = getattr(node, "end_lineno", None) or 0
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.body[0].lineno <= line <= last:
+            return set()
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.lineno <= line <= last:
+            given |= {
+                name.id for name in ast.walk(node) if isinstance(name, ast.Name) and isinstance(name.ctx, ast.Store)
+            }
+    return given
+
+
+class _FirstFailure:
+    """Notes the first test that failed and how many ran."""
+
+    def __init__(self) -> None:
+        self.by, self.tests = "", 0
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Note the failure."""
+        self.tests += report.when == "call"
+        if report.failed and not self.by:
+            self.by = report.nodeid
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        """A module that cannot be imported fails every test."""
+        if report.failed and not self.by:
+            self.by = f"{report.nodeid} (collection)"
+
+
+class Judge:
+    """Runs mutants on a copy of the tree in ``folder``, several at once."""
+
+    def __init__(self, folder: pathlib.Path, workshop: Workshop, reaches: Sequence[Reach]) -> None:
+        self._folder, self._workshop, self._reaches = folder, workshop, reaches
+        preload(folder)
+        for name in _LIBRARIES_OF:
+            importlib.import_module(name)
+        self._gains = _gains(folder)
+        own = ("rigctl", "hil", "tests")
+        self._keep = frozenset(
+            name for name in sys.modules if name.split(".")[0] not in own or name.startswith(_KEPT) or name in own
+        )
+
+    def verdicts(
+        self, places: Iterator[Place], size: int, at_once: int, done: Container[str] = ()
+    ) -> Iterator[Verdict]:
+        """The verdicts of the first ``size`` places that change the program, as they come; without those ``done``."""
+        running: dict[int, tuple[Place, pathlib.Path]] = {}
+        taken = 0
+        while True:
+            while taken < size and len(running) < at_once:
+                place = next(places, None)
+                if place is None:
+                    size = taken
+                    break
+                source = self._workshop.source_of(place.mutant)
+                if source is None:
+                    continue
+                taken += 1
+                if place.number in done:
+                    continue
+                result = self._folder / f"verdict-{place.number[:16]}.json"
+                running[self._start(place, source, result)] = place, result
+            if not running:
+                return
+            time.sleep(0.02)
+            for pid in list(running):
+                if os.waitpid(pid, os.WNOHANG)[0]:
+                    yield self._verdict(*running.pop(pid))
+
+    def fails_unchanged(self, tests: Sequence[str]) -> str:
+        """The first of the tests that fails without a mutant; empty if none does."""
+        result = self._folder / "unchanged.json"
+        pid = self._fork(lambda: self._run(None, "", tests, result, 3600))
+        os.waitpid(pid, 0)
+        return str(json.loads(result.read_text())["by"])
+
+    def _start(self, place: Place, source: str, result: pathlib.Path) -> int:
+        tests = tests_of(place, self._workshop.sources, self._reaches, self._folder)
+        return self._fork(lambda: self._run(place.mutant.file, source, tests, result, round(3 * BUDGET_S)))
+
+    def _verdict(self, place: Place, result: pathlib.Path) -> Verdict:
+        found: dict[str, Any] = {"by": "(died or took too long)", "tests": 0}
+        if result.exists():
+            found = json.loads(result.read_text())
+        change = self._workshop.change_of(place.mutant)
+        return Verdict(
+            place.number, place.mutant.file, place.function, place.mutant.operator, change.line, change.before,
+            change.after, bool(found["by"]), found["by"], found["tests"],
+        )  # fmt: skip
+
+    @staticmethod
+    def _fork(work: Callable[[], None]) -> int:
+        sys.stdout.flush()
+        pid = os.fork()
+        if pid == 0:
+            try:
+                work()
+            finally:
+                os._exit(0)
+        return pid
+
+    def _run(self, file: str | None, source: str, tests: Sequence[str], result: pathlib.Path, limit_s: int) -> None:
+        os.chdir(self._folder)
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for stream in (0, 1, 2):
+            os.dup2(nowhere, stream)
+        resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s + 1))
+        forget(but=self._keep)
+        if file is not None:
+            module = file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+            sys.meta_path.insert(0, Instead(module, source, self._folder / file))
+        if any(test.startswith("tests/loop") for test in tests):
+            _know_gains(self._folder, self._gains)
+        first = _FirstFailure()
+        arguments = ["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore", "--rootdir", str(self._folder)]
+        code = 0
+        if tests:
+            code = int(pytest.main([*arguments, *tests], plugins=[Repeatable(), first]))
+        if code and not first.by:
+            first.by = f"(pytest ended with {code})"
+        part = result.with_suffix(".part")
+        part.write_text(json.dumps({"by": first.by, "tests": first.tests}))
+        part.rename(result)
+
+
+def _gains(folder: pathlib.Path) -> tuple[float, ...]:
+    """The gains of the paper's rig, whose design takes longer than most tests in lockstep."""
+    from rigctl.config.rig_file import load
+    from rigctl.design.margins import design_and_check
+
+    return astuple(design_and_check(load(folder / PAPER)).gains)
+
+
+def _know_gains(folder: pathlib.Path, gains: tuple[float, ...]) -> None:
+    """Have the design of the paper's rig known."""
+    from rigctl.config.rig_file import load
+    from rigctl.control.tension import Gains
+    from rigctl.design import margins
+
+    paper, design = load(folder / PAPER), margins.design_and_check
+
+    def known(settings: Any, *rest: Any, **words: Any) -> Any:
+        if settings == paper and not rest and not words:
+            return SimpleNamespace(gains=Gains(*gains))
+        return design(settings, *rest, **words)
+
+    margins.design_and_check = known
+
+
+def read(file: pathlib.Path) -> list[Verdict]:
+    """What `write` wrote; none if there is no file."""
+    return [Verdict(**item) for item in json.loads(file.read_text())["verdicts"]] if file.exists() else []
+
+
+def write(file: pathlib.Path, verdicts: Sequence[Verdict]) -> None:
+    """Write the verdicts in the order of the draw."""
+    found = sorted((asdict(verdict) for verdict in verdicts), key=lambda item: item["number"])
+    killed = sum(item["killed"] for item in found)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps({"mutants": len(found), "killed": killed, "verdicts": found}, indent=1) + "\n")
