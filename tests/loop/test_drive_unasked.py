@@ -13,7 +13,7 @@ from hil.wire import FRAME
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.modes import Mode, Refusal, Verb, command_slot
 from rigctl.control.safety import Action
 from rigctl.devices import objects
 
@@ -85,10 +85,10 @@ def test_our_own_drive_is_no_stranger(rig: Lockstep, enter: Enter, mode: Mode) -
 
 @pytest.mark.parametrize("ticks", [1, 3, 10, 40, 70])
 def test_an_arm_that_is_called_off_leaves_no_stranger(rig: Lockstep, ticks: int) -> None:
-    rig._commands.write(rig.clock.now(), 900, Verb.ARM, 0.0)
+    rig._commands.write(*command_slot(rig.clock.now(), 900, Verb.ARM, 0.0))
     for _ in range(ticks):
         rig.loop.tick()
-    rig._commands.write(rig.clock.now(), 901, Verb.DISARM, 0.0)
+    rig._commands.write(*command_slot(rig.clock.now(), 901, Verb.DISARM))
     rig.run(0.5)
     assert rig.loop.machine.fault is Fault.NONE
 

@@ -20,7 +20,7 @@ from hil.wire import FRAME
 from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.settings import AuditSettings, RigSettings
 from rigctl.control.checks import Check
-from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.control.modes import VALUES, Mode, Refusal, Setting, Verb
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import ACTIVE
@@ -177,9 +177,11 @@ def test_commands_and_answers_are_in_the_dump(kept: Kept) -> None:
     trip(kept.rig)
     kept.poll(final=True)
     topics, _, _ = read(kept.files()[0])
-    orders = [(order.verb, order.value) for _, order in topics["/commands"]]
+    orders = [
+        (order.verb, *(getattr(order, name) for name in VALUES.get(order.verb, ()))) for _, order in topics["/commands"]
+    ]
     replies = [json.loads(data)["text"] for _, (_, data) in topics["/replies"]]
-    assert orders == [(Verb.TARGET, 60.0), (Verb.ARM, 0.0), (Verb.TENSION, 0.0), (Verb.TARGET, 1000.0)]
+    assert orders == [(Verb.TARGET, 60.0), (Verb.ARM, 0.0), (Verb.TENSION,), (Verb.TARGET, 1000.0)]
     assert replies[-1] == "not carried out: OUT_OF_RANGE, COMPENSATING"
 
 

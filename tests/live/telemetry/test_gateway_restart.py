@@ -10,7 +10,7 @@ import time
 import pytest
 import zenoh
 
-from rigctl.control.modes import Verb
+from rigctl.control.modes import Verb, command_slot
 from rigctl.ipc.record import RECORD
 from rigctl.wire.block import decode
 from tests.builders.miniature import Daemon, until
@@ -65,7 +65,7 @@ def test_events_made_while_no_gateway_runs_come_with_the_next(own: Daemon) -> No
         client.command("arm", "kim")
         first = until(lambda: (e := events.take()) and e["source"] == "loop" and e, "an event: it knows that we listen")
         own.kill_gateway()
-        disarm = (time.monotonic_ns(), 1, int(Verb.DISARM), 0.0)
+        disarm = command_slot(time.monotonic_ns(), 1, Verb.DISARM)
         own.runtime.commands.writer().write(*disarm)  # no other process writes now
         head = own.runtime.events.reader()
         until(lambda: head.head > first["seq"], "the event")
