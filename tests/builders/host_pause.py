@@ -6,9 +6,12 @@ log, which the tests keep beside their files.
 
 from __future__ import annotations
 
+import contextlib
 import pathlib
 import re
-from collections.abc import Generator
+import threading
+import time
+from collections.abc import Generator, Iterator
 
 import pytest
 from _pytest.runner import runtestprotocol
@@ -23,6 +26,27 @@ def longest_pause_ms(folder: pathlib.Path) -> int:
     """The most periods of 1 ms that a loop skipped at once or tripped over, by the logs in a folder."""
     texts = (file.read_text(errors="replace") for file in folder.rglob("*.log"))
     return max((int(ticks) for text in texts for ticks in _SKIPPED.findall(text)), default=0)
+
+
+@contextlib.contextmanager
+def late_wake_ups() -> Iterator[list[float]]:
+    """Milliseconds by which a thread of this process woke up late during the block, for a rig whose loop kept time."""
+    late_ms, over = [0.0], threading.Event()
+
+    def watch() -> None:
+        before = time.monotonic()
+        while not over.wait(0.005):
+            now = time.monotonic()
+            late_ms.append((now - before) * 1000.0 - 5.0)
+            before = now
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield late_ms
+    finally:
+        over.set()
+        thread.join()
 
 
 @pytest.hookimpl(wrapper=True)

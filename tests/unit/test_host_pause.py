@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import pathlib
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
+from tests.builders.host_pause import PAUSE_MS
 from tests.builders.paths import ROOT
 
 CONFTEST = "from tests.builders.host_pause import pytest_runtest_makereport, pytest_runtest_protocol\n"
@@ -41,3 +44,18 @@ def test_only_a_measured_pause_repeats(tmp_path: pathlib.Path, ticks: int, fails
     assert done.returncode == code, done.stdout + done.stderr
     assert len(counted.read_text()) == runs
     assert ("failed while the host paused the loop for 48 ms; once more" in done.stdout) is (runs == 2)
+
+
+def test_a_process_that_was_stopped_has_woken_up_late() -> None:
+    program = (
+        "import time; from tests.builders.host_pause import late_wake_ups\nwith late_wake_ups() as late:\n"
+        " print(flush=True); time.sleep(1.0)\nprint(max(late))"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, text=True) as watched:
+        assert watched.stdout is not None
+        watched.stdout.readline()
+        time.sleep(0.1)
+        watched.send_signal(signal.SIGSTOP)
+        time.sleep(0.1)
+        watched.send_signal(signal.SIGCONT)
+        assert float(watched.stdout.read()) >= PAUSE_MS

@@ -120,7 +120,7 @@ def test_a_session_with_a_trip_is_on_record_and_the_recorders_death_changes_noth
     with dump.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         records_kept = [item.decoded_message for item in reader.iter_decoded_messages(topics=["/records"])]
-        sent = [item.decoded_message.sent for item in reader.iter_decoded_messages(topics=["/frames"])]
+        sent = [flag for item in reader.iter_decoded_messages(topics=["/frames"]) for flag in item.decoded_message.sent]
         words = {item.name: item.metadata for item in reader.iter_metadata()}
     ticks = np.array([record.tick for record in records_kept])
     skipped = np.array([record.skipped for record in records_kept])
