@@ -30,7 +30,7 @@ def _creeps() -> Iterator[InjectedFault]:
         for way, does, sign in (("up", "winds up", 1.0), ("down", "pays out", -1.0)):
             yield InjectedFault(
                 f"creep_{way}_{round(speed_mm_s * 1000)}",
-                f"the motor {does} {speed_mm_s:g} mm/s faster than it is told, seen by its encoder",
+                f"the motor {does} {speed_mm_s:g} mm/s faster than commanded, seen by its encoder",
                 in_device.creeps(sign * speed_mm_s),
                 RIDE if corrected else _OFF,
                 seconds=seconds,

@@ -174,7 +174,7 @@ DRIVE = (
         "a service tool moves the drive by 1 mm/s, and nothing on the bus stops it",
         in_device.tool_takes_over(1.0, deaf=True),
         {Mode.DISARMED: Reaction.MOVES},
-        why="the operator is told at once; the emergency stop is what is left",
+        why="the operator sees it at once; the emergency stop is what is left",
     ),
     _beside_lag(
         "drive_remote_lost",
@@ -198,7 +198,7 @@ DRIVE = (
         why="the bit means something only while the drive is enabled",
     ),
     CYLINDER_DRIVE.no_heartbeat(),
-    _while_heaving("drive_ignores", "the motor stands still whatever it is told", in_device.ignores_commands()),
+    _while_heaving("drive_ignores", "the motor stands still whatever is commanded", in_device.ignores_commands()),
     _runs_away("drive_runs_up", "the motor winds up at 10 mm/s by itself", in_device.runs_away(10.0)),
     _runs_away("drive_runs_down", "the motor pays out at 10 mm/s by itself", in_device.runs_away(-10.0)),
     _runs_away("drive_runs_slowly", "the motor pays out at 1 mm/s by itself", in_device.runs_away(-1.0), seconds=4.0),
@@ -217,7 +217,7 @@ DRIVE = (
         {**RIDE, Mode.DISARMED: Reaction.MOVES},
         latency_ms=220,
         seconds=3.0,
-        why="with power the motor carries; without it somebody has to be told, but nothing may arm by itself",
+        why="with power the motor carries; without it somebody has to know, but nothing may arm by itself",
     ),
     InjectedFault(
         "brake_weak",

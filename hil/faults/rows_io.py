@@ -17,7 +17,7 @@ RAIL_ENCODER = (
         RIDE,
         band_n=3,
         around=RAIL,
-        why="only feed-forward hangs on it, and ends with it; the operator is told",
+        why="only feed-forward depends on it, and ends with it; an event says so",
     ),
     InjectedFault(
         "rail_no_heartbeat",
@@ -46,7 +46,7 @@ IO = (
         PRESSED,
         latency_ms=DRIVE_MS,
         around=FITTED,
-        why="longer than inhibit_ms, so that it is told; pressed is pressed",
+        why="longer than inhibit_ms, so that it is sent; pressed is pressed",
     ),
     IO_NODE.silent("the I/O node's inputs stop coming"),
     IO_NODE.reboots(),

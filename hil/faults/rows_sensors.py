@@ -61,7 +61,7 @@ SENSOR_CELL = (
         reads(CELL, drift_s=0.5),
         RIDE,
         seconds=3.0,
-        why="not to be told from a payload that moves: calibration's affair",
+        why="not to be distinguished from a payload that moves: calibration finds it",
     ),
     InjectedFault(
         "cell_jump_up", "80 N more from one sample to the next", reads(CELL, plus=80.0), PASSING, within_ms=60

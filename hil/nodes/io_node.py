@@ -35,7 +35,7 @@ class IoNode(Node):
         self._blocks = range(1, number(self.device, objects.INPUTS_8) + 1)
         self._inhibit_ns = self._event_ns = 0
         self._sent_ns = _LONG_AGO_NS
-        self._told: list[int] = []  # inputs as they were last sent
+        self._last_sent: list[int] = []  # inputs as they were last sent
         for block in self._blocks:
             self.readers[objects.INPUTS_8, block] = self._reader(block)
 
@@ -53,13 +53,13 @@ class IoNode(Node):
             return
         inputs = [self.readers[objects.INPUTS_8, block]() for block in self._blocks]
         if (self._event_ns and since_ns >= self._event_ns) or self._is_event(inputs):
-            self._told, self._sent_ns = inputs, t_ns
+            self._last_sent, self._sent_ns = inputs, t_ns
             self.network.send_frame(tpdo.now())
 
     def on_state(self, before: NmtState, now: NmtState) -> None:
         """Entering OPERATIONAL sends all inputs."""
         super().on_state(before, now)
-        self._told = []
+        self._last_sent = []
 
     def on_pdo_change(self) -> None:
         """Apply the timers."""
@@ -80,9 +80,9 @@ class IoNode(Node):
 
     def _is_event(self, inputs: list[int]) -> bool:
         """Whether an input has changed whose event is not masked; the first inputs always are an event."""
-        if inputs == self._told or (self._told and not number(self.device, objects.INPUT_EVENTS)):
+        if inputs == self._last_sent or (self._last_sent and not number(self.device, objects.INPUT_EVENTS)):
             return False
-        return not self._told or any(
+        return not self._last_sent or any(
             (now ^ before) & number(self.device, objects.INPUT_EVENT_MASK_8, block)
-            for block, now, before in zip(self._blocks, inputs, self._told, strict=True)
+            for block, now, before in zip(self._blocks, inputs, self._last_sent, strict=True)
         )

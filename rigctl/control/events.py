@@ -126,8 +126,8 @@ def _unit_of(limit: str) -> str:
 
 
 def _trip(a: int, b: int, value: float, limit: float, text: str) -> Worded:
-    asked = "" if b == Action.HOLD else f"; {_ACTION_TEXT[Action(b)]}"
-    return Worded("error", f"trip {Fault(a).name}: {fault_text(Fault(a), value, limit, text)}{asked}")
+    action = "" if b == Action.HOLD else f"; {_ACTION_TEXT[Action(b)]}"
+    return Worded("error", f"trip {Fault(a).name}: {fault_text(Fault(a), value, limit, text)}{action}")
 
 
 _ACTION_TEXT = {

@@ -232,9 +232,9 @@ class Loop:
             self._off_until = t_ns + STOP_LIMIT_NS
         state = drive_state(self.inbox.statusword)
         outbox.command(next_controlword(state, power, outbox.controlword), speed_mm_s, self._clock.now())
-        asked = self.readback.request(t_ns, armed=machine.mode is not Mode.DISARMED)
-        if asked is not None:
-            outbox.ask(*asked)
+        request = self.readback.request(t_ns, armed=machine.mode is not Mode.DISARMED)
+        if request is not None:
+            outbox.request(*request)
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
         logbook, machine, observer = self._logbook, self.machine, self.observer

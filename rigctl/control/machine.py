@@ -53,7 +53,7 @@ NOTHING = Outcome()
 
 
 class Machine:
-    """Starts in DISARMED. What it has done since it was last asked is `outcome`.
+    """Starts in DISARMED. `outcome` gives what it has done since the last call.
 
     ``action``: reaction to the latched fault; it may grow stronger while the fault is latched, never weaker.
     """

@@ -46,7 +46,7 @@ class Outbox:
             self._until_heartbeat = self._heartbeat_every
             self._send(self._heartbeat_id, self._operational)
 
-    def ask(self, node: int, request: bytes) -> None:
+    def request(self, node: int, request: bytes) -> None:
         """Send an SDO request; after `command`, because cyclic frames go first."""
         self._send(od.SDO_RX_BASE + node, request)
 

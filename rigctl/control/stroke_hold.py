@@ -68,7 +68,7 @@ class StrokeHold:
         self.reference_mm = math.nan
         self.error_mm = self.doubt_mm = self.command_mm_s = 0.0
         self.left = self.creeps = False
-        self._told = self._creep_told = self._doubted = False
+        self._reported = self._creep_reported = self._doubted = False
         self._settles_ns: int | None = None
         self._low_mm = self._high_mm = math.nan
         self._integral_mm_s = self._smooth_n = self._from_n = self._corrected_mm = self._said_mm = 0.0
@@ -94,8 +94,8 @@ class StrokeHold:
             self.reference_mm = max(self._low_mm, min(self._high_mm, stroke_mm))
         self.error_mm = stroke_mm - self.reference_mm
         distance_mm = abs(self.error_mm)
-        self.left = distance_mm > SAID_MM and not self._told
-        self._told = distance_mm > SAID_MM or (self._told and distance_mm > OVER_MM)
+        self.left = distance_mm > SAID_MM and not self._reported
+        self._reported = distance_mm > SAID_MM or (self._reported and distance_mm > OVER_MM)
         self._doubted |= abs(snapshot.contradiction_mm) > CONTRADICTION_MM
 
     def correct(self, snapshot: Snapshot, ticks: int, *, powered: bool) -> float:
@@ -122,8 +122,8 @@ class StrokeHold:
             integral = self._integral_mm_s + self._integral_gain * error_mm * passed_s
             self._integral_mm_s = max(-self._authority, min(self._authority, integral))
         self._creeps_s = self._creeps_s + passed_s if abs(self._integral_mm_s) > CREEP_MM_S else 0.0
-        self.creeps = self._creeps_s > CREEP_S and not self._creep_told
-        self._creep_told |= self.creeps
+        self.creeps = self._creeps_s > CREEP_S and not self._creep_reported
+        self._creep_reported |= self.creeps
         self._question(snapshot, passed_s)
         return self.command_mm_s
 

@@ -120,10 +120,10 @@ class LeaseService:
         """An answer with the lease in force, whose id only the holder sees; a command carried out renews it."""
         if message["accepted"] and self._register.renew(operator, id_, now_ns) is not None:
             self._save(now_ns)
-        told = self.shown(now_ns)
-        if told is not None and self._register.is_holder(operator, id_, now_ns):
-            told["id"] = id_
-        return message | {"lease": told}
+        lease = self.shown(now_ns)
+        if lease is not None and self._register.is_holder(operator, id_, now_ns):
+            lease["id"] = id_
+        return message | {"lease": lease}
 
     def shown(self, now_ns: int) -> dict[str, Any] | None:
         """The lease in force as everyone may see it: without the id."""
