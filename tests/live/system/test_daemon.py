@@ -173,7 +173,7 @@ def test_what_runs_beside_the_loop_keeps_off_its_processor(tmp_path: pathlib.Pat
     with daemons.simulated_rig(file, tmp_path / "rig.log"), daemons.daemon(file, log):
         for module, cpus in (
             ("control", {cpu}),
-            ("telemetry.gateway", everywhere - {cpu}),
+            ("gateway.gateway_process", everywhere - {cpu}),
             ("recorder", everywhere - {cpu}),
         ):
             pid = daemons.process_with(f"rigctl.{module}", f"rigctl-{daemons.name_of(file)}")
