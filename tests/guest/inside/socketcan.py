@@ -29,7 +29,6 @@ def test_an_interface_that_is_down_is_one_clear_line(tmp_path: pathlib.Path) -> 
 
 
 def test_arm_tension_hold_release(rig: GuestRig) -> None:
-    rig.carried_out("target", TARGET_N)
     with late_wake_ups() as late:
         held, after = hold_and_release(rig)
     if rig.starved_by_host(after) or max(late) >= PAUSE_MS:  # the rig's processes had no processor: once more
