@@ -34,7 +34,7 @@ Handler = Callable[[bytes | bytearray, int], None]
 
 @dataclass
 class Notices:
-    """What a drain of the bus found to report, beside the samples.
+    """What the bus gave to report, beside the samples.
 
     ``emergencies``: node, code | register << 16, the manufacturer's bytes in hexadecimal. ``node_states``: node and its
     new NMT state. ``bus_errors``: error class and its details. ``foreign_sdo``: node, index << 8 | sub, in words.
@@ -157,20 +157,20 @@ class Inbox:
             handlers[can_id] = self._on_rival
         return handlers
 
-    def drain(self, now_ns: int, syncs_sent: int) -> Notices | None:
-        """Read until the bus is empty; samples are stamped ``now_ns``. Returns what is to be reported, if anything."""
-        self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
-        self._syncs = syncs_sent
-        if not self.heartbeats_t_ns:
-            self.heartbeats_t_ns.update(dict.fromkeys(self._nodes, now_ns))
-        self._read(now_ns)
+    def notices(self) -> Notices | None:
+        """What is to be reported since the last call, None if nothing."""
         found = self._notices
         if not (found.emergencies or found.node_states or found.bus_errors or found.foreign_sdo):
             return None
         self._notices = Notices()
         return found
 
-    def _read(self, now_ns: int) -> None:
+    def drain(self, now_ns: int, syncs_sent: int) -> None:
+        """Read until the bus is empty; samples are stamped ``now_ns``."""
+        self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
+        self._syncs = syncs_sent
+        if not self.heartbeats_t_ns:
+            self.heartbeats_t_ns.update(dict.fromkeys(self._nodes, now_ns))
         receive, handlers, frames = self._bus.recv, self._handlers, self._frames
         for _ in range(MAX_FRAMES_PER_TICK):
             try:

@@ -7,14 +7,15 @@ from collections.abc import Callable, Sequence
 import can
 
 from rigctl.config.settings import RigSettings
-from rigctl.control import arming, limits
+from rigctl.control import arming
 from rigctl.control.checks import Check
 from rigctl.control.clock import Clock
 from rigctl.control.escalation import Escalator
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.homed import Homed, LastStroke
-from rigctl.control.inbox import Inbox, Notices
+from rigctl.control.inbox import Inbox
+from rigctl.control.limits import rows as limit_rows
 from rigctl.control.logbook import Logbook, Rings, number
 from rigctl.control.machine import NOTHING, Change, Machine
 from rigctl.control.modes import Event, Mode
@@ -22,7 +23,7 @@ from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
 from rigctl.control.outbox import Outbox
 from rigctl.control.readback import Readback
-from rigctl.control.safety import Action, RowFindings, Trip, Watch
+from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.signs import SignCheck
 from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
 from rigctl.control.tension import Estimate, Gains, TensionLaw
@@ -40,7 +41,6 @@ FAILING_TICKS = 100  # consecutive ticks that end in an exception, after which t
 SKIP_NOTICE = 5  # ticks skipped at once from which an event is written
 _KEEPS = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
 """Modes that keep the stroke."""
-_NO_FINDINGS = RowFindings(None)
 LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]
 
 
@@ -87,12 +87,11 @@ class Loop:
         self.finished = False
         self.stop_requested = False
         self._clock, self._commands, self._holds = clock, rings.commands, rings.holds
-        self._watch = Watch(settings, limits.rows(settings))
+        self._watch = Watch(settings, limit_rows(settings))
         self._escalator = Escalator(settings, _stopping_ns(settings))
         self._travel_from_mm = 0.0
-        self._tripped: Trip | None = None  # of this tick, as are the next three
-        self._findings, self._done = _NO_FINDINGS, NOTHING
-        self._notices: Notices | None = None
+        self._tripped: Trip | None = None  # not in a record yet, as is what the machine has done
+        self._done = NOTHING
         self._logbook = logbook = Logbook(settings, rings)
         self._orders = Orders(
             settings, self.machine, self.observer, self.law, self._watch, logbook, self.readback, self.homed,
@@ -116,7 +115,6 @@ class Loop:
         """One period. If anything in it fails, the drive still gets a command: stop."""
         t_ns, skipped = self._clock.next_tick()
         woke_ns = self._clock.now()
-        self._tripped, self._notices, self._findings = None, None, _NO_FINDINGS
         try:
             self._receive(t_ns, woke_ns, skipped)
             estimate = self.observer.estimate(skipped, regulated=self.machine.mode is Mode.COMPENSATING)
@@ -139,7 +137,7 @@ class Loop:
 
     def _receive(self, t_ns: int, now_ns: int, skipped: int) -> None:
         inbox, observer, machine = self.inbox, self.observer, self.machine
-        self._notices = inbox.drain(now_ns, self.outbox.syncs)
+        inbox.drain(now_ns, self.outbox.syncs)
         self._logbook.tick += 1 + skipped
         observer.look(now_ns, skipped)
         if inbox.drive_fresh:
@@ -153,8 +151,7 @@ class Loop:
 
     def _decide(self, t_ns: int, estimate: Estimate) -> None:
         machine, snapshot, law, orders = self.machine, self.observer.snapshot, self.law, self._orders
-        self._findings = self._watch.look(snapshot, machine.mode, t_ns)
-        trip = self._findings.trip
+        trip = self._watch.look(snapshot, machine.mode, t_ns)
         if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
             self._tripped = trip
             self._logbook.trip(t_ns, Kind.TRIP, trip)
@@ -246,13 +243,15 @@ class Loop:
         )  # fmt: skip
         done, self._done = self._done.then(machine.outcome()), NOTHING
         logbook.mode_changes(t_ns, done.changes, self.outbox.safe_frames)
-        for limit, begins in self._findings.limits:
+        limits, causes = self._watch.reports()
+        for limit, begins in limits:
             logbook.trip(t_ns, Kind.LIMIT if begins else Kind.LIMIT_OVER, limit)
-        for cause, begins in self._findings.causes:
+        for cause, begins in causes:
             if not begins or cause != self._tripped:  # the trip's own event has reported this cause
                 logbook.trip(t_ns, Kind.CAUSE if begins else Kind.CAUSE_OVER, cause)
+        self._tripped = None
         self._orders.reply(t_ns, done.answers)
-        logbook.bus_notices(t_ns, self._notices, self.readback.report(), self.inbox, self.outbox)
+        logbook.bus_notices(t_ns, self.inbox.notices(), self.readback.report(), self.inbox, self.outbox)
         if observer.just_skipped >= SKIP_NOTICE:
             logbook.notice(t_ns, Kind.CLOCK, observer.just_skipped, 0)
 

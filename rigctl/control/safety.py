@@ -280,14 +280,9 @@ class Trip:
     text: str = ""
 
 
-class RowFindings(NamedTuple):
-    """What the table found in one tick.
+class RowReports(NamedTuple):
+    """Rows that began to be bad (True) or ended, each with its trip: LOG rows, and the others."""
 
-    ``trip``: of the strongest row that has been bad for its persistence, the first among equals; None if none has.
-    ``limits``: LOG rows that begin (True) or end; ``causes``: the other rows that do.
-    """
-
-    trip: Trip | None
     limits: tuple[tuple[Trip, bool], ...] = ()
     causes: tuple[tuple[Trip, bool], ...] = ()
 
@@ -307,12 +302,13 @@ class Watch:
         self._since: list[int | None] = [None] * len(self._rows)
         self._logged = [False] * len(self._rows)
         self._quiet_until = [-LOG_AGAIN_NS] * len(self._rows)
-        self._reports: list[tuple[bool, Trip, bool]] = []  # of this tick: whether a LOG row's, its trip, begin or end
+        self._limits: list[tuple[Trip, bool]] = []  # not reported yet, as are the causes
+        self._causes: list[tuple[Trip, bool]] = []
         self._stands = [False] * len(self._rows)
         self.standing = 0  # bits 1 << fault of the rows that have been bad for their persistence, LOG rows excepted
 
-    def look(self, snapshot: Snapshot, mode: Mode, t_ns: int) -> RowFindings:
-        """One tick of the table."""
+    def look(self, snapshot: Snapshot, mode: Mode, t_ns: int) -> Trip | None:
+        """Trip of the strongest row that has been bad for its persistence, the first among equals; None if none has."""
         strongest: Trip | None = None
         since = self._since
         if mode is not self._mode:
@@ -339,11 +335,16 @@ class Watch:
                 self.standing |= 1 << row.fault
             if strongest is None or row.action > strongest.action:
                 strongest = row.trip(value, snapshot)
-        if not self._reports:
-            return _NOTHING if strongest is None else RowFindings(strongest)
-        reports, self._reports = self._reports, []
-        limits = tuple((trip, begins) for logged, trip, begins in reports if logged)
-        return RowFindings(strongest, limits, tuple((trip, begins) for logged, trip, begins in reports if not logged))
+        return strongest
+
+    def reports(self) -> RowReports:
+        """Rows that began or ended since the last call."""
+        if not (self._limits or self._causes):
+            return _NOTHING
+        found = RowReports(tuple(self._limits), tuple(self._causes))
+        self._limits.clear()
+        self._causes.clear()
+        return found
 
     def beyond(self, snapshot: Snapshot, mode: Mode) -> set[Fault]:
         """Faults whose rows are bad now and would trip in ``mode`` after their persistence."""
@@ -387,10 +388,10 @@ class Watch:
 
     def _log(self, i: int, trip: Trip, *, begins: bool) -> None:
         self._logged[i] = begins
-        self._reports.append((self._rows[i].action is Action.LOG, trip, begins))
+        (self._limits if self._rows[i].action is Action.LOG else self._causes).append((trip, begins))
 
 
-_NOTHING = RowFindings(None)
+_NOTHING = RowReports()
 _IMPLAUSIBLE = frozenset({Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE})
 _EMERGENCY = frozenset({Fault.SENSOR_EMERGENCY, Fault.DRIVE_EMERGENCY})
 _LIMITED = frozenset({Fault.LIMIT, Fault.LIMIT_UNSEEN})

@@ -20,10 +20,10 @@ class WatchLog(Watch):
 
     def trips(self, snapshot: Snapshot, mode: Mode, t_ns: int) -> Trip | None:
         """Trip of one tick."""
-        found = self.look(snapshot, mode, t_ns)
-        self.limits += found.limits
-        self.causes += found.causes
-        return found.trip
+        trip, (limits, causes) = self.look(snapshot, mode, t_ns), self.reports()
+        self.limits += limits
+        self.causes += causes
+        return trip
 
 
 class MachineLog(Machine):

@@ -358,6 +358,30 @@ def test_an_exception_anywhere_in_the_tick_stops_the_stroke_and_is_latched(
         rig.run_until(Mode.COMPENSATING, 5.0)
 
 
+def test_what_a_tick_found_is_reported_though_its_record_fails(
+    rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A trip, its change of mode, a further cause and an emergency of a device in the very tick without a record."""
+    enter(Mode.COMPENSATING)
+    rig.run(0.02)
+    rig.events.read()
+
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("made up")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.loop._logbook, "record", broken)
+        rig.loop.inbox.e_stop = rig.loop.inbox.restarted = True
+        rig.loop.inbox._notices.emergencies.append((2, 0x8110, b""))
+        rig.run(0.001)
+    rig.run(0.002)
+    found = rig.events.read()
+    kinds = found["kind"].tolist()
+    assert {Kind.TRIP, Kind.MODE, Kind.EXCEPTION, Kind.CAUSE, Kind.EMERGENCY} <= set(kinds)
+    causes = {Fault(int(a)) for a in found["a"][found["kind"] == Kind.CAUSE]}
+    assert Fault.DEVICE_RESTARTED in causes
+
+
 @pytest.mark.parametrize("step", ["_speed", "_send", "_record"])
 def test_stretch_tolerated_in_motion_costs_no_power_once_an_exception_holds_the_stroke(
     rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch, step: str
