@@ -28,7 +28,6 @@ class Outbox:
         self._until_heartbeat = 1
         self._operational = bytes([od.NmtState.OPERATIONAL])
         self._now_ns = 0
-        self._messages: dict[int, can.Message] = {}
         self.controlword = 0
         self.sent = self.failures = self.syncs = 0
         self.failure_text = ""
@@ -50,17 +49,9 @@ class Outbox:
         """Send an SDO request; after `command`, because cyclic frames go first."""
         self._send(od.SDO_RX_BASE + node, request)
 
-    def _message(self, can_id: int, data: bytes) -> can.Message:
-        """The frame as a message; one per identifier is kept, because making it costs as much as sending it."""
-        message = self._messages.get(can_id)
-        if message is None:
-            self._messages[can_id] = message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
-        message.data, message.dlc = bytearray(data), len(data)
-        return message
-
     def _send(self, can_id: int, data: bytes) -> int:
         try:
-            self._bus.send(self._message(can_id, data))
+            self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
         except can.CanError as error:
             self.failures += 1
             self.failure_text = str(error)
