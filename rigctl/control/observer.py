@@ -109,7 +109,7 @@ class Observer:
         snapshot.tangential_rad, snapshot.normal_rad = inbox.tangential_rad, inbox.normal_rad
         snapshot.drive_age_ns = now_ns - inbox.drive_t_ns
         snapshot.drive_enabled = state is DriveState.OPERATION_ENABLED
-        self._know_slip(known=snapshot.brake_slip_known and not snapshot.drive_enabled)
+        self.acknowledge_slip(known=snapshot.brake_slip_known and not snapshot.drive_enabled)
         snapshot.drive_off = state in OFF_STATES
         snapshot.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
         if not (snapshot.drive_off or state is DriveState.FAULT):
@@ -176,11 +176,8 @@ class Observer:
         snapshot.settings_lost, snapshot.disobeys = len(readback.lost), readback.disobeys
         snapshot.settings_words = readback.worst
 
-    def acknowledge_slip(self) -> None:
-        """A reset has acknowledged that the brake slips: arming may put the load on the motor."""
-        self._know_slip(known=True)
-
-    def _know_slip(self, *, known: bool) -> None:
+    def acknowledge_slip(self, *, known: bool = True) -> None:
+        """A reset has acknowledged that the brake slips, so that arming may put the load on the motor; or no more."""
         self.snapshot.brake_slip_known = known
 
     def _look_at_drive_status(self, now_ns: int) -> None:
