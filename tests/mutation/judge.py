@@ -8,11 +8,10 @@ import json
 import os
 import pathlib
 import re
-import resource
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -21,7 +20,7 @@ import pytest
 
 from tests.mutation.mutants import Workshop
 from tests.mutation.reach import Reach
-from tests.mutation.run import Instead, Repeatable, forget, preload
+from tests.mutation.run import enter, fork, preload, put_in, run_tests
 from tests.mutation.sample import Place
 
 SHORT = 5  # names of functions up to this length are anywhere
@@ -198,13 +197,13 @@ class Judge:
     def fails_unchanged(self, tests: Sequence[str]) -> str:
         """The first of the tests that fails without a mutant; empty if none does."""
         result = self._folder / "unchanged.json"
-        pid = self._fork(lambda: self._run(None, "", tests, result, 3600))
+        pid = fork(lambda: self._run(None, "", tests, result, 3600))
         os.waitpid(pid, 0)
         return str(json.loads(result.read_text())["by"])
 
     def _start(self, place: Place, source: str, result: pathlib.Path) -> int:
         tests = tests_of(place, self._workshop.sources, self._reaches, self._folder)
-        return self._fork(lambda: self._run(place.mutant.file, source, tests, result, round(3 * BUDGET_S)))
+        return fork(lambda: self._run(place.mutant.file, source, tests, result, round(3 * BUDGET_S)))
 
     def _verdict(self, place: Place, result: pathlib.Path) -> Verdict:
         found: dict[str, Any] = {"by": "(died or took too long)", "tests": 0}
@@ -216,39 +215,20 @@ class Judge:
             change.after, bool(found["by"]), found["by"], found["tests"],
         )  # fmt: skip
 
-    @staticmethod
-    def _fork(work: Callable[[], None]) -> int:
-        sys.stdout.flush()
-        pid = os.fork()
-        if pid == 0:
-            try:
-                work()
-            finally:
-                os._exit(0)
-        return pid
-
-    def _run(self, file: str | None, source: str, tests: Sequence[str], result: pathlib.Path, limit_s: int) -> None:
-        os.chdir(self._folder)
-        nowhere = os.open(os.devnull, os.O_RDWR)
-        for stream in (0, 1, 2):
-            os.dup2(nowhere, stream)
-        resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s + 1))
-        forget(but=self._keep)
+    def _run(self, file: str | None, source: str, tests: Sequence[str], result: pathlib.Path, limit_s: int) -> int:
+        enter(self._folder, self._keep, limit_s)
         if file is not None:
-            module = file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
-            sys.meta_path.insert(0, Instead(module, source, self._folder / file))
+            put_in(self._folder, file, source)
         if any(test.startswith("tests/loop") for test in tests):
             _know_gains(self._folder, self._gains)
         first = _FirstFailure()
-        arguments = ["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore", "--rootdir", str(self._folder)]
-        code = 0
-        if tests:
-            code = int(pytest.main([*arguments, *tests], plugins=[Repeatable(), first]))
+        code = run_tests(self._folder, tests, first) if tests else 0
         if code and not first.by:
             first.by = f"(pytest ended with {code})"
         part = result.with_suffix(".part")
         part.write_text(json.dumps({"by": first.by, "tests": first.tests}))
         part.rename(result)
+        return 0
 
 
 def _gains(folder: pathlib.Path) -> tuple[float, ...]:

@@ -78,7 +78,7 @@ class Runner:
 
     def passes_unchanged(self, file: str) -> bool:
         """Whether the tests of a module pass without a mutant; this also leaves their byte code in the copy."""
-        _, status = os.waitpid(self._fork(lambda: self._test(file, None)), 0)
+        _, status = os.waitpid(fork(lambda: self._test(file, None)), 0)
         return status == 0
 
     def run(self, mutants: Iterable[Mutant], at_once: int) -> Iterator[tuple[Mutant, str]]:
@@ -87,7 +87,7 @@ class Runner:
         for mutant in mutants:
             if len(running) >= at_once:
                 yield self._next(running)
-            running[self._fork(lambda mutant=mutant: self._judge(mutant))] = mutant  # type: ignore[misc]
+            running[fork(lambda mutant=mutant: self._judge(mutant))] = mutant  # type: ignore[misc]
         while running:
             yield self._next(running)
 
@@ -100,33 +100,50 @@ class Runner:
                     return running.pop(pid), {0: SURVIVED, _SAME_CODE: SAME}.get(code, KILLED)
             time.sleep(0.01)
 
-    def _fork(self, work: Callable[[], int]) -> int:
-        sys.stdout.flush()
-        pid = os.fork()
-        if pid == 0:
-            code = 3
-            try:
-                code = work()
-            finally:
-                os._exit(code)
-        return pid
-
     def _judge(self, mutant: Mutant) -> int:
         source = self._workshop.source_of(mutant)
         return _SAME_CODE if source is None else self._test(mutant.file, source)
 
     def _test(self, file: str, source: str | None) -> int:
-        os.chdir(self._folder)
-        nowhere = os.open(os.devnull, os.O_RDWR)
-        for stream in (0, 1, 2):
-            os.dup2(nowhere, stream)
-        resource.setrlimit(resource.RLIMIT_CPU, (LIMIT_CPU_S, LIMIT_CPU_S + 1))
-        forget(but=self._loaded)
+        enter(self._folder, self._loaded, LIMIT_CPU_S)
         if source is not None:
-            module = file.removesuffix(".py").replace("/", ".")
-            sys.meta_path.insert(0, Instead(module, source, self._folder / file))
-        arguments = ["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore", "--rootdir", str(self._folder)]
-        return int(pytest.main([*arguments, *self._tests[file]], plugins=[Repeatable()]))
+            put_in(self._folder, file, source)
+        return run_tests(self._folder, self._tests[file])
+
+
+def fork(work: Callable[[], int]) -> int:
+    """Do the work in a process of its own, which ends with its result as exit code; returns the process' id."""
+    sys.stdout.flush()
+    pid = os.fork()
+    if pid == 0:
+        code = 3
+        try:
+            code = work()
+        finally:
+            os._exit(code)
+    return pid
+
+
+def enter(folder: pathlib.Path, loaded: frozenset[str], limit_s: int) -> None:
+    """Make the forked process one of the copy in ``folder``: silent, bounded in time, with only ``loaded`` modules."""
+    os.chdir(folder)
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 1, 2):
+        os.dup2(nowhere, stream)
+    resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s + 1))
+    forget(but=loaded)
+
+
+def put_in(folder: pathlib.Path, file: str, source: str) -> None:
+    """Have a module loaded from the mutant's source."""
+    module = file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+    sys.meta_path.insert(0, Instead(module, source, folder / file))
+
+
+def run_tests(folder: pathlib.Path, tests: Sequence[str], *plugins: object) -> int:
+    """pytest's exit code; it ends at the first failure."""
+    arguments = ["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore", "--rootdir", str(folder)]
+    return int(pytest.main([*arguments, *tests], plugins=[Repeatable(), *plugins]))
 
 
 def preload(folder: pathlib.Path) -> None:
