@@ -229,7 +229,8 @@ class Gateway:
         self._view.newest = self._view.make(now, 0, self._calibration.standing, lease, verdict, self._cursor)
         _declare_queryables(self._session, keys, runtime, settings, self._view, self._active, self._cursor.stream)
         self._commands.open(self._command_session)
-        self._token = self._session.liveliness().declare_token(keys.daemon)
+        # On the session of the commands, after them: a client that sees the token finds every command.
+        self._token = self._command_session.liveliness().declare_token(keys.daemon)
 
     def publish(self) -> None:
         """Publish what one period brought.

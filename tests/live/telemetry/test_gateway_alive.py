@@ -1,0 +1,84 @@
+"""What the gateway's liveliness token promises: whoever sees it can give a command."""
+
+from __future__ import annotations
+
+import contextlib
+import pathlib
+import socket
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+import zenoh
+
+import rigctl.gateway.gateway_process as gateway_process
+from rigctl.client.liveliness import Liveliness
+from rigctl.wire.keys import Keys
+from rigctl.wire.session import SessionError, close, open_client
+from tests.builders.miniature import PATIENCE_S, Daemon, until
+
+DELAY_S = 0.3
+
+
+@contextlib.contextmanager
+def slow_relay(path: pathlib.Path, target: pathlib.Path) -> Iterator[None]:
+    """A socket at ``path`` that relays one connection to ``target``, and sends on what it receives ``DELAY_S`` late."""
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+        listener.listen()
+
+        def copy(source: socket.socket, sink: socket.socket) -> None:
+            with contextlib.suppress(OSError):
+                while data := source.recv(1 << 16):
+                    time.sleep(DELAY_S)
+                    sink.sendall(data)
+                sink.shutdown(socket.SHUT_WR)
+
+        def relay() -> None:
+            client, _ = listener.accept()
+            with client, socket.socket(socket.AF_UNIX) as router:
+                router.connect(str(target))
+                back = threading.Thread(target=copy, args=(router, client), daemon=True)
+                back.start()
+                copy(client, router)
+                back.join()
+
+        threading.Thread(target=relay, daemon=True).start()
+        yield
+
+
+def connected(endpoint: str) -> zenoh.Session:
+    def attempt() -> zenoh.Session | None:
+        with contextlib.suppress(SessionError):
+            return open_client(endpoint)
+        return None
+
+    session: zenoh.Session = until(attempt, "the gateway's listener")
+    return session
+
+
+def test_whoever_sees_the_token_can_give_a_command_however_slow_the_session_of_the_commands(
+    own: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own.kill_gateway()
+    keys, slow = Keys(own.settings.rig), own.runtime.directory / "slow"
+    answers: list[bool] = []
+
+    def take_lease() -> None:
+        session = connected(own.endpoint)
+        alive = Liveliness(session, keys.daemon)
+        if alive.wait(True, PATIENCE_S):
+            query = session.get(keys.command("lease_take"), payload=b'{"operator":"kim"}', timeout=PATIENCE_S)
+            answers.extend(answer.ok is not None for answer in query)
+        alive.close()
+        close(session)
+
+    monkeypatch.setattr(gateway_process, "open_client", lambda _socket: open_client(f"unixsock-stream/{slow}"))
+    with slow_relay(slow, pathlib.Path(own.runtime.gateway_socket)):
+        client = threading.Thread(target=take_lease)
+        client.start()
+        gateway = gateway_process.Gateway(own.runtime, own.settings)
+        client.join(PATIENCE_S)
+        gateway.close()
+    assert answers == [True]
