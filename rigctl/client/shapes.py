@@ -232,7 +232,7 @@ class _Settings(msgspec.Struct):
 
 
 class _ActiveMessage(msgspec.Struct):
-    settings: _Settings | None = None
+    settings: _Settings
     version: Line = ""
 
 

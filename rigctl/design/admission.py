@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from rigctl.config.settings import RigSettings
 from rigctl.ipc.runtime_folder import Runtime
 
-LIMIT_S = 15.0
+LIMIT_S = 25.0  # a busy computer takes 15 s; the client waits 30 s
 
 
 class NotAdmittedError(ValueError):
@@ -33,6 +33,8 @@ def admit(runtime: Runtime, text: str, name: str) -> dict[str, Any]:
     try:
         done = subprocess.run(command, input=text.encode(), stdout=subprocess.PIPE, timeout=LIMIT_S, check=True)
         answer: dict[str, Any] = msgspec.json.decode(done.stdout)
+    except subprocess.TimeoutExpired:
+        raise NotAdmittedError(f"the gains were not judged within {LIMIT_S:g} s") from None
     except (subprocess.SubprocessError, OSError, msgspec.MsgspecError) as error:
         raise NotAdmittedError(f"the gains could not be judged: {type(error).__name__}") from None
     if "refused" in answer:

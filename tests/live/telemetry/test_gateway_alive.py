@@ -12,8 +12,8 @@ from collections.abc import Iterator
 import pytest
 import zenoh
 
-import rigctl.gateway.gateway_process as gateway_process
 from rigctl.client.liveliness import Liveliness
+from rigctl.gateway import gateway_process
 from rigctl.wire.keys import Keys
 from rigctl.wire.session import SessionError, close, open_client
 from tests.builders.miniature import PATIENCE_S, Daemon, until

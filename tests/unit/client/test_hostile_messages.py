@@ -162,3 +162,9 @@ def test_a_block_that_is_none_is_refused(name: str) -> None:
         return  # like a block: the stream queries the daemon about it, see test_hostile_network.py
     with pytest.raises(MessageRefusedError):
         block(payload)
+
+
+def test_a_configuration_without_settings_is_refused() -> None:
+    """Anyone on the network may answer ``cfg/active`` with an object; the daemon's names its settings."""
+    with pytest.raises(MessageRefusedError, match="settings"):
+        shapes.active(b"{}")

@@ -1,0 +1,22 @@
+"""The gate that judges gains for a running rig, as the gateway asks it."""
+
+from __future__ import annotations
+
+import pathlib
+
+import pytest
+
+from rigctl.design import admission
+from rigctl.design.admission import NotAdmittedError, admit
+from rigctl.ipc.runtime_folder import Runtime
+
+
+def test_a_gate_that_takes_too_long_refuses_in_words(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(admission, "LIMIT_S", 0.01)
+    with pytest.raises(NotAdmittedError, match=r"the gains were not judged within 0\.01 s"):
+        admit(Runtime(tmp_path), "", "a.gains.yaml")
+
+
+def test_a_rig_without_settings_refuses_in_words(tmp_path: pathlib.Path) -> None:
+    with pytest.raises(NotAdmittedError, match=r"active\.json holds no valid settings"):
+        admit(Runtime(tmp_path), "", "a.gains.yaml")
