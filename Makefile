@@ -16,10 +16,10 @@ demo: $(STAMP)
 
 test: $(STAMP) system
 	$(PYTHON) -m pytest -m "not real_time and not study" --numprocesses auto --dist loadfile
-	$(PYTHON) -m pytest -m "real_time and brief"
+	$(PYTHON) -m pytest -m brief
 
 test-live: $(STAMP) system
-	$(PYTHON) -m pytest -m "study and not real_time" --numprocesses auto --dist loadfile
+	$(PYTHON) -m pytest -m "study and not real_time and not brief" --numprocesses auto --dist loadfile
 	$(PYTHON) -m pytest -m "real_time and not brief"
 
 lint: $(STAMP)

@@ -20,11 +20,10 @@ __all__ = ["pytest_runtest_makereport", "pytest_runtest_protocol"]
 
 HERE = pathlib.Path(__file__).parent
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
-REAL_TIME = ("guest", "live/system", "live/telemetry")
+REAL_TIME = ("guest", "live/system")
 """Folders whose tests are, but those marked ``simulated_time``; elsewhere a file says so itself."""
-STUDIES = ("studies", "loop/test_identify.py", "loop/test_uneven_rail.py", "loop/test_devices_as_sold.py", "live/hil",
-           "live/system")  # fmt: skip
-"""Where tests take minutes of simulated time, or start processes for it."""
+STUDIES = ("studies", "loop/test_identify.py", "loop/test_uneven_rail.py", "loop/test_devices_as_sold.py", "live")
+"""Where tests take minutes of simulated time, or start processes that no pause of the host can trip."""
 
 # What a change is judged by is the same every time; `make fuzz` looks for more.
 settings.register_profile("rigctl", deadline=None, derandomize=True)

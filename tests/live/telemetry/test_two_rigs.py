@@ -163,7 +163,7 @@ def answering_late(endpoint: str, seconds: float) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.8])
-def test_a_namesake_behind_the_joined_router_is_refused(two: tuple[Daemon, Daemon], late_s: float) -> None:
+def test_a_duplicate_rig_name_behind_the_joined_router_is_refused(two: tuple[Daemon, Daemon], late_s: float) -> None:
     """A command would reach both daemons. On a busy computer the router connects late."""
     first, _ = two
     with answering_late(first.endpoint, late_s) as way:
