@@ -188,12 +188,14 @@ class Loop:
 
     def _take_orders(self, t_ns: int) -> None:
         """Holds come first, so that no queue of commands delays a HOLD."""
-        for slot in self._holds.read(HOLDS_PER_TICK):
-            self._orders.take_hold(slot, t_ns)
-            self._commanded_ns = t_ns
-        for slot in self._commands.read(COMMANDS_PER_TICK):
-            if self._orders.take(slot, t_ns):
+        if self._holds.waits:
+            for slot in self._holds.read(HOLDS_PER_TICK):
+                self._orders.take_hold(slot, t_ns)
                 self._commanded_ns = t_ns
+        if self._commands.waits:
+            for slot in self._commands.read(COMMANDS_PER_TICK):
+                if self._orders.take(slot, t_ns):
+                    self._commanded_ns = t_ns
 
     def _speed(self, estimate: Estimate) -> float:
         law, mode, cosine, trial = self.law, self.machine.mode, self.observer.cosine, self._orders.trial
