@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
 from rigctl.ipc.record import Flag
@@ -40,8 +41,7 @@ class Gains:
         return self.k_tension, self.k_speed, self.k_integral
 
 
-@dataclass(frozen=True)
-class Estimate:
+class Estimate(NamedTuple):
     """Input of the law: tension N, drive speed and disturbance speed mm/s, measured stroke mm."""
 
     tension_n: float
