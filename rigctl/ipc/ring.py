@@ -88,7 +88,7 @@ class RingWriter:
 
     def __init__(self, path: pathlib.Path, layout: struct.Struct) -> None:
         """``layout``: the slot without its leading sequence number."""
-        self._pack_into = layout.pack_into
+        self._pack_into = struct.Struct("<Q" + layout.format.removeprefix("<")).pack_into
         self._slot_size = layout.size + 8
         self._memory, self._capacity = _map(path, self._slot_size, writable=True)
         (self.head,) = _HEAD.unpack_from(self._memory, _HEAD_OFFSET)
@@ -100,8 +100,7 @@ class RingWriter:
         seq: int = self.head + 1
         offset = _DATA_OFFSET + (seq % self._capacity) * self._slot_size
         memory = self._memory
-        _HEAD.pack_into(memory, offset, 0)
-        self._pack_into(memory, offset + 8, *values)
+        self._pack_into(memory, offset, 0, *values)  # the number first: 0, no slot, until the values are in
         _HEAD.pack_into(memory, offset, seq)
         self._head_word[0] = seq
         self.head = seq
