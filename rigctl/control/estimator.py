@@ -111,7 +111,7 @@ class TensionFilter:
         self._prior: Array = np.eye(3)
         self._sent: list[float] = [0.0] * (model.delay_ticks + 1)  # oldest first
         carry, forced = self._lookahead(model)
-        self._carry, self._forced = carry.tolist(), forced.tolist()
+        self._ahead = [(*row, factors) for row, factors in zip(carry.tolist(), forced.tolist(), strict=True)]
         self.cell = Gate(model.gate_sigma, model.f.item(0, 2) * model.burst_mm_s)
         self.drive = Gate(model.gate_sigma, model.drive_burst_mm_s)
         self.known_mm_s = 0.0
@@ -253,9 +253,9 @@ class TensionFilter:
             return t, v, w
         # Plain floats: three rows of a handful of products cost numpy four times as much.
         result = []
-        for (a, b, c), row in zip(self._carry, self._forced, strict=True):
+        for a, b, c, factors in self._ahead:
             value = a * t + b * v + c * w
-            for factor, command in zip(row, self._sent, strict=False):
+            for factor, command in zip(factors, self._sent, strict=False):
                 value += factor * command
             result.append(value)
         return result[0], result[1], result[2]
