@@ -82,10 +82,10 @@ class RigSimBus(can.BusABC):
                 raise self._failure(error) from None
             if not frame:
                 raise can.CanOperationError(f"{self.channel_info}: the simulated rig has gone", errno.EPIPE)
+            message = message_of(frame, time(), self.channel)
             if self._accepted is None:
-                return message_of(frame, time(), self.channel), True
-            if _accepts(self._accepted, frame):
-                message = message_of(frame, time(), self.channel)
+                return message, True
+            if message.is_extended_id or message.is_error_frame or self._accepted[message.arbitration_id]:
                 return message, not message.is_extended_id
 
     def _wait(self, timeout: float | None) -> bool:
