@@ -63,6 +63,13 @@ class RigSimBus(can.BusABC):
         super().shutdown()
         self._socket.close()
 
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame; a call that does not wait takes a shorter way than python-can's, to the same end."""
+        if timeout != 0:
+            return super().recv(timeout)
+        message, filtered = self._recv_internal(0)
+        return message if message is None or filtered or self._matches_filters(message) else None
+
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         while True:
             try:
@@ -75,10 +82,10 @@ class RigSimBus(can.BusABC):
                 raise self._failure(error) from None
             if not frame:
                 raise can.CanOperationError(f"{self.channel_info}: the simulated rig has gone", errno.EPIPE)
+            message = message_of(frame, time(), self.channel)
             if self._accepted is None:
-                return message_of(frame, time(), self.channel), True
-            if _accepts(self._accepted, frame):
-                message = message_of(frame, time(), self.channel)
+                return message, True
+            if message.is_extended_id or message.is_error_frame or self._accepted[message.arbitration_id]:
                 return message, not message.is_extended_id
 
     def _wait(self, timeout: float | None) -> bool:
@@ -119,6 +126,13 @@ class InProcessBus(can.BusABC):
         """Leave the hub."""
         super().shutdown()
         self._hub.detach(self._port)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame; a call that does not wait takes a shorter way than python-can's, to the same end."""
+        if timeout != 0:
+            return super().recv(timeout)
+        message, filtered = self._recv_internal(0)
+        return message if message is None or filtered or self._matches_filters(message) else None
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if not self._frames and (timeout == 0 or not self._wait(timeout)):

@@ -39,7 +39,7 @@ def message_of(frame: bytes, timestamp_s: float, channel: str | None = None) -> 
     """16 bytes as a python-can message received at ``timestamp_s``."""
     can_id, dlc, data = FRAME.unpack(frame)
     if can_id <= STANDARD_MASK:
-        return can.Message(timestamp_s, can_id, False, False, False, channel, dlc, data[:dlc])
+        return can.Message(timestamp_s, can_id, False, False, False, channel, dlc, bytearray(data[:dlc]))
     extended = bool(can_id & EXTENDED_FLAG)
     return can.Message(
         timestamp=timestamp_s,

@@ -111,7 +111,7 @@ class TensionFilter:
         self._prior: Array = np.eye(3)
         self._sent: list[float] = [0.0] * (model.delay_ticks + 1)  # oldest first
         carry, forced = self._lookahead(model)
-        self._carry, self._forced = carry.tolist(), forced.tolist()
+        self._carry, self._forced = carry.tolist(), forced.T.tolist()
         self.cell = Gate(model.gate_sigma, model.f.item(0, 2) * model.burst_mm_s)
         self.drive = Gate(model.gate_sigma, model.drive_burst_mm_s)
         self.known_mm_s = 0.0
@@ -252,13 +252,13 @@ class TensionFilter:
         if not self.model.delay_ticks:
             return t, v, w
         # Plain floats: three rows of a handful of products cost numpy four times as much.
-        result = []
-        for (a, b, c), row in zip(self._carry, self._forced, strict=True):
-            value = a * t + b * v + c * w
-            for factor, command in zip(row, self._sent, strict=False):
-                value += factor * command
-            result.append(value)
-        return result[0], result[1], result[2]
+        (a, b, c), (d, e, f), (g, h, i) = self._carry
+        tension_n, speed_mm_s, disturbance_mm_s = a * t + b * v + c * w, d * t + e * v + f * w, g * t + h * v + i * w
+        for (a, d, g), command in zip(self._forced, self._sent, strict=False):
+            tension_n += a * command
+            speed_mm_s += d * command
+            disturbance_mm_s += g * command
+        return tension_n, speed_mm_s, disturbance_mm_s
 
     def command(self, speed_mm_s: float) -> None:
         """Store the limited command sent in this tick, which the drive will follow."""

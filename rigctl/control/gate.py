@@ -17,7 +17,8 @@ class Verdict(IntEnum):
     IDLE = 3  # the rope is slack, so nothing can be estimated
 
 
-_USED, _REJECTED = Verdict.USED.value, Verdict.REJECTED.value
+# As numbers: a member's .value is a function call.
+_ABSENT, _USED, _REJECTED, _IDLE = map(int, Verdict)
 
 
 class Gate:
@@ -51,7 +52,7 @@ class Gate:
         self._forget = 1.0 / NIS_SAMPLES
         self.innovation = 0.0
         self.variance = 0.0
-        self.verdict = Verdict.ABSENT.value
+        self.verdict = _ABSENT
         self.rejects = 0
         """Consecutive samples outside the gate."""
         self.since = 1
@@ -80,13 +81,13 @@ class Gate:
 
     def absent(self) -> None:
         """No sample in this tick."""
-        self.verdict = Verdict.ABSENT.value
+        self.verdict = _ABSENT
         self.innovation = 0.0
         self.surprised = False
 
     def idle(self) -> None:
         """Start again, as nothing is estimated on a slack rope."""
-        self.verdict = Verdict.IDLE.value
+        self.verdict = _IDLE
         self.innovation = 0.0
         self.rejects = self.since = 0
 

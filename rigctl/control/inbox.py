@@ -181,21 +181,20 @@ class Inbox:
                 return
             if message is None:
                 return
+            can_id, data = message.arbitration_id, message.data
+            ours = not (message.is_extended_id or message.is_remote_frame or message.is_error_frame)
             if frames is not None:
-                can_id = message.arbitration_id
-                if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
-                    can_id = _flagged(message)
-                frames.write(now_ns, can_id, 0, message.dlc, message.data)
+                frames.write(now_ns, can_id if ours else _flagged(message), 0, message.dlc, data)
             if message.is_error_frame:
                 self._on_error_frame(message)
                 continue
             self.received += 1
             self.bus_t_ns = now_ns
-            handler = handlers.get(message.arbitration_id)
-            if handler is None or message.is_extended_id or message.is_remote_frame:
+            handler = handlers.get(can_id) if ours else None
+            if handler is None:
                 continue
             try:
-                handler(message.data, now_ns)
+                handler(data, now_ns)
             except ValueError:
                 self.refused += 1
 
@@ -204,10 +203,10 @@ class Inbox:
 
         Plain frames answer no SYNC, so none is ever due.
         """
-        missing = 0
-        for i, divisor in enumerate(self._divisors):
-            if self._bases[i] >= 0:
-                missing += max(0, (self._syncs - self._bases[i]) // divisor + 1 - self._counts[i])
+        missing, syncs = 0, self._syncs
+        for base, count, divisor in zip(self._bases, self._counts, self._divisors, strict=True):
+            if base >= 0 and (due := (syncs - base) // divisor + 1) > count:
+                missing += due - count
         return missing
 
     def _count(self, i: int) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from operator import attrgetter
 
 from rigctl.config.limits_section import LimitSettings
 from rigctl.config.settings import RigSettings
@@ -12,19 +11,15 @@ from rigctl.config.signals import INCLINOMETER, STATUS, WATCHED, Reading
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
 from rigctl.control.safety import ARMED, Action, Row, status_stale_ns
-from rigctl.control.snapshot import Snapshot
+from rigctl.control.snapshot import FieldValue, Snapshot
 
 RATE_S = 0.02  # low-pass of a signal before its rate is taken
 _GAP_NS = 100_000_000
 
 
-def value_of(watch: Reading) -> Callable[[Snapshot], float]:
-    """Reads a signal off a snapshot."""
-    read: Callable[[Snapshot], float] = attrgetter(watch.snapshot)
-    factor = watch.factor
-    if watch.magnitude:
-        return lambda x: abs(read(x)) * factor
-    return read if factor == 1.0 else lambda x: read(x) * factor
+def value_of(watch: Reading, sign: float = 1.0) -> FieldValue:
+    """Reads a signal off a snapshot, times ``sign``."""
+    return FieldValue(watch.snapshot, sign * watch.factor, magnitude=watch.magnitude)
 
 
 class SignalRate:
@@ -63,7 +58,7 @@ def _unseen(limit: LimitSettings, settings: RigSettings) -> list[Row]:
     watch = WATCHED[limit.signal]
     if not watch.age:
         return []
-    age: Callable[[Snapshot], float] = attrgetter(watch.age)
+    age = FieldValue(watch.age)
     s, modes = settings.safety, frozenset(Mode[name] for name in limit.modes)
     oldest_ns = {INCLINOMETER: s.inclination_stale_ms * 1_000_000, STATUS: status_stale_ns(settings)}
     stale_ns = oldest_ns.get(watch.age, s.stale_ms * 1_000_000)
@@ -85,7 +80,6 @@ def _unseen(limit: LimitSettings, settings: RigSettings) -> list[Row]:
 
 def _rows_of(limit: LimitSettings) -> list[Row]:
     watch = WATCHED[limit.signal]
-    value = value_of(watch)
     persistence_ns = limit.persistence_ms * 1_000_000
     modes = frozenset(Mode[name] for name in limit.modes)
     action = Action[limit.action.upper()]
@@ -96,9 +90,9 @@ def _rows_of(limit: LimitSettings) -> list[Row]:
 
     found = []
     if limit.high is not None:
-        found.append(row(value, limit.high, "above"))
+        found.append(row(value_of(watch), limit.high, "above"))
     if limit.low is not None:
-        found.append(row(lambda x: -value(x), limit.low, "below", -1.0))
+        found.append(row(value_of(watch, -1.0), limit.low, "below", -1.0))
     if limit.rate is not None:
-        found.append(row(SignalRate(value), limit.rate, "changing by more per second than"))
+        found.append(row(SignalRate(value_of(watch)), limit.rate, "changing by more per second than"))
     return found

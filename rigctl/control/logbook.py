@@ -70,6 +70,7 @@ class Logbook:
         ``causes``: see `rigctl.control.safety.Watch.standing`. ``checks``: bits of the checks that bar arming.
         """
         inbox, snapshot, kalman, slope = observer.inbox, observer.snapshot, observer.filter, observer.inclination
+        cell, drive, tangential, normal = kalman.cell, kalman.drive, slope.tangential, slope.normal
         flags = law.limits | (_ENABLED if snapshot.drive_enabled else 0) | (_ARMING if arming else 0)
         flags |= 0 if stroke_known else _UNCONFIRMED
         flags |= _STOPPING if machine.stopping else 0
@@ -104,28 +105,28 @@ class Logbook:
         values.vertical_n = inbox.tension_n * observer.cosine
         values.estimate_n, values.estimate_mm_s, values.disturbance_mm_s = kalman.state
         values.integral_mm_s = law.integral_mm_s
-        values.innovation_n = kalman.cell.innovation
-        values.innovation_n2 = kalman.cell.variance
-        values.tension_verdict = kalman.cell.verdict
-        values.tension_nis = kalman.cell.nis
-        values.speed_innovation_mm_s = kalman.drive.innovation
-        values.speed_innovation_mm2_s2 = kalman.drive.variance
-        values.speed_verdict = kalman.drive.verdict
-        values.speed_nis = kalman.drive.nis
+        values.innovation_n = cell.innovation
+        values.innovation_n2 = cell.variance
+        values.tension_verdict = cell.verdict
+        values.tension_nis = cell.nis
+        values.speed_innovation_mm_s = drive.innovation
+        values.speed_innovation_mm2_s2 = drive.variance
+        values.speed_verdict = drive.verdict
+        values.speed_nis = drive.nis
         (
             values.tangential_estimate_rad,
             values.tangential_rate_rad_s,
             values.normal_estimate_rad,
             values.normal_rate_rad_s,
         ) = slope.state
-        values.tangential_innovation_rad = slope.tangential.innovation
-        values.tangential_innovation_rad2 = slope.tangential.variance
-        values.tangential_verdict = slope.tangential.verdict
-        values.tangential_nis = slope.tangential.nis
-        values.normal_innovation_rad = slope.normal.innovation
-        values.normal_innovation_rad2 = slope.normal.variance
-        values.normal_verdict = slope.normal.verdict
-        values.normal_nis = slope.normal.nis
+        values.tangential_innovation_rad = tangential.innovation
+        values.tangential_innovation_rad2 = tangential.variance
+        values.tangential_verdict = tangential.verdict
+        values.tangential_nis = tangential.nis
+        values.normal_innovation_rad = normal.innovation
+        values.normal_innovation_rad2 = normal.variance
+        values.normal_verdict = normal.verdict
+        values.normal_nis = normal.nis
         values.stretch_mm_s = kalman.known_mm_s - observer.run_out_mm_s
         values.frames_sent = outbox.sent
         values.frames_received = inbox.received

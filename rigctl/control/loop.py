@@ -188,12 +188,14 @@ class Loop:
 
     def _take_orders(self, t_ns: int) -> None:
         """Holds come first, so that no queue of commands delays a HOLD."""
-        for slot in self._holds.read(HOLDS_PER_TICK):
-            self._orders.take_hold(slot, t_ns)
-            self._commanded_ns = t_ns
-        for slot in self._commands.read(COMMANDS_PER_TICK):
-            if self._orders.take(slot, t_ns):
+        if self._holds.waits:
+            for slot in self._holds.read(HOLDS_PER_TICK):
+                self._orders.take_hold(slot, t_ns)
                 self._commanded_ns = t_ns
+        if self._commands.waits:
+            for slot in self._commands.read(COMMANDS_PER_TICK):
+                if self._orders.take(slot, t_ns):
+                    self._commanded_ns = t_ns
 
     def _speed(self, estimate: Estimate) -> float:
         law, mode, cosine, trial = self.law, self.machine.mode, self.observer.cosine, self._orders.trial
@@ -220,8 +222,7 @@ class Loop:
             self._finish_stop(t_ns)
         power = machine.power(t_ns, drive_enabled=snapshot.drive_enabled, drive_faulted=snapshot.drive_faulted)
         unsafe = outbox.safe_frames < SAFE_FRAMES
-        waits = (self._moving() or unsafe) and t_ns < self._off_until and abs(snapshot.excursion_mm) <= SAID_MM
-        if power is Power.OFF and snapshot.drive_enabled and waits:
+        if power is Power.OFF and snapshot.drive_enabled and self._off_waits(t_ns, unsafe=unsafe):
             power = Power.ON  # stop first, then power off: a brake must not stop a moving load
         elif power is Power.ON and not snapshot.drive_enabled and unsafe:
             power = Power.OFF
@@ -260,6 +261,11 @@ class Loop:
         """The stroke moves, or is commanded to by more than the correction of a held stroke."""
         return abs(self.inbox.speed_mm_s) >= STOPPED_MM_S or self.law.command_mm_s != self._stroke_hold.command_mm_s
 
+    def _off_waits(self, t_ns: int, *, unsafe: bool) -> bool:
+        """The power stays on a little longer: the stroke still moves, or too few commands of no speed were sent."""
+        held = abs(self.observer.snapshot.excursion_mm) <= SAID_MM
+        return (self._moving() or unsafe) and t_ns < self._off_until and held
+
     def _watch_stroke(self, now_ns: int) -> None:
         """Latch the stroke where the mode keeps it, and write an event when it leaves the latch."""
         hold, machine, snapshot, trial = self._stroke_hold, self.machine, self.observer.snapshot, self._orders.trial
@@ -282,14 +288,17 @@ class Loop:
 
     def _escalate(self, t_ns: int) -> None:
         """Follow a reaction that has not helped against the latched fault by the next stronger one."""
-        machine, slack = self.machine, self.observer.slack
+        machine = self.machine
+        if machine.fault is Fault.NONE:
+            self._escalator.rest()
+            return
         over = machine.action is Action.RAMP_DOWN and machine.mode is Mode.FAULT
         action = Action.HOLD if over else machine.action
         found = self._escalator.look(machine.fault, action, self.observer.snapshot, t_ns)
         if found is not None:
             self._logbook.event(t_ns, Kind.ESCALATION, found.fault, found.symptom, found.value, found.limit)
             if found.trip is not None:
-                machine.trip(found.trip, t_ns, slack=slack)
+                machine.trip(found.trip, t_ns, slack=self.observer.slack)
 
     def _check_signs(self, now_ns: int) -> None:
         signs, inbox = self._signs, self.inbox

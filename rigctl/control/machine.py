@@ -46,7 +46,7 @@ class Outcome(NamedTuple):
 
     def then(self, later: Outcome) -> Outcome:
         """This and what was done later."""
-        return Outcome(self.changes + later.changes, self.answers + later.answers) if any(later) else self
+        return self if later is NOTHING else Outcome(self.changes + later.changes, self.answers + later.answers)
 
 
 NOTHING = Outcome()

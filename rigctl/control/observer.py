@@ -90,7 +90,7 @@ class Observer:
 
     def look(self, now_ns: int, skipped: int) -> None:
         """Make this tick's snapshot from the inbox; ``skipped`` ticks passed since the last one."""
-        inbox, snapshot = self.inbox, self.snapshot
+        inbox, snapshot, statusword = self.inbox, self.snapshot, self.inbox.statusword
         self.just_skipped = skipped
         snapshot.t_ns = now_ns
         if skipped:
@@ -98,7 +98,7 @@ class Observer:
             self._skips.append((now_ns, skipped))
         while self._skips and now_ns - self._skips[0][0] > self._window_ns:
             self._skips.popleft()
-        state = drive_state(inbox.statusword)
+        state = drive_state(statusword)
         snapshot.tension_n, snapshot.cell_quality = inbox.tension_n, inbox.cell_quality
         snapshot.reading_n = inbox.reading_n
         snapshot.cell_age_ns = now_ns - inbox.cell_t_ns
@@ -122,10 +122,10 @@ class Observer:
         if self._io_fitted:
             snapshot.io_age_ns = now_ns - inbox.io_t_ns
         snapshot.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
-        snapshot.drive_warning = bool(inbox.statusword & STATUS_WARNING)
-        snapshot.drive_local = not inbox.statusword & STATUS_REMOTE
-        snapshot.drive_limited = bool(inbox.statusword & STATUS_INTERNAL_LIMIT)
-        snapshot.drive_ignores = snapshot.drive_enabled and not inbox.statusword & STATUS_FOLLOWS
+        snapshot.drive_warning = statusword & STATUS_WARNING != 0
+        snapshot.drive_local = not statusword & STATUS_REMOTE
+        snapshot.drive_limited = statusword & STATUS_INTERNAL_LIMIT != 0
+        snapshot.drive_ignores = snapshot.drive_enabled and not statusword & STATUS_FOLLOWS
         snapshot.rival_age_ns, snapshot.rival_words = now_ns - inbox.rival_t_ns, inbox.rival_words
         snapshot.bus_age_ns = now_ns - inbox.bus_t_ns
         snapshot.error_frames = self._recent_error_frames(now_ns)

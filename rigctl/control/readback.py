@@ -69,12 +69,12 @@ class Readback:
     @property
     def disobeys(self) -> bool:
         """A setting is lost without which the drive does not do as commanded."""
-        return any(item.obeys and lost.found is not None for item, lost in self.lost.items())
+        return bool(self.lost) and any(item.obeys and lost.found is not None for item, lost in self.lost.items())
 
     @property
     def worst(self) -> str:
         """The first object that is lost, in words."""
-        return next((lost.words for lost in self.lost.values()), "")
+        return next(iter(self.lost.values())).words if self.lost else ""
 
     def report(self) -> Lost | None:
         """The newest lost object that has not been reported."""

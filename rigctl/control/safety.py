@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum, auto
+from operator import gt, lt
 from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
@@ -18,7 +19,7 @@ from rigctl.control.faults import Fault
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.modes import Mode
 from rigctl.control.run_out import stale_ns
-from rigctl.control.snapshot import EStop, Snapshot
+from rigctl.control.snapshot import EStop, FieldValue, Snapshot, reader
 from rigctl.devices.objects import DEVICE_HEARTBEAT_MS, NmtState
 from rigctl.ipc.correction import tare_limit_n
 
@@ -146,57 +147,57 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
     negative_n = settings.tension.slack_n + tare_limit_n(settings)
     lost = Action.POWER_OFF  # a drive that does not obey cannot hold, so its power is cut
     return (
-        Row(Fault.E_STOP, lambda x: x.e_stop, 0, 0, _EVERY, "", Action.QUICK_STOP),
-        Row(Fault.BUS_SILENT, lambda x: x.bus_age_ns, s.bus_silent_ms * _MS, 0, _ARMED, "ns"),
+        Row(Fault.E_STOP, FieldValue("e_stop"), 0, 0, _EVERY, "", Action.QUICK_STOP),
+        Row(Fault.BUS_SILENT, FieldValue("bus_age_ns"), s.bus_silent_ms * _MS, 0, _ARMED, "ns"),
         Row(Fault.RIVAL, lambda x: x.rival_age_ns < RIVAL_NS, 0, 0, _ARMED, "", words=lambda x: x.rival_words),
-        Row(Fault.SUPERVISION_LOST, lambda x: x.settings_lost, 0, 0, _ARMED, "", words=lambda x: x.settings_words),
-        Row(Fault.SUPERVISION_LOST, lambda x: x.disobeys, 0, 0, _ARMED, "commands", lost,
+        Row(Fault.SUPERVISION_LOST, FieldValue("settings_lost"), 0, 0, _ARMED, "", words=lambda x: x.settings_words),
+        Row(Fault.SUPERVISION_LOST, FieldValue("disobeys"), 0, 0, _ARMED, "commands", lost,
             words=lambda x: x.settings_words),
-        Row(Fault.STROKE_JUMPED, lambda x: x.stroke_jump_mm, TOLERANCE_MM, 0, _ARMED, "mm", lost),
-        Row(Fault.DRIVE_STALE, lambda x: x.drive_age_ns, stale, 0, _ARMED, "ns"),
-        Row(Fault.CELL_STALE, lambda x: x.cell_age_ns, stale, 0, _ARMED, "ns"),
-        Row(Fault.INCLINATION_STALE, lambda x: x.inclination_age_ns, slope, 0, _ARMED, "ns"),
+        Row(Fault.STROKE_JUMPED, FieldValue("stroke_jump_mm"), TOLERANCE_MM, 0, _ARMED, "mm", lost),
+        Row(Fault.DRIVE_STALE, FieldValue("drive_age_ns"), stale, 0, _ARMED, "ns"),
+        Row(Fault.CELL_STALE, FieldValue("cell_age_ns"), stale, 0, _ARMED, "ns"),
+        Row(Fault.INCLINATION_STALE, FieldValue("inclination_age_ns"), slope, 0, _ARMED, "ns"),
         *_io_rows(settings),
         *_status_rows(settings),
-        Row(Fault.DRIVE_FAULT, lambda x: x.drive_faulted, 0, 0, _ARMED, ""),
+        Row(Fault.DRIVE_FAULT, FieldValue("drive_faulted"), 0, 0, _ARMED, ""),
         Row(Fault.DRIVE_NOT_FOLLOWING, _dropped_out, 0, DRIVE_GRACE_NS, _ON, ""),
-        Row(Fault.DRIVE_REFUSES, lambda x: x.drive_local, 0, DRIVE_GRACE_NS, _ARMED, "", text=_LOCAL),
-        Row(Fault.DRIVE_REFUSES, lambda x: x.drive_limited, 0, INTERNAL_LIMIT_NS, _ARMED, "", text=_LIMITS,
+        Row(Fault.DRIVE_REFUSES, FieldValue("drive_local"), 0, DRIVE_GRACE_NS, _ARMED, "", text=_LOCAL),
+        Row(Fault.DRIVE_REFUSES, FieldValue("drive_limited"), 0, INTERNAL_LIMIT_NS, _ARMED, "", text=_LIMITS,
             bars=Bars.NEVER),
-        Row(Fault.DRIVE_REFUSES, lambda x: x.drive_ignores, 0, DRIVE_GRACE_NS, _ARMED, "", lost, _IGNORES),
-        Row(Fault.DRIVE_UNASKED, lambda x: x.drive_unasked, 0, DRIVE_GRACE_NS, _UNASKED, "", lost, _ELSEWHERE),
-        Row(Fault.DRIVE_UNASKED, lambda x: x.drive_lingers, 0, LINGER_NS, _UNASKED, "", lost, _LINGERS,
+        Row(Fault.DRIVE_REFUSES, FieldValue("drive_ignores"), 0, DRIVE_GRACE_NS, _ARMED, "", lost, _IGNORES),
+        Row(Fault.DRIVE_UNASKED, FieldValue("drive_unasked"), 0, DRIVE_GRACE_NS, _UNASKED, "", lost, _ELSEWHERE),
+        Row(Fault.DRIVE_UNASKED, FieldValue("drive_lingers"), 0, LINGER_NS, _UNASKED, "", lost, _LINGERS,
             bars=Bars.LASTING),
         Row(Fault.DRIVE_UNASKED, _powered_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _OFF, "mm/s", lost, _POWERED,
             bars=Bars.LASTING),
-        Row(Fault.SIGN_DRIVE, lambda x: x.drive_reversed, 0, 0, _TENSIONING, ""),
-        Row(Fault.SIGN_CELL, lambda x: x.cell_reversed, 0, 0, _TENSIONING, ""),
-        Row(Fault.CELL_INVALID, lambda x: x.cell_quality, 0, 0, _ARMED, ""),
-        Row(Fault.INCLINATION_INVALID, lambda x: x.inclination_quality, 0, 0, _ARMED, ""),
+        Row(Fault.SIGN_DRIVE, FieldValue("drive_reversed"), 0, 0, _TENSIONING, ""),
+        Row(Fault.SIGN_CELL, FieldValue("cell_reversed"), 0, 0, _TENSIONING, ""),
+        Row(Fault.CELL_INVALID, FieldValue("cell_quality"), 0, 0, _ARMED, ""),
+        Row(Fault.INCLINATION_INVALID, FieldValue("inclination_quality"), 0, 0, _ARMED, ""),
         Row(Fault.TENSION_HIGH, _highest_n, s.tension_high_n, persist, _EVERY, "N"),
-        Row(Fault.CELL_NEGATIVE, lambda x: -x.tension_n, negative_n, NEGATIVE_NS, _ARMED, "N", sign=-1.0),
-        Row(Fault.TENSION_LOW, lambda x: -x.tension_n, -s.tension_low_n, persist, _REGULATED, "N", sign=-1.0),
-        Row(Fault.TENSION_LOW, lambda x: x.rope_lost, 0, persist, _TENSIONING, ""),
-        Row(Fault.CELL_STUCK, lambda x: x.cell_repeats, stuck, 0, _ARMED, "samples"),
-        Row(Fault.CELL_NOISY, lambda x: x.cell_unrest_n, unrest_n, UNREST_NS, _ARMED, "N"),
-        Row(Fault.SENSOR_EMERGENCY, lambda x: x.sensor_emergency, 0, 0, _ARMED, ""),
-        Row(Fault.DRIVE_EMERGENCY, lambda x: x.drive_emergency, 0, 0, _ARMED, ""),
-        Row(Fault.DRIVE_NOT_FOLLOWING, lambda x: x.speed_error_mm_s, SPEED_ERROR_MM_S, SPEED_ERROR_NS, _ARMED, "mm/s",
-            lost),
-        Row(Fault.DRIVE_NOT_FOLLOWING, lambda x: abs(x.stroke_error_mm), STROKE_ERROR_MM, 0, _ARMED, "mm", lost),
-        Row(Fault.DRIVE_CONTRADICTS, lambda x: abs(x.contradiction_mm), CONTRADICTION_MM, 0, _ARMED, "mm"),
-        Row(Fault.STROKE_NOT_HELD, lambda x: abs(x.excursion_mm), NOT_HELD_MM, NOT_HELD_NS, _HELD, "mm", lost),
-        Row(Fault.POSITION_DRIFTS, lambda x: abs(x.doubt_mm), DOUBT_MM, 0, _AT_REST, "mm", lost),
+        Row(Fault.CELL_NEGATIVE, FieldValue("tension_n", -1.0), negative_n, NEGATIVE_NS, _ARMED, "N", sign=-1.0),
+        Row(Fault.TENSION_LOW, FieldValue("tension_n", -1.0), -s.tension_low_n, persist, _REGULATED, "N", sign=-1.0),
+        Row(Fault.TENSION_LOW, FieldValue("rope_lost"), 0, persist, _TENSIONING, ""),
+        Row(Fault.CELL_STUCK, FieldValue("cell_repeats"), stuck, 0, _ARMED, "samples"),
+        Row(Fault.CELL_NOISY, FieldValue("cell_unrest_n"), unrest_n, UNREST_NS, _ARMED, "N"),
+        Row(Fault.SENSOR_EMERGENCY, FieldValue("sensor_emergency"), 0, 0, _ARMED, ""),
+        Row(Fault.DRIVE_EMERGENCY, FieldValue("drive_emergency"), 0, 0, _ARMED, ""),
+        Row(Fault.DRIVE_NOT_FOLLOWING, FieldValue("speed_error_mm_s"), SPEED_ERROR_MM_S, SPEED_ERROR_NS, _ARMED,
+            "mm/s", lost),
+        Row(Fault.DRIVE_NOT_FOLLOWING, _size("stroke_error_mm"), STROKE_ERROR_MM, 0, _ARMED, "mm", lost),
+        Row(Fault.DRIVE_CONTRADICTS, _size("contradiction_mm"), CONTRADICTION_MM, 0, _ARMED, "mm"),
+        Row(Fault.STROKE_NOT_HELD, _size("excursion_mm"), NOT_HELD_MM, NOT_HELD_NS, _HELD, "mm", lost),
+        Row(Fault.POSITION_DRIFTS, _size("doubt_mm"), DOUBT_MM, 0, _AT_REST, "mm", lost),
         Row(Fault.STROKE_MOVES, _unbraked_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _OFF, "mm/s", lost),
-        Row(Fault.INNOVATION, lambda x: x.rejects, settings.estimator.reject_limit - 1, 0, _MOVING, "samples"),
-        Row(Fault.INNOVATION, lambda x: x.slope_rejects, SLOPE_REJECTS - 1, 0, _MOVING, "slopes"),
-        Row(Fault.STRETCH_UNEXPLAINED, lambda x: abs(x.unexplained_mm), UNEXPLAINED_MM, UNEXPLAINED_NS, _MOVING, "mm"),
-        Row(Fault.STRETCH_UNEXPLAINED, lambda x: abs(x.unexplained_mm), AT_REST_MM, AT_REST_NS, _AT_REST, "mm at rest",
+        Row(Fault.INNOVATION, FieldValue("rejects"), settings.estimator.reject_limit - 1, 0, _MOVING, "samples"),
+        Row(Fault.INNOVATION, FieldValue("slope_rejects"), SLOPE_REJECTS - 1, 0, _MOVING, "slopes"),
+        Row(Fault.STRETCH_UNEXPLAINED, _size("unexplained_mm"), UNEXPLAINED_MM, UNEXPLAINED_NS, _MOVING, "mm"),
+        Row(Fault.STRETCH_UNEXPLAINED, _size("unexplained_mm"), AT_REST_MM, AT_REST_NS, _AT_REST, "mm at rest",
             lost),
-        Row(Fault.STROKE_END, lambda x: x.stroke_limited, 0, STROKE_END_NS, _MOVING, ""),
-        Row(Fault.DEVICE_RESTARTED, lambda x: x.device_restarted, 0, 0, _ARMED, ""),
+        Row(Fault.STROKE_END, FieldValue("stroke_limited"), 0, STROKE_END_NS, _MOVING, ""),
+        Row(Fault.DEVICE_RESTARTED, FieldValue("device_restarted"), 0, 0, _ARMED, ""),
         *_node_rows(settings),
-        Row(Fault.OVERRUN, lambda x: x.skipped_in_window, s.overrun_ticks - 1, 0, _ARMED, "ticks"),
+        Row(Fault.OVERRUN, FieldValue("skipped_in_window"), s.overrun_ticks - 1, 0, _ARMED, "ticks"),
         *_rail_rows(settings),
     )  # fmt: skip
 
@@ -205,13 +206,13 @@ def _io_rows(settings: RigSettings) -> tuple[Row, ...]:
     """The I/O node's E-stop input has its own row: the drive's input may not be fitted and cannot replace it."""
     if settings.io is None:
         return ()
-    return (Row(Fault.E_STOP_UNSEEN, lambda x: x.io_age_ns, settings.io.stale_ms * _MS, 0, _ARMED, "ns"),)
+    return (Row(Fault.E_STOP_UNSEEN, FieldValue("io_age_ns"), settings.io.stale_ms * _MS, 0, _ARMED, "ns"),)
 
 
 def _status_rows(settings: RigSettings) -> tuple[Row, ...]:
     """Without the drive's status neither its emergency stop input nor its temperature is known."""
     stale = status_stale_ns(settings)
-    return (Row(Fault.STATUS_STALE, lambda x: x.status_age_ns, stale, 0, _ARMED, "ns"),) if stale else ()
+    return (Row(Fault.STATUS_STALE, FieldValue("status_age_ns"), stale, 0, _ARMED, "ns"),) if stale else ()
 
 
 def _rail_rows(settings: RigSettings) -> tuple[Row, ...]:
@@ -219,7 +220,7 @@ def _rail_rows(settings: RigSettings) -> tuple[Row, ...]:
     if (rail := settings.rail_encoder) is None:
         return ()
     ages: tuple[tuple[str, Callable[[Snapshot], float], float], ...] = (
-        ("rail_age_ms", lambda x: x.rail_age_ns, stale_ns(rail)),
+        ("rail_age_ms", FieldValue("rail_age_ns"), stale_ns(rail)),
         ("rail_heartbeat_age_ms", _silence(rail.node), HEARTBEAT_SILENT_NS),
     )
     return tuple(
@@ -242,6 +243,10 @@ def _node_rows(settings: RigSettings) -> tuple[Row, ...]:
             )
             rows.append(Row(Fault.NODE_NOT_OPERATIONAL, _wrong_state(node), 0, 0, _ARMED, "NMT state", text=text))
     return tuple(rows)
+
+
+def _size(field: str) -> FieldValue:
+    return FieldValue(field, magnitude=True)
 
 
 def _in_ms(age: Callable[[Snapshot], float]) -> Callable[[Snapshot], float]:
@@ -287,19 +292,53 @@ class RowReports(NamedTuple):
     causes: tuple[tuple[Trip, bool], ...] = ()
 
 
+class _Watched:
+    """The rows watched in one mode, so arranged that a tick in which all of them are good costs little.
+
+    Most rows compare a field of the snapshot. Each field has a range within which none of them is bad, so two
+    comparisons of all fields at once replace a call for each row. The other rows are computed.
+    """
+
+    def __init__(self, rows: Sequence[Row], mode: Mode) -> None:
+        self.rows = {i: row for i, row in enumerate(rows) if mode in row.modes}
+        self.computed = {i: row.value for i, row in self.rows.items() if not isinstance(row.value, FieldValue)}
+        self._limits = [self.rows[i].limit for i in self.computed]
+        least: dict[str, float] = {}
+        greatest: dict[str, float] = {}
+        for row in self.rows.values():
+            if isinstance(row.value, FieldValue):
+                name, (low, high) = row.value.field, row.value.good_range(row.limit)
+                if low > -math.inf:
+                    least[name] = max(low, least.get(name, low))
+                if high < math.inf:
+                    greatest[name] = min(high, greatest.get(name, high))
+        self._read_least, self._least = reader(least), tuple(least.values())
+        self._read_greatest, self._greatest = reader(greatest), tuple(greatest.values())
+        self._reads = tuple(self.computed.values())
+
+    def compute(self, snapshot: Snapshot) -> list[float]:
+        """Values of the ``computed`` rows; call it once a tick, because a rate is the change since the last call."""
+        return [read(snapshot) for read in self._reads]
+
+    def may_be_bad(self, snapshot: Snapshot, computed: Sequence[float]) -> bool:
+        """Whether a row is bad, or so near to it that its value has to be looked at."""
+        return (
+            any(map(gt, self._read_greatest(snapshot), self._greatest))
+            or any(map(lt, self._read_least(snapshot), self._least))
+            or any(map(gt, computed, self._limits))
+        )
+
+
 class Watch:
     """The table with the time since which each row has been bad."""
 
     def __init__(self, settings: RigSettings, limits: Sequence[Row] = ()) -> None:
         """``limits``: the rig file's rows."""
         self._rows = (*table(settings), *limits)
-        # By mode: index, value and limit of the rows watched in it; a good row costs a tick no more than these.
-        self._watched = [
-            [(i, row.value, row.limit) for i, row in enumerate(self._rows) if mode in row.modes] for mode in Mode
-        ]
+        self._watched = [_Watched(self._rows, mode) for mode in Mode]
         self._unwatched = [[i for i, row in enumerate(self._rows) if mode not in row.modes] for mode in Mode]
         self._mode: Mode | None = None
-        self._since: list[int | None] = [None] * len(self._rows)
+        self._since: dict[int, int] = {}  # time since which a row is bad, by its index; no entry for a good row
         self._logged = [False] * len(self._rows)
         self._quiet_until = [-LOG_AGAIN_NS] * len(self._rows)
         self._limits: list[tuple[Trip, bool]] = []  # not reported yet, as are the causes
@@ -309,21 +348,27 @@ class Watch:
 
     def look(self, snapshot: Snapshot, mode: Mode, t_ns: int) -> Trip | None:
         """Trip of the strongest row that has been bad for its persistence, the first among equals; None if none has."""
-        strongest: Trip | None = None
-        since = self._since
         if mode is not self._mode:
             self._mode = mode
             for i in self._unwatched[mode]:
                 self._ends(i, watched=False)
-        for i, read, limit in self._watched[mode]:
-            if not (value := read(snapshot)) > limit:
-                if since[i] is not None:
+        watched = self._watched[mode]
+        computed = watched.compute(snapshot)
+        if self._since or watched.may_be_bad(snapshot, computed):
+            return self._judge(watched, computed, snapshot, t_ns)
+        return None
+
+    def _judge(self, watched: _Watched, computed: Sequence[float], snapshot: Snapshot, t_ns: int) -> Trip | None:
+        """`look` at each row, in a tick in which one may be bad or one was bad before."""
+        strongest: Trip | None = None
+        since, values = self._since, dict(zip(watched.computed, computed, strict=True))
+        for i, row in watched.rows.items():
+            value = values[i] if i in values else row.value(snapshot)
+            if not value > row.limit:
+                if i in since:
                     self._ends(i)
                 continue
-            row, start = self._rows[i], since[i]
-            if start is None:
-                start = since[i] = t_ns
-            if t_ns - start < row.persistence_ns:
+            if t_ns - since.setdefault(i, t_ns) < row.persistence_ns:
                 continue
             if not self._logged[i] and t_ns >= self._quiet_until[i]:
                 self._quiet_until[i] = t_ns + LOG_AGAIN_NS
@@ -375,7 +420,7 @@ class Watch:
 
     def _ends(self, i: int, *, watched: bool = True) -> None:
         """End a row that is good again, or not watched in this mode: then only LOG rows report the end."""
-        self._since[i] = None
+        self._since.pop(i, None)
         if self._stands[i]:
             self._stands[i] = False
             self.standing = 0

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from enum import IntFlag
+from operator import attrgetter
+from typing import Any
+
+ROUNDING = 1e-9  # share of a bound that rounding surely stays below
 
 
 class EStop(IntFlag):
@@ -90,3 +95,40 @@ class Snapshot:
     cell_repeats: int = 0
     cell_unrest_n: float = 0.0
     tension_rate_n_s: float = 0.0
+
+
+def reader(fields: Collection[str]) -> Callable[[Snapshot], tuple[Any, ...]]:
+    """Function that reads all these fields off a snapshot, in one call."""
+    if len(fields) < 2:  # then attrgetter gives no tuple
+        return lambda snapshot: tuple([getattr(snapshot, name) for name in fields])
+    return attrgetter(*fields)
+
+
+class FieldValue:
+    """``factor`` times a field of the snapshot, or the ``magnitude`` of that."""
+
+    def __init__(self, field: str, factor: float = 1.0, *, magnitude: bool = False) -> None:
+        self.field, self._factor, self._magnitude = field, factor, magnitude
+        self._read = attrgetter(field)
+
+    def __call__(self, snapshot: Snapshot) -> float:
+        """The value."""
+        read: float = self._read(snapshot)
+        value = abs(read) if self._magnitude else read
+        if abs(self._factor) != 1.0:
+            return value * self._factor
+        return value if self._factor > 0.0 else -value
+
+    def good_range(self, limit: float) -> tuple[float, float]:
+        """Least and greatest field for which the value is surely not above ``limit``; beyond them it may be.
+
+        A factor takes a little off the range, because the value is rounded. It is empty for a least magnitude.
+        """
+        if self._magnitude and self._factor < 0.0:
+            return math.inf, -math.inf
+        bound = limit if self._factor == 1.0 else limit / self._factor  # an int is compared with an int faster
+        if abs(self._factor) != 1.0:
+            bound -= math.copysign(abs(bound) * ROUNDING, self._factor)
+        if self._magnitude:
+            return -bound, bound
+        return (-math.inf, bound) if self._factor > 0.0 else (bound, math.inf)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
 from rigctl.ipc.record import Flag
@@ -40,8 +41,7 @@ class Gains:
         return self.k_tension, self.k_speed, self.k_integral
 
 
-@dataclass(frozen=True)
-class Estimate:
+class Estimate(NamedTuple):
     """Input of the law: tension N, drive speed and disturbance speed mm/s, measured stroke mm."""
 
     tension_n: float
@@ -161,6 +161,8 @@ class TensionLaw:
     def _ramp_towards(self, target_n: float) -> float:
         """Move the set-point one tick along its ramp, easing in and out; returns its slope in N/s."""
         left = target_n - self.setpoint_n
+        if left == 0.0 and self._slope_n_s == 0.0:  # the ramp has ended
+            return 0.0
         # Easing out at three quarters of the deceleration keeps the discrete steps from passing the target.
         fastest = min(self._ramp_n_s, math.sqrt(1.5 * self._ramp_n_s2 * abs(left)))
         wanted = math.copysign(fastest, left)

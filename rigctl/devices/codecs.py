@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from operator import itemgetter
 
 from rigctl.devices import objects as od
 from rigctl.devices.objects import PdoLayout
@@ -118,11 +119,11 @@ def command_encoder(layout: PdoLayout, drive: DriveUnits) -> Callable[[int, floa
     """
     pack, unit_mm_s = layout.codec.pack, drive.speed_mm_s
     known = ((od.CONTROLWORD, 0), (od.TARGET_VELOCITY, 0), (od.MODE_OF_OPERATION, 0))
-    places = [known.index(each) for each in layout.objects]
+    in_order = itemgetter(*[known.index(each) for each in layout.objects])
 
     def encode(controlword: int, speed_mm_s: float) -> bytes:
         raw = round(units) if math.isfinite(units := speed_mm_s / unit_mm_s) else 0
         values = (controlword, raw if -_COMMAND_LIMIT <= raw <= _COMMAND_LIMIT else 0, od.CYCLIC_SYNCHRONOUS_VELOCITY)
-        return pack(*[values[place] for place in places])
+        return pack(*in_order(values))
 
     return encode

@@ -88,7 +88,7 @@ class RingWriter:
 
     def __init__(self, path: pathlib.Path, layout: struct.Struct) -> None:
         """``layout``: the slot without its leading sequence number."""
-        self._pack_into = layout.pack_into
+        self._pack_into = struct.Struct("<Q" + layout.format.removeprefix("<")).pack_into
         self._slot_size = layout.size + 8
         self._memory, self._capacity = _map(path, self._slot_size, writable=True)
         (self.head,) = _HEAD.unpack_from(self._memory, _HEAD_OFFSET)
@@ -100,8 +100,7 @@ class RingWriter:
         seq: int = self.head + 1
         offset = _DATA_OFFSET + (seq % self._capacity) * self._slot_size
         memory = self._memory
-        _HEAD.pack_into(memory, offset, 0)
-        self._pack_into(memory, offset + 8, *values)
+        self._pack_into(memory, offset, 0, *values)  # the number first: 0, no slot, until the values are in
         _HEAD.pack_into(memory, offset, seq)
         self._head_word[0] = seq
         self.head = seq
@@ -120,6 +119,7 @@ class RingReader:
         """``from_start``: begin with the oldest slot still held, else with the next one written."""
         self._memory, self._capacity = _map(path, dtype.itemsize, writable=False)
         self._slots: npt.NDArray[Any] = np.ndarray((self._capacity,), dtype, self._memory, _DATA_OFFSET)
+        self._head_word = memoryview(self._memory)[_HEAD_OFFSET : _HEAD_OFFSET + _HEAD.size].cast("Q")
         self._none = np.empty(0, dtype)
         self.lost = 0
         self.cursor = self._oldest(self.head) - 1 if from_start else self.head
@@ -127,7 +127,12 @@ class RingReader:
     @property
     def head(self) -> int:
         """Sequence number written last (0: none yet)."""
-        return int(_HEAD.unpack_from(self._memory, _HEAD_OFFSET)[0])
+        return self._head_word[0]
+
+    @property
+    def waits(self) -> bool:
+        """A slot waits after the cursor."""
+        return self._head_word[0] > self.cursor
 
     def _oldest(self, head: int) -> int:
         # One slot short of the capacity: the writer may be filling the next one.

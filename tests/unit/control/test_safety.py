@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
@@ -15,7 +18,7 @@ from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action, Row, preflight, table
-from rigctl.control.snapshot import EStop, Snapshot
+from rigctl.control.snapshot import EStop, FieldValue, Snapshot
 from tests.builders.outcomes import WatchLog
 from tests.builders.paths import ROOT
 
@@ -328,3 +331,20 @@ def test_what_is_said_of_a_fault_has_its_numbers_in_the_unit_beside_them() -> No
     for fault in aged:
         said = worded(Kind.TRIP, fault, Action.HOLD, 50e6, 15e6, "x").text
         assert "50 ms" in said and "15 ms" in said, said
+
+
+FACTORS = (1.0, -1.0, 1e-3, 1e-6, -1e-6, math.degrees(1.0), -math.degrees(1.0))
+
+
+@given(st.floats(-1e3, 1e3), st.sampled_from(FACTORS), st.booleans(), st.integers(-3, 3))
+def test_a_value_above_its_limit_lies_beyond_its_range(
+    tension_n: float, factor: float, magnitude: bool, ulps: int
+) -> None:
+    read = FieldValue("tension_n", factor, magnitude=magnitude)
+    value = read(Snapshot(tension_n=tension_n))
+    limit = value
+    for _ in range(abs(ulps)):
+        limit = math.nextafter(limit, math.copysign(math.inf, ulps))
+    least, greatest = read.good_range(limit)
+    if value > limit:
+        assert not least <= tension_n <= greatest
