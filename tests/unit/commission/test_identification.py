@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -76,6 +77,14 @@ def test_stiffness_and_play_are_told_apart(play_mm: float) -> None:
     found = ident.rope(signals, ident.drive(signals), 0.035)
     assert found.stiffness_n_mm.value == pytest.approx(6.0, rel=0.005)
     assert found.backlash_mm.value == pytest.approx(play_mm, abs=0.003)
+
+
+def test_the_first_pair_counts_for_nothing_since_its_play_is_unknown() -> None:
+    signals = simulated(0.02, 0.002, play_mm=0.05)
+    drive = ident.drive(signals)
+    tension, end = signals.tension.copy(), ident.pairs_of(signals.command)[0].stop
+    tension[:end] += 5.0 * np.sin(np.arange(end))
+    assert ident.rope(replace(signals, tension=tension), drive, 0.035) == ident.rope(signals, drive, 0.035)
 
 
 def test_noise_is_what_is_quicker_than_a_tenth_of_a_second() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pathlib
 import threading
 import time
 from types import SimpleNamespace
@@ -10,42 +9,15 @@ from typing import Any, cast
 
 import pytest
 
-from rigctl.config import rig_file as config
-from rigctl.config.recording_section import RecordingSettings
-from rigctl.config.settings import AuditSettings, RigSettings
-from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, Runtime
-from rigctl.recorder import chain
+from rigctl.config.settings import RigSettings
+from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder.audit_log import moment
 from rigctl.recorder.recorder_process import PUBLISH_NS, Recorder, _serve, main
 from rigctl.recorder.recording import read
-from tests.builders.paths import ROOT
+from tests.unit.recorder.test_sources import entries
 
 S = 1_000_000_000
 LIMIT_S = 10.0
-
-
-@pytest.fixture
-def settings(tmp_path: pathlib.Path) -> RigSettings:
-    own = AuditSettings(file=str(tmp_path / "log" / "audit.jsonl"), trips=str(tmp_path / "trips"))
-    kept = RecordingSettings(folder=str(tmp_path / "recordings"), free_mib=1)
-    paper = config.load(ROOT / "config/paper_rig.yaml")
-    preflight = paper.preflight.model_copy(update={"disk_free_mib": 1})
-    return paper.model_copy(update={"audit": own, "recording": kept, "preflight": preflight})
-
-
-@pytest.fixture
-def runtime(tmp_path: pathlib.Path, settings: RigSettings) -> Runtime:
-    found = Runtime(tmp_path / "run")
-    found.directory.mkdir()
-    found.make_rings(settings)
-    found.write_json(ACTIVE, {"settings": settings.model_dump(mode="json"), "started_wall_ns": 5, "version": "1"})
-    return found
-
-
-def entries(settings: RigSettings) -> list[chain.AuditEntry]:
-    lines = settings.audit_log.read_bytes().splitlines(keepends=True)
-    assert chain.verify(lines).good
-    return [chain.read_line(line)[0] for line in lines]
 
 
 def test_an_undisturbed_run_is_logged_recorded_and_closed(runtime: Runtime, settings: RigSettings) -> None:
