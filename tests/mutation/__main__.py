@@ -24,8 +24,8 @@ from tests.mutation.run import SAME, SURVIVED, Runner, copy_tree
 PAGE = ROOT / "docs/mutation.md"
 VERDICTS = ROOT / "results/mutation/sample.json"
 TESTS = {
-    "rigctl/control/modes.py": ("test_tables", "test_modes", "test_diagram"),
-    "rigctl/control/safety.py": ("test_tables", "test_safety", "test_limits"),
+    "rigctl/control/modes.py": ("test_modes", "test_numbers_on_record", "test_diagram"),
+    "rigctl/control/safety.py": ("test_safety_table", "test_safety", "test_limits", "test_numbers_on_record"),
     "rigctl/control/tension.py": ("test_law", "test_tension"),
 }
 MAPS = {"unit": ("tests/unit",), "loop": ("tests/loop",)}
