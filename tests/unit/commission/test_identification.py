@@ -71,6 +71,16 @@ def test_the_standard_errors_cover_the_noise() -> None:
         assert abs(estimate.value - truth) < estimate.error
 
 
+@pytest.mark.parametrize("late_ticks", [0, 3])
+def test_the_age_of_the_speed_is_what_it_comes_later_than_the_stroke(late_ticks: int) -> None:
+    signals = simulated(0.02, 0.002)
+    late = np.concatenate([np.zeros(late_ticks), signals.speed])[: len(signals.speed)]
+    found = ident.drive(replace(signals, speed=late))
+    assert found.speed_age_s.value == pytest.approx(late_ticks * 1e-3, abs=2e-5)
+    assert found.speed_age_s.error < 1e-4
+    assert np.abs(found.stroke - signals.stroke).max() < 2e-3  # the fit is the measured stroke without its rounding
+
+
 @pytest.mark.parametrize("play_mm", [0.0, 0.05, 0.3])
 def test_stiffness_and_play_are_told_apart(play_mm: float) -> None:
     signals = simulated(0.02, 0.002, play_mm=play_mm)
