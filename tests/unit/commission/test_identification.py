@@ -59,9 +59,30 @@ def test_lag_and_delay_are_found_between_the_ticks(lag_s: float, delay_s: float)
     assert found.gain.value == pytest.approx(1.0, abs=1e-3)
 
 
-@pytest.mark.parametrize(("freedom", "point"), [(3, 3.1824), (6, 2.4469), (13, 2.1604), (1000, 1.9623)])
-def test_few_pairs_widen_the_uncertainty_as_students_t_says(freedom: int, point: float) -> None:
-    assert ident.student_t(freedom) == pytest.approx(point, rel=0.02)
+@pytest.mark.parametrize(
+    ("freedom", "point", "share"),
+    [(3, 3.1824, 0.02), (6, 2.44691, 1e-3), (13, 2.16037, 1e-4), (30, 2.04227, 1e-5), (1000, 1.96234, 1e-5)],
+)
+def test_few_pairs_widen_the_uncertainty_as_students_t_says(freedom: int, point: float, share: float) -> None:
+    assert ident.student_t(freedom) == pytest.approx(point, rel=share)  # the expansion is in powers of 1 / freedom
+
+
+def test_a_load_that_comes_steadily_is_neither_stiffness_nor_play() -> None:
+    signals = simulated(0.02, 0.002, play_mm=0.05)
+    drive = ident.drive(signals)
+    rising = replace(signals, tension=signals.tension + 2.0 * np.arange(len(signals.tension)) * signals.period_s)
+    found = ident.rope(rising, drive, 0.035)
+    assert found.stiffness_n_mm.value == pytest.approx(6.0, rel=0.005)
+    assert found.backlash_mm.value == pytest.approx(0.05, abs=0.003)
+
+
+def test_the_pitch_error_of_the_screw_widens_what_is_found_of_the_rope() -> None:
+    signals = simulated(0.02, 0.002)
+    found, reach_mm = ident.rope(signals, ident.drive(signals), 0.035), 0.75
+    pitch_mm = 2.0 * ident.PITCH_ERROR_MM * math.sin(math.pi * min(0.5, reach_mm / ident.PITCH_LEAD_MM))
+    bound_n_mm = 6.0 * pitch_mm / reach_mm
+    assert bound_n_mm < found.stiffness_n_mm.error < bound_n_mm + 0.05
+    assert pitch_mm < found.backlash_mm.error < pitch_mm + 0.01
 
 
 def test_the_standard_errors_cover_the_noise() -> None:

@@ -107,6 +107,11 @@ def test_default_devices_are_mapped_already_and_no_pdo_is_written() -> None:
     devices = Devices(SETTINGS)
     report = devices.bring_up()
     assert report.supervised
+    kept = {(item.node, item.index, item.sub): item.wanted for item in report.watched}
+    for node in (CELL, SLOPE, DRIVE):
+        assert kept[node, od.TPDO1_COMMUNICATION, 1] & 0x7FF == od.TPDO1_BASE + node
+        assert kept[node, od.TPDO1_COMMUNICATION, 2] > 0
+    assert (DRIVE, od.QUICK_STOP_DECELERATION, 0) in kept
     assert report.process_data == wanted(SETTINGS)
     assert {name: layout.mapping for name, layout in report.process_data.frames.items()} == {
         "tension_cell": od.CELL_TPDO.mapping, "inclinometer": od.SLOPE_TPDO.mapping, "cylinder": od.DRIVE_TPDO.mapping,

@@ -202,8 +202,10 @@ def press(bench: RigBench, pressed: bool) -> None:
 def test_an_emergency_stop_ramps_down_closes_the_brake_and_keeps_the_drive_off_until_released(bench: RigBench) -> None:
     bench.drive(500, ENABLE, 10.0)
     before = bench.rig.truth.stroke_mm
+    others = inputs(bench) & 0xFFFF
     assert inputs(bench) >> 16 & 1
     press(bench, True)
+    assert inputs(bench) & 0xFFFF == others
     assert bench.emergencies(DRIVE) == [EmcyCode.EXTERNAL]
     assert bench.state() is DriveState.FAULT_REACTION_ACTIVE
     assert not inputs(bench) >> 16 & 1

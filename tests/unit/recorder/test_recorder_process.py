@@ -10,6 +10,7 @@ from typing import Any, cast
 import pytest
 
 from rigctl.config.settings import RigSettings
+from rigctl.ipc.record import REPLY
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder.audit_log import moment
 from rigctl.recorder.recorder_process import PUBLISH_NS, Recorder, _serve, main
@@ -87,6 +88,18 @@ def test_figures_that_do_not_change_are_published_once_a_second(runtime: Runtime
         quiet.poll(base + S + part * PUBLISH_NS // 4, base + S)
         shown.append(runtime.read_json(RECORDED)["t_ns"] - base - S)
     assert shown == [0, 0, 0, PUBLISH_NS]
+
+
+def test_what_the_loop_did_before_the_recorder_started_is_logged_too(runtime: Runtime, settings: RigSettings) -> None:
+    values = REPLY.values(t_ns=1, id=99, accepted=1, reason=0, checks=0, mode=0, tension_n=4.5)
+    runtime.replies.writer().write(*values)
+    runtime.events.writer().write(2, 9, 0, 0, 0.0, 0.0, b"")
+    recorder = Recorder(runtime, settings, 3, 3)
+    recorder.poll(4, 4)
+    found = {entry.source: entry for entry in entries(settings)}
+    assert (found["replies"].seq, found["events"].seq) == (1, 1)
+    details = found["replies"].details
+    assert (details["value"], details["spread"]) == (4.5, 0.0)
 
 
 @pytest.mark.parametrize("over", [True, False])
