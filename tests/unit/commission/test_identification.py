@@ -71,8 +71,9 @@ def test_a_load_that_comes_steadily_is_neither_stiffness_nor_play() -> None:
     signals = simulated(0.02, 0.002, play_mm=0.05)
     drive = ident.drive(signals)
     rising = replace(signals, tension=signals.tension + 2.0 * np.arange(len(signals.tension)) * signals.period_s)
-    found = ident.rope(rising, drive, 0.035)
+    found, steady = ident.rope(rising, drive, 0.035), ident.rope(signals, drive, 0.035)
     assert found.stiffness_n_mm.value == pytest.approx(6.0, rel=0.005)
+    assert found.stiffness_n_mm.error == pytest.approx(steady.stiffness_n_mm.error, rel=0.2)
     assert found.backlash_mm.value == pytest.approx(0.05, abs=0.003)
 
 
