@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rigctl.control.events import refusal_text
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, Trait
 from rigctl.control.modes import Mode, Refusal, Verb
 
 LIMITS = (50.0, 350.0)
@@ -34,3 +34,11 @@ def test_every_cause_that_stands_is_named_the_strongest_first_with_its_figures_w
 )  # fmt: skip
 def test_a_command_in_the_wrong_mode_is_told_what_comes_first(mode: Mode, verb: Verb, hint: str) -> None:
     assert said(Refusal.WRONG_MODE, verb, mode) == f"{verb.name.lower()} is not possible in {mode.name}{hint}"
+
+
+@pytest.mark.parametrize(
+    "fault", [Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE, Fault.STATUS_STALE]
+)
+def test_a_device_that_says_nothing_may_have_been_switched_off(fault: Fault) -> None:
+    assert said(Refusal.CAUSE_PRESENT, checks=1 << fault).endswith("needs the daemon started anew)")
+    assert Trait.AGE in fault.traits  # told in ms
