@@ -11,6 +11,7 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
+from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
@@ -39,6 +40,24 @@ def test_it_tensions_holds_releases_and_ends_slack(rig: Lockstep, enter: Enter) 
     rig.run(0.3)
     records = rig.run(0.1)
     assert od.drive_state(int(records["statusword"][-1])) is not od.DriveState.OPERATION_ENABLED
+
+
+def test_a_slack_rope_shows_no_run_out_no_stretch_and_good_samples(rig: Lockstep) -> None:
+    records = rig.run(0.2)
+    assert not records["run_out_mm_s"].any()
+    assert np.abs(records["stretch_mm_s"]).max() < 1e-9
+    assert not records["tension_quality"].any()
+    assert not records["inclination_quality"].any()
+    assert rig.run(0.5)["checks"][-1] == 0  # the preflight for display is half a second old at most
+
+
+def test_a_loop_that_no_gateway_has_told_its_checks_arms_nothing(settings: RigSettings, gains: Gains) -> None:
+    with lockstep(settings, gains, host_checks=Check.HOST) as rig:
+        rig.run(0.2)
+        assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+        assert rig.command(Setting.HOST_CHECKS, 0.0) is Refusal.NONE
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        assert not int(rig.reply["checks"])
 
 
 def test_tensioning_never_overshoots_by_more_than_a_newton(rig: Lockstep, enter: Enter) -> None:
