@@ -48,6 +48,7 @@ def test_a_slack_rope_shows_no_run_out_no_stretch_and_good_samples(rig: Lockstep
     assert np.abs(records["stretch_mm_s"]).max() < 1e-9
     assert not records["tension_quality"].any()
     assert not records["inclination_quality"].any()
+    assert rig.loop.observer.snapshot.lateness_ns == records["lateness_ns"][-1] == 0
     assert rig.run(0.5)["checks"][-1] == 0  # the preflight for display is half a second old at most
 
 
@@ -56,6 +57,7 @@ def test_a_loop_that_no_gateway_has_told_its_checks_arms_nothing(settings: RigSe
         rig.run(0.2)
         assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
         assert rig.command(Setting.HOST_CHECKS, 0.0) is Refusal.NONE
+        assert not int(rig.reply["checks"])
         assert rig.command(Verb.ARM) is Refusal.NONE
         assert not int(rig.reply["checks"])
 
@@ -296,6 +298,7 @@ def test_an_inclination_beyond_the_sensors_range_never_reaches_the_law(
     rig.inject(frame(od.TPDO1_BASE + slope, od.SLOPE_TPDO.codec.pack(round(angle_deg * 100), 0)))
     records = rig.run(0.01)
     assert records["fault"][-1] == Fault.INCLINATION_INVALID
+    assert records["inclination_quality"][-1] == Quality.INVALID
     assert_held(rig, before.tension_n, before.stroke_mm)
 
 
@@ -470,9 +473,27 @@ def test_foreign_and_malformed_frames_are_counted_and_change_nothing(rig: Lockst
 
 
 def test_error_frames_are_seen_and_counted(rig: Lockstep) -> None:
-    rig.inject((0x20000000 | 0x004).to_bytes(4, "little") + bytes([8, 0, 0, 0]) + b"\0\x20" + bytes(6))
-    records = rig.run(0.01)
-    assert records["error_frames"][-1] == 1
+    frame = (0x20000000 | 0x004).to_bytes(4, "little") + bytes([8, 0, 0, 0]) + b"\0\x20" + bytes(6)
+    snapshot = rig.loop.observer.snapshot
+    for recent, total in ((1, 1), (2, 3)):  # a second apart: a limit of the rig file counts those of the last second
+        for _ in range(recent):
+            rig.inject(frame)
+            records = rig.run(0.01)
+        assert (records["error_frames"][-1], snapshot.error_frames) == (total, recent)
+        rig.run(1.1)
+        assert snapshot.error_frames == 0
+
+
+def test_a_loop_that_can_tell_nobody_of_an_exception_counts_it(rig: Lockstep, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("made up")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.loop, "_decide", broken)
+        patch.setattr(rig.loop._logbook, "notice", broken)
+        rig.run(0.003)
+    assert rig.loop.exceptions_untold == 3
+    assert rig.run(0.001)["fault"][-1] == Fault.LOOP_EXCEPTION
 
 
 def test_a_babbling_bus_and_a_deaf_one_are_told_once_a_second(rig: Lockstep, monkeypatch: pytest.MonkeyPatch) -> None:
