@@ -15,6 +15,7 @@ from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.ipc.record import Quality
@@ -202,6 +203,23 @@ def test_a_device_that_goes_silent_ends_in_hold_latched(
     assert_held(rig, float(records["tension_n"][tripped]), float(records["stroke_mm"][tripped]))
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
     assert rig.command(Verb.TENSION) is Refusal.WRONG_MODE
+
+
+def test_a_drive_that_stays_silent_is_told_to_stop_by_itself(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.HOLD)
+    rig.events.read()
+    stop_node(rig, rig.settings.cylinder.node)
+    rig.run(0.3)
+    assert rig.loop.machine.action is Action.HOLD
+    rig.run(0.4)
+    assert rig.loop.machine.action is Action.QUICK_STOP
+    assert events(rig).count(Kind.ESCALATION) == 1
+
+
+def test_a_sample_that_does_not_come_grows_older_by_a_tick_each_tick(rig: Lockstep) -> None:
+    stop_node(rig, rig.settings.tension_cell.node)
+    ages = rig.run(0.05)["tension_age_ns"][5:]
+    assert np.array_equal(ages - ages[0], np.arange(len(ages)) * rig.settings.loop.period_ns)
 
 
 def test_a_fault_is_left_by_a_reset_once_its_cause_is_gone(rig: Lockstep, enter: Enter) -> None:

@@ -21,11 +21,13 @@ from rigctl.control.modes import (
     Refusal,
     Situation,
     Verb,
+    command_slot,
     decide,
     next_mode,
 )
 from rigctl.control.safety import Action, Trip
 from rigctl.devices.drive import Power
+from rigctl.ipc.record import COMMAND
 from tests.builders.outcomes import MachineLog
 
 READY = Situation(
@@ -112,6 +114,17 @@ def test_a_target_outside_its_limits_is_refused(value: float) -> None:
     assert decide(Mode.HOLD, Verb.TARGET, replace(READY, wanted_n=value)).refusal is Refusal.OUT_OF_RANGE
 
 
+@pytest.mark.parametrize(
+    ("measured_mm", "agrees"),
+    [(50.5, True), (49.5, True), (50.0, True), (50.6, False), (49.4, False), (math.nan, False)],
+)
+def test_a_stroke_is_confirmed_within_half_a_millimetre(measured_mm: float, agrees: bool) -> None:
+    situation = Situation(measured_mm=measured_mm, stroke_mm=50.0)
+    refusal = Refusal.NONE if agrees else Refusal.STROKE_DIFFERS
+    assert decide(Mode.DISARMED, Verb.CONFIRM_STROKE, situation).refusal is refusal
+    assert decide(Mode.FAULT, Verb.CONFIRM_STROKE, Situation(measured_mm=measured_mm)).refusal is not Refusal.NONE
+
+
 def test_guards() -> None:
     assert decide(Mode.DISARMED, Verb.ARM, Situation(failed_checks=1)).refusal is Refusal.PREFLIGHT
     assert decide(Mode.FAULT, Verb.RESET, Situation(cause_present=True)).refusal is Refusal.CAUSE_PRESENT
@@ -157,6 +170,15 @@ def test_a_situation_of_which_nothing_is_known_has_no_reason_and_no_permission()
     assert not any((nothing.failed_checks, nothing.cause_present, nothing.stop_running, nothing.fault_latched))
     assert not any((nothing.drive_enabled, nothing.drive_faulted, nothing.slack, nothing.unloaded, nothing.needs_tight))
     assert (nothing.wanted_n, nothing.measured_mm, nothing.target_min_n, nothing.target_max_n) == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_a_command_has_its_own_value_only() -> None:
+    fields = [field.name for field in COMMAND.fields]
+    slots = {verb: dict(zip(fields, command_slot(5, 7, verb, 300.0), strict=True)) for verb in (Verb.TARGET, Verb.HOLD)}
+    assert (slots[Verb.TARGET]["t_ns"], slots[Verb.TARGET]["id"], slots[Verb.TARGET]["verb"]) == (5, 7, Verb.TARGET)
+    assert slots[Verb.TARGET]["target_n"] == 300.0
+    rest = [slots[Verb.HOLD][name] for name in fields[3:]]
+    assert all(math.isnan(value) for value in rest)
 
 
 def armed() -> MachineLog:
