@@ -19,6 +19,7 @@ from rigctl.control.modes import (
     Event,
     Mode,
     Refusal,
+    Setting,
     Situation,
     Verb,
     command_slot,
@@ -128,6 +129,7 @@ def test_a_stroke_is_confirmed_within_half_a_millimetre(measured_mm: float, agre
 def test_guards() -> None:
     assert decide(Mode.DISARMED, Verb.ARM, Situation(failed_checks=1)).refusal is Refusal.PREFLIGHT
     assert decide(Mode.FAULT, Verb.RESET, Situation(cause_present=True)).refusal is Refusal.CAUSE_PRESENT
+    assert decide(Mode.FAULT, Verb.RESET, Situation(stop_running=True)).refusal is Refusal.STOP_RUNNING
     assert decide(Mode.FAULT, Verb.RESET, Situation(drive_enabled=True)).event is Event.RESET_HELD
     assert decide(Mode.FAULT, Verb.RESET, Situation()).event is Event.RESET_OFF
     assert decide(Mode.DISARMED, Verb.RESET, Situation(drive_faulted=True)).refusal is Refusal.NONE
@@ -172,13 +174,22 @@ def test_a_situation_of_which_nothing_is_known_has_no_reason_and_no_permission()
     assert (nothing.wanted_n, nothing.measured_mm, nothing.target_min_n, nothing.target_max_n) == (0.0, 0.0, 0.0, 0.0)
 
 
-def test_a_command_has_its_own_value_only() -> None:
+GIVEN = {
+    Verb.ARM: "near_end", Verb.TARGET: "target_n", Verb.CALIBRATE: "weight_n", Verb.IDENTIFY: "tight",
+    Verb.CONFIRM_STROKE: "stroke_mm", Setting.ZERO: "zero_n", Setting.SCALE: "scale overdue",
+    Setting.OVERDUE: "overdue", Setting.HOST_CHECKS: "host_checks",
+    Setting.LAW_GAINS: "k_tension k_speed k_integral",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("code", [*Verb, *Setting])
+def test_a_command_has_its_own_values_only(code: Verb | Setting) -> None:
     fields = [field.name for field in COMMAND.fields]
-    slots = {verb: dict(zip(fields, command_slot(5, 7, verb, 300.0), strict=True)) for verb in (Verb.TARGET, Verb.HOLD)}
-    assert (slots[Verb.TARGET]["t_ns"], slots[Verb.TARGET]["id"], slots[Verb.TARGET]["verb"]) == (5, 7, Verb.TARGET)
-    assert slots[Verb.TARGET]["target_n"] == 300.0
-    rest = [slots[Verb.HOLD][name] for name in fields[3:]]
-    assert all(math.isnan(value) for value in rest)
+    slot = dict(zip(fields, command_slot(5, 7, code, 1.0, 2.0, 3.0, 4.0), strict=True))
+    assert (slot["t_ns"], slot["id"], slot["verb"]) == (5, 7, code)
+    own = GIVEN.get(code, "").split()
+    assert [slot[name] for name in own] == [1.0, 2.0, 3.0][: len(own)]
+    assert all(math.isnan(slot[name]) for name in fields[3:] if name not in own)
 
 
 def armed() -> MachineLog:
