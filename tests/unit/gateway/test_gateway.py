@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from rigctl.client.rig import Client
+from rigctl.client.connection import Client
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_NS
@@ -50,7 +50,8 @@ class Rig:
         self.runtime.directory.mkdir()
         self.runtime.make_rings(self.settings)
         self.runtime.write_json(ACTIVE, {"settings": self.settings.model_dump(mode="json"), "run_id": "this"})
-        self._blank = dict(zip(RECORD.dtype.names[1:], np.zeros(1, RECORD.dtype)[0].item()[1:], strict=True))
+        names = [field.name for field in RECORD.fields]
+        self._blank = dict(zip(names, np.zeros(1, RECORD.dtype)[0].item()[1:], strict=True))
         self._records, self._replies = self.runtime.records.writer(), self.runtime.replies.writer()
         self._given = self.runtime.commands.reader(from_start=True)
         self.gateway = Gateway(self.runtime, self.settings)
@@ -85,6 +86,18 @@ class Rig:
 
         until(came)
         return found[0]
+
+    def logged(self, count: int) -> list[np.void]:
+        """Requests and answers as logged; an answer is sent before it is logged."""
+        found: list[np.void] = []
+        log = self.runtime.requests.reader(from_start=True)
+
+        def came() -> bool:
+            found.extend(log.read())
+            return len(found) >= count
+
+        until(came)
+        return found
 
     def answer(self, slot: np.void, **figures: float) -> None:
         """The loop carries a command out."""
@@ -122,7 +135,7 @@ def test_a_tare_is_measured_recorded_and_in_force_before_it_is_answered(rig: Rig
     found = answer.result(LIMIT_S)
     assert found["accepted"]
     assert found["entry"] == msgspec.to_builtins(entry)
-    log = rig.runtime.requests.reader(from_start=True).read()
+    log = rig.logged(2)  # the command as given, and its answer
     assert [slot["entry"].decode() for slot in log if slot["answered"]] == [ledger.entry_digest(entry)]
 
 
@@ -130,7 +143,7 @@ def test_a_command_without_an_entry_is_logged_without_one(rig: Rig) -> None:
     answer = rig.ask("disarm")
     rig.answer(rig.order(Verb.DISARM))
     assert answer.result(LIMIT_S)["accepted"]
-    (given, answered) = rig.runtime.requests.reader(from_start=True).read()
+    given, answered = rig.logged(2)
     assert (given["answered"], given["id"]) == (0, answered["id"])
     assert (answered["answered"], answered["entry"]) == (1, b"")
 

@@ -12,7 +12,8 @@ FIGURES = [field.name for field in REPLY.fields if field.unit and field.name not
 
 def reply(**figures: float) -> np.void:
     values = REPLY.values(t_ns=5, id=7, accepted=1, reason=0, checks=3, mode=1, **figures)
-    return np.array([(1, *values)], REPLY.dtype)[0]
+    found: np.void = np.array([(1, *values)], REPLY.dtype)[0]
+    return found
 
 
 @pytest.mark.parametrize("name", [*FIGURES, "cause"])
