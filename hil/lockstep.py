@@ -61,6 +61,7 @@ class Lockstep:
         law: LawFactory | None = None,
         correction: Correction | None = None,
         last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen
+        host_checks: int = 0,
     ) -> None:
         """``log`` keeps every frame, with its time, in ``frames``. For the other arguments see `Loop`."""
         runtime.make_rings(settings)
@@ -92,6 +93,7 @@ class Lockstep:
             process_data=self.report.process_data,
             watched=self.report.watched,
             last_stroke=last_stroke,
+            host_checks=host_checks,
         )
         self._id = 0
         self.on_advance: Callable[[], None] | None = None
@@ -208,12 +210,14 @@ def lockstep(
     law: LawFactory | None = None,
     correction: Correction | None = None,
     last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen
+    host_checks: int = 0,
 ) -> Iterator[Lockstep]:
     """A `Lockstep` whose rings are removed afterwards."""
     with tempfile.TemporaryDirectory(prefix="rigctl-lockstep-", dir="/dev/shm") as folder:
         runtime = Runtime(pathlib.Path(folder))
         subject = Lockstep(
-            settings, gains, runtime, log=log, law=law, correction=correction, last_stroke=last_stroke
+            settings, gains, runtime, log=log, law=law, correction=correction, last_stroke=last_stroke,
+            host_checks=host_checks,
         )  # fmt: skip
         try:
             yield subject

@@ -120,7 +120,7 @@ class Recorder:
             thinned = self._thinning.thin(items, now_ns, wall_ns, final=final)
             self._add(*(self._enriched(item) for item in thinned))
             self.over = self.over or any(item.what in _OVER for item in items)
-        self._write(now_ns, final=final)
+        self._write(now_ns, wall_ns, final=final)
         self._dump(now_ns, wall_ns, final=final)
         self._record(now_ns, wall_ns)
         self._keep_stroke(now_ns, wall_ns, final=final)
@@ -130,7 +130,7 @@ class Recorder:
         """Write the rest and close the files."""
         self.poll(now_ns, wall_ns, final=True)
         self._add(self._own(now_ns, wall_ns, "recorder_stopped", f"process {os.getpid()}", {}))
-        self._write(now_ns, final=True)
+        self._write(now_ns, wall_ns, final=True)
         if self._recording is not None:
             self._recording.close(now_ns, wall_ns)
             if self._recording.why:
@@ -206,7 +206,7 @@ class Recorder:
             return item
         return replace(item, details={**item.details, **more})
 
-    def _write(self, now_ns: int, *, final: bool) -> None:
+    def _write(self, now_ns: int, wall_ns: int, *, final: bool) -> None:
         if not self._waiting or not (final or self.trouble.may_try("audit log", now_ns)):
             return
         items, states = zip(*self._waiting, strict=True)
@@ -220,7 +220,7 @@ class Recorder:
         if self._recording is not None:
             self._recording.audit(lines)
         if (gap := self.trouble.ends("audit log", now_ns)) is not None:
-            self._add(self._own(now_ns, items[-1].wall_ns, "written_again", "the log could not be written before", gap))
+            self._add(self._own(now_ns, wall_ns, "written_again", "the log could not be written before", gap))
 
     def _dump(self, now_ns: int, wall_ns: int, *, final: bool) -> None:
         if not (final or self.trouble.may_try("trip dump", now_ns)):
@@ -251,7 +251,7 @@ class Recorder:
                 )
             self._add(*items, dumped=group.last_seq)
             _say(f"trip dump: {dump.path}")
-        self._write(now_ns, final=final)
+        self._write(now_ns, wall_ns, final=final)
 
     def _publish(self, now_ns: int, *, at_once: bool = False) -> None:
         """Write the recorder's figures to the runtime folder, at least once a second."""

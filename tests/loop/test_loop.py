@@ -11,9 +11,11 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
+from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.ipc.record import Quality
@@ -39,6 +41,26 @@ def test_it_tensions_holds_releases_and_ends_slack(rig: Lockstep, enter: Enter) 
     rig.run(0.3)
     records = rig.run(0.1)
     assert od.drive_state(int(records["statusword"][-1])) is not od.DriveState.OPERATION_ENABLED
+
+
+def test_a_slack_rope_shows_no_run_out_no_stretch_and_good_samples(rig: Lockstep) -> None:
+    records = rig.run(0.2)
+    assert not records["run_out_mm_s"].any()
+    assert np.abs(records["stretch_mm_s"]).max() < 1e-9
+    assert not records["tension_quality"].any()
+    assert not records["inclination_quality"].any()
+    assert rig.loop.observer.snapshot.lateness_ns == records["lateness_ns"][-1] == 0
+    assert rig.run(0.5)["checks"][-1] == 0  # the preflight for display is half a second old at most
+
+
+def test_a_loop_that_no_gateway_has_told_its_checks_arms_nothing(settings: RigSettings, gains: Gains) -> None:
+    with lockstep(settings, gains, host_checks=Check.HOST) as rig:
+        rig.run(0.2)
+        assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+        assert rig.command(Setting.HOST_CHECKS, 0.0) is Refusal.NONE
+        assert not int(rig.reply["checks"])
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        assert not int(rig.reply["checks"])
 
 
 def test_tensioning_never_overshoots_by_more_than_a_newton(rig: Lockstep, enter: Enter) -> None:
@@ -183,6 +205,23 @@ def test_a_device_that_goes_silent_ends_in_hold_latched(
     assert rig.command(Verb.TENSION) is Refusal.WRONG_MODE
 
 
+def test_a_drive_that_stays_silent_is_told_to_stop_by_itself(rig: Lockstep, enter: Enter) -> None:
+    enter(Mode.HOLD)
+    rig.events.read()
+    stop_node(rig, rig.settings.cylinder.node)
+    rig.run(0.3)
+    assert rig.loop.machine.action is Action.HOLD
+    rig.run(0.4)
+    assert rig.loop.machine.action is Action.QUICK_STOP
+    assert events(rig).count(Kind.ESCALATION) == 1
+
+
+def test_a_sample_that_does_not_come_grows_older_by_a_tick_each_tick(rig: Lockstep) -> None:
+    stop_node(rig, rig.settings.tension_cell.node)
+    ages = rig.run(0.05)["tension_age_ns"][5:]
+    assert np.array_equal(ages - ages[0], np.arange(len(ages)) * rig.settings.loop.period_ns)
+
+
 def test_a_fault_is_left_by_a_reset_once_its_cause_is_gone(rig: Lockstep, enter: Enter) -> None:
     enter(Mode.COMPENSATING)
     stop_node(rig, rig.settings.tension_cell.node)
@@ -277,6 +316,7 @@ def test_an_inclination_beyond_the_sensors_range_never_reaches_the_law(
     rig.inject(frame(od.TPDO1_BASE + slope, od.SLOPE_TPDO.codec.pack(round(angle_deg * 100), 0)))
     records = rig.run(0.01)
     assert records["fault"][-1] == Fault.INCLINATION_INVALID
+    assert records["inclination_quality"][-1] == Quality.INVALID
     assert_held(rig, before.tension_n, before.stroke_mm)
 
 
@@ -451,9 +491,27 @@ def test_foreign_and_malformed_frames_are_counted_and_change_nothing(rig: Lockst
 
 
 def test_error_frames_are_seen_and_counted(rig: Lockstep) -> None:
-    rig.inject((0x20000000 | 0x004).to_bytes(4, "little") + bytes([8, 0, 0, 0]) + b"\0\x20" + bytes(6))
-    records = rig.run(0.01)
-    assert records["error_frames"][-1] == 1
+    frame = (0x20000000 | 0x004).to_bytes(4, "little") + bytes([8, 0, 0, 0]) + b"\0\x20" + bytes(6)
+    snapshot = rig.loop.observer.snapshot
+    for recent, total in ((1, 1), (2, 3)):  # a second apart: a limit of the rig file counts those of the last second
+        for _ in range(recent):
+            rig.inject(frame)
+            records = rig.run(0.01)
+        assert (records["error_frames"][-1], snapshot.error_frames) == (total, recent)
+        rig.run(1.1)
+        assert snapshot.error_frames == 0
+
+
+def test_a_loop_that_can_tell_nobody_of_an_exception_counts_it(rig: Lockstep, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("made up")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.loop, "_decide", broken)
+        patch.setattr(rig.loop._logbook, "notice", broken)
+        rig.run(0.003)
+    assert rig.loop.exceptions_untold == 3
+    assert rig.run(0.001)["fault"][-1] == Fault.LOOP_EXCEPTION
 
 
 def test_a_babbling_bus_and_a_deaf_one_are_told_once_a_second(rig: Lockstep, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,8 +24,8 @@ from tests.mutation.run import SAME, SURVIVED, Runner, copy_tree
 PAGE = ROOT / "docs/mutation.md"
 VERDICTS = ROOT / "results/mutation/sample.json"
 TESTS = {
-    "rigctl/control/modes.py": ("test_tables", "test_modes", "test_diagram"),
-    "rigctl/control/safety.py": ("test_tables", "test_safety", "test_limits"),
+    "rigctl/control/modes.py": ("test_modes", "test_numbers_on_record", "test_diagram"),
+    "rigctl/control/safety.py": ("test_safety_table", "test_safety", "test_limits", "test_numbers_on_record"),
     "rigctl/control/tension.py": ("test_law", "test_tension"),
 }
 MAPS = {"unit": ("tests/unit",), "loop": ("tests/loop",)}
@@ -42,6 +42,7 @@ def main() -> int:
     parser.add_argument("--write", action="store_true", help="bring docs/mutation.md up to date, keeping its arguments")
     parser.add_argument("--parallel", type=int, default=2, metavar="N", help="mutants at once")
     parser.add_argument("--again", action="store_true", help="of the sample, only what has survived the last time")
+    parser.add_argument("--no-live", action="store_true", help="leave out the real-time tests, so what only these meet")
     parser.add_argument("--size", type=int, default=sample.SIZE, metavar="N", help="the first N of the sample")
     given = parser.parse_args()
     chosen = set(given.parts or words)
@@ -54,7 +55,7 @@ def main() -> int:
         copy_tree(ROOT, folder)
         full = [_module(folder, file, given.parallel) for file in TESTS if pathlib.Path(file).stem in chosen]
         known = read(VERDICTS) if given.again else []
-        drawn = _sample(folder, given.size, given.parallel, known) if SAMPLE in chosen else []
+        drawn = _sample(folder, given, known) if SAMPLE in chosen else []
     arguments = page.arguments(PAGE.read_text()) if PAGE.exists() else {}
     if given.write:
         PAGE.write_text(page.document(full, drawn, arguments))
@@ -90,39 +91,51 @@ def _module(folder: pathlib.Path, file: str, parallel: int) -> page.Result:
     return file, ends, sorted(changes, key=lambda change: change.line)
 
 
-def _sample(folder: pathlib.Path, size: int, parallel: int, known: list[Verdict]) -> list[Verdict]:
+def _sample(folder: pathlib.Path, given: argparse.Namespace, known: list[Verdict]) -> list[Verdict]:
     """Verdicts of the sample, those of ``known`` that were killed taken as they are; written as they come."""
-    reaches = _maps(folder)
+    reaches = _maps(folder, given.parallel)
     sources = sample.sources_of(folder, set(TESTS))
     workshop = sample.workshop(folder, sources)
-    judge, drawn = Judge(folder, workshop, reaches), list(sample.draw(workshop))
-    places = {place.number: place for place in drawn}
-    verdicts = [verdict for verdict in known if verdict.killed]
+    judge = Judge(folder, workshop, reaches)
+    drawn = {place.number: (place, text) for place, text in sample.first(workshop, given.size)}
+    verdicts = [verdict for verdict in known if verdict.killed and verdict.number in drawn]
     done = {verdict.number for verdict in verdicts}
-    for verdict in judge.verdicts(iter(drawn), size, parallel, done):
-        found = verdict
-        if not verdict.killed and not verdict.tests and live.tests_of(verdict.file):
-            source = workshop.source_of(places[verdict.number].mutant)
-            by, tests = live.first_failure(folder, verdict.file, source)
-            found = replace(verdict, killed=bool(by), by=by, tests=tests)
+    unmet = []
+
+    def note(found: Verdict) -> None:
         verdicts.append(found)
         write(VERDICTS, verdicts)
         if not found.killed:
             print(f"{found.file}:{found.line}: {found.before}  ->  {found.after}", flush=True)
+
+    left = [mutant for number, mutant in drawn.items() if number not in done]
+    for verdict in judge.verdicts(left, given.parallel):
+        if verdict.killed or verdict.tests or not live.tests_of(verdict.file):
+            note(verdict)
+        else:
+            unmet.append(verdict)
+    for verdict in unmet:  # alone and last: real time, and minutes each
+        _, text = drawn[verdict.number]
+        by, tests = live.first_failure(folder, verdict.file, text) if not given.no_live else ("", 0)
+        note(replace(verdict, killed=bool(by), by=by, tests=tests))
     killers = sorted({found.by for found in verdicts if "::" in found.by and not found.by.startswith("tests/live")})
     if wrong := judge.fails_unchanged(killers):
         sys.exit(f"{wrong} fails without a mutant too")
     return sorted(verdicts, key=lambda found: found.number)
 
 
-def _maps(folder: pathlib.Path) -> list[Reach]:
+def _maps(folder: pathlib.Path, at_once: int) -> list[Reach]:
     """Run the tests once to find out which executes which line."""
-    running = []
+    running: list[subprocess.Popen[bytes]] = []
     for name, tests in MAPS.items():
+        if len(running) >= at_once:
+            running.pop(0).wait()
         command = [sys.executable, "-m", "tests.mutation.reach", str(folder / f"{name}.json"), *tests]
         running.append(subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL))
     for process in running:
         process.wait()
+    if missing := [name for name in MAPS if not (folder / f"{name}.json").exists()]:
+        sys.exit(f"the tests of {', '.join(missing)} could not be run")
     return [Reach.load(folder / f"{name}.json") for name in MAPS]
 
 

@@ -8,11 +8,13 @@ import json
 import os
 import pathlib
 import re
+import signal
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass
+from itertools import islice
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,6 +28,7 @@ from tests.mutation.sample import Place
 SHORT = 5  # names of functions up to this length are anywhere
 FIRST = 3  # tests of each file to begin with
 BUDGET_S = 40.0  # of tests a mutant, by their measured time: a survivor may have outlived these only
+HANGS_S = 20 * BUDGET_S  # a mutant that waits for ever takes no time of the processor
 PAPER = "config/paper_rig.yaml"
 _LIBRARIES_OF = (
     "hil.lockstep",
@@ -167,32 +170,23 @@ class Judge:
             name for name in sys.modules if name.split(".")[0] not in own or name.startswith(_KEPT) or name in own
         )
 
-    def verdicts(
-        self, places: Iterator[Place], size: int, at_once: int, done: Container[str] = ()
-    ) -> Iterator[Verdict]:
-        """The verdicts of the first ``size`` places that change the program, as they come; without those ``done``."""
-        running: dict[int, tuple[Place, pathlib.Path]] = {}
-        taken = 0
+    def verdicts(self, mutants: Iterable[tuple[Place, str]], at_once: int) -> Iterator[Verdict]:
+        """The verdicts of mutants, given with their text, as they come."""
+        running: dict[int, tuple[Place, pathlib.Path, float]] = {}
+        left = iter(mutants)
         while True:
-            while taken < size and len(running) < at_once:
-                place = next(places, None)
-                if place is None:
-                    size = taken
-                    break
-                source = self._workshop.source_of(place.mutant)
-                if source is None:
-                    continue
-                taken += 1
-                if place.number in done:
-                    continue
+            for place, source in islice(left, at_once - len(running)):
                 result = self._folder / f"verdict-{place.number[:16]}.json"
-                running[self._start(place, source, result)] = place, result
+                running[self._start(place, source, result)] = place, result, time.monotonic() + HANGS_S
             if not running:
                 return
             time.sleep(0.02)
-            for pid in list(running):
+            for pid, (place, result, until) in list(running.items()):
                 if os.waitpid(pid, os.WNOHANG)[0]:
-                    yield self._verdict(*running.pop(pid))
+                    del running[pid]
+                    yield self._verdict(place, result)
+                elif time.monotonic() > until:
+                    os.kill(pid, signal.SIGKILL)
 
     def fails_unchanged(self, tests: Sequence[str]) -> str:
         """The first of the tests that fails without a mutant; empty if none does."""
@@ -223,6 +217,8 @@ class Judge:
             _know_gains(self._folder, self._gains)
         first = _FirstFailure()
         code = run_tests(self._folder, tests, first) if tests else 0
+        if code == pytest.ExitCode.USAGE_ERROR and not first.by:  # the mutant has changed the name of a test's case
+            code = run_tests(self._folder, list(dict.fromkeys(test.partition("[")[0] for test in tests)), first)
         if code and not first.by:
             first.by = f"(pytest ended with {code})"
         part = result.with_suffix(".part")

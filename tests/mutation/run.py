@@ -29,7 +29,7 @@ _SAME_CODE = 77
 
 def copy_tree(root: pathlib.Path, folder: pathlib.Path) -> None:
     """Copy the files that the tests need: the tests run on the copy, so later changes of the tree do not matter."""
-    leave = shutil.ignore_patterns("__pycache__", "*.mcap", "fuzz", "mutation", "calibration", "audit")
+    leave = shutil.ignore_patterns("__pycache__", "*.mcap")
     for part in PARTS:
         if (root / part).is_dir():
             shutil.copytree(root / part, folder / part, ignore=leave)

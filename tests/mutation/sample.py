@@ -15,6 +15,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 from cosmic_ray.ast import ast_nodes, get_ast
@@ -76,6 +77,12 @@ def workshop(root: pathlib.Path, sources: dict[str, str]) -> Workshop:
     made.operators = {name: made.operators[name] for name in made.operators if _small_defect(name)}
     made.operators["OtherNumber"] = OtherNumber()
     return made
+
+
+def first(made: Workshop, size: int) -> Iterator[tuple[Place, str]]:
+    """The first ``size`` mutants of the draw that change the program, with their text."""
+    texts = ((place, made.source_of(place.mutant)) for place in draw(made))
+    return islice(((place, text) for place, text in texts if text is not None), size)
 
 
 def draw(made: Workshop) -> Iterator[Place]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -58,9 +59,31 @@ def test_lag_and_delay_are_found_between_the_ticks(lag_s: float, delay_s: float)
     assert found.gain.value == pytest.approx(1.0, abs=1e-3)
 
 
-@pytest.mark.parametrize(("freedom", "point"), [(3, 3.1824), (6, 2.4469), (13, 2.1604), (1000, 1.9623)])
-def test_few_pairs_widen_the_uncertainty_as_students_t_says(freedom: int, point: float) -> None:
-    assert ident.student_t(freedom) == pytest.approx(point, rel=0.02)
+@pytest.mark.parametrize(
+    ("freedom", "point", "share"),
+    [(3, 3.1824, 0.02), (6, 2.44691, 1e-3), (13, 2.16037, 1e-4), (30, 2.04227, 1e-5), (1000, 1.96234, 1e-5)],
+)
+def test_few_pairs_widen_the_uncertainty_as_students_t_says(freedom: int, point: float, share: float) -> None:
+    assert ident.student_t(freedom) == pytest.approx(point, rel=share)  # the expansion is in powers of 1 / freedom
+
+
+def test_a_load_that_comes_steadily_is_neither_stiffness_nor_play() -> None:
+    signals = simulated(0.02, 0.002, play_mm=0.05)
+    drive = ident.drive(signals)
+    rising = replace(signals, tension=signals.tension + 2.0 * np.arange(len(signals.tension)) * signals.period_s)
+    found, steady = ident.rope(rising, drive, 0.035), ident.rope(signals, drive, 0.035)
+    assert found.stiffness_n_mm.value == pytest.approx(6.0, rel=0.005)
+    assert found.stiffness_n_mm.error == pytest.approx(steady.stiffness_n_mm.error, rel=0.2)
+    assert found.backlash_mm.value == pytest.approx(0.05, abs=0.003)
+
+
+def test_the_pitch_error_of_the_screw_widens_what_is_found_of_the_rope() -> None:
+    signals = simulated(0.02, 0.002)
+    found, reach_mm = ident.rope(signals, ident.drive(signals), 0.035), 0.75
+    pitch_mm = 2.0 * ident.PITCH_ERROR_MM * math.sin(math.pi * min(0.5, reach_mm / ident.PITCH_LEAD_MM))
+    bound_n_mm = 6.0 * pitch_mm / reach_mm
+    assert bound_n_mm < found.stiffness_n_mm.error < bound_n_mm + 0.05
+    assert pitch_mm < found.backlash_mm.error < pitch_mm + 0.01
 
 
 def test_the_standard_errors_cover_the_noise() -> None:
@@ -70,12 +93,30 @@ def test_the_standard_errors_cover_the_noise() -> None:
         assert abs(estimate.value - truth) < estimate.error
 
 
+@pytest.mark.parametrize("late_ticks", [0, 3])
+def test_the_age_of_the_speed_is_what_it_comes_later_than_the_stroke(late_ticks: int) -> None:
+    signals = simulated(0.02, 0.002)
+    late = np.concatenate([np.zeros(late_ticks), signals.speed])[: len(signals.speed)]
+    found = ident.drive(replace(signals, speed=late))
+    assert found.speed_age_s.value == pytest.approx(late_ticks * 1e-3, abs=2e-5)
+    assert found.speed_age_s.error < 1e-4
+    assert np.abs(found.stroke - signals.stroke).max() < 2e-3  # the fit is the measured stroke without its rounding
+
+
 @pytest.mark.parametrize("play_mm", [0.0, 0.05, 0.3])
 def test_stiffness_and_play_are_told_apart(play_mm: float) -> None:
     signals = simulated(0.02, 0.002, play_mm=play_mm)
     found = ident.rope(signals, ident.drive(signals), 0.035)
     assert found.stiffness_n_mm.value == pytest.approx(6.0, rel=0.005)
     assert found.backlash_mm.value == pytest.approx(play_mm, abs=0.003)
+
+
+def test_the_first_pair_counts_for_nothing_since_its_play_is_unknown() -> None:
+    signals = simulated(0.02, 0.002, play_mm=0.05)
+    drive = ident.drive(signals)
+    tension, end = signals.tension.copy(), ident.pairs_of(signals.command)[0].stop
+    tension[:end] += 5.0 * np.sin(np.arange(end))
+    assert ident.rope(replace(signals, tension=tension), drive, 0.035) == ident.rope(signals, drive, 0.035)
 
 
 def test_noise_is_what_is_quicker_than_a_tenth_of_a_second() -> None:

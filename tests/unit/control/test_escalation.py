@@ -80,6 +80,16 @@ def test_a_ramp_down_that_does_not_end_is_held() -> None:
     assert found.after is Action.HOLD
 
 
+def test_a_drive_that_is_not_heard_for_half_a_second_is_stopped() -> None:
+    subject, found = Escalator(SETTINGS, STOP_NS), []
+    stale_ms = SETTINGS.safety.stale_ms
+    for ms in range(1500):
+        snapshot = replace(GOOD, t_ns=ms * MS, drive_age_ns=max(0, ms - 400) * MS)
+        if (escalation := subject.look(Fault.DRIVE_STALE, Action.HOLD, snapshot, ms * MS)) is not None:
+            found.append((ms, escalation.symptom, escalation.after))
+    assert found == [(400 + stale_ms + 501, Symptom.HOLD_UNSEEN, Action.QUICK_STOP)]
+
+
 def test_a_rising_tension_below_its_limit_is_nobodys_fault() -> None:
     subject = Escalator(SETTINGS, STOP_NS)
     for ms in range(1000):

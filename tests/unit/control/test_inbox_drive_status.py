@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 import struct
 
+import can
 import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.devices import objects as od
 from tests.unit.control.test_plain_inbox import CONFIG, Bench
+from tests.unit.hil.test_parameter_sets import with_set
 
 RIG = config.load(CONFIG / "paper_rig.yaml")
 NODE = RIG.cylinder.node
@@ -75,3 +77,16 @@ def test_a_status_that_does_not_come_is_missing() -> None:
     for tick in range(1, 3 * RIG.status_divisor):
         bench.give(0x7FF, b"")
         assert bench.inbox.frames_missing() == tick // RIG.status_divisor
+
+
+def test_a_speed_in_a_frame_of_its_own_is_missing_if_it_does_not_come() -> None:
+    stock = with_set("stock_drive")
+    bench, cylinder = Bench(stock), stock.cylinder
+    speed, place = (od.tpdo_base(pdo) + cylinder.node for pdo in (cylinder.velocity_pdo, cylinder.position_pdo))
+    for _ in range(3):
+        bench.bus.send(can.Message(arbitration_id=speed, data=bytes(4), is_extended_id=False))
+        bench.give(place, bytes(6))
+    assert bench.inbox.frames_missing() == 0
+    for lost in range(1, 4):
+        bench.give(place, bytes(6))
+        assert bench.inbox.frames_missing() == lost

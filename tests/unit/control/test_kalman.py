@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter as Library
 
+from rigctl.control.estimator import _inverse
 from rigctl.control.kalman import KalmanFilter
 
 
@@ -42,3 +43,9 @@ def test_no_process_of_the_daemon_loads_the_statistics_that_the_library_needs() 
     look = f"import sys, rigctl.control.control_process; print(sorted({unwanted} & {{*sys.modules}}))"
     answer = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True)
     assert answer.stdout == "[]\n"
+
+
+@pytest.mark.parametrize("matrix", [[[4.0]], [[4.0, 1.0], [1.0, 3.0]], [[2.0, -0.5], [-0.5, 0.25]]])
+def test_the_inverse_of_an_innovations_covariance_is_its_inverse(matrix: list[list[float]]) -> None:
+    covariance = np.array(matrix)
+    assert _inverse(covariance) @ covariance == pytest.approx(np.eye(len(matrix)), abs=1e-12)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 
 import pytest
 from hypothesis import given
@@ -11,9 +11,24 @@ from hypothesis import strategies as st
 
 from rigctl.control.faults import Fault
 from rigctl.control.machine import ARM_LIMIT_NS, CUT_AFTER_NS, Answer
-from rigctl.control.modes import TRANSITIONS, TRIED_IN, Event, Mode, Refusal, Situation, Verb, decide, next_mode
+from rigctl.control.modes import (
+    FILED,
+    TRANSITIONS,
+    TRIED_IN,
+    Decision,
+    Event,
+    Mode,
+    Refusal,
+    Setting,
+    Situation,
+    Verb,
+    command_slot,
+    decide,
+    next_mode,
+)
 from rigctl.control.safety import Action, Trip
 from rigctl.devices.drive import Power
+from rigctl.ipc.record import COMMAND
 from tests.builders.outcomes import MachineLog
 
 READY = Situation(
@@ -21,23 +36,28 @@ READY = Situation(
 )
 
 
-@pytest.mark.parametrize("mode", Mode)
-@pytest.mark.parametrize("event", Event)
-def test_an_event_moves_the_mode_only_where_the_table_says(mode: Mode, event: Event) -> None:
-    transition = TRANSITIONS.get((mode, event))
-    assert next_mode(mode, event) is (mode if transition is None else transition.after)
+ARMED = {Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING}
+BY_ITSELF = {
+    Event.ENABLED: ({Mode.DISARMED}, Mode.HOLD),
+    Event.TENSIONED: ({Mode.TENSIONING}, Mode.COMPENSATING),  # the closed loop is reached through tensioning only
+    Event.SLACK: ({Mode.RELEASING}, Mode.HOLD),
+    Event.RAMP_DOWN: (ARMED - {Mode.RELEASING}, Mode.RELEASING),
+    Event.STOP: (ARMED, Mode.HOLD),
+    Event.TRIP: (set(Mode), Mode.FAULT),
+}
+"""Events that no operator gives: the modes in which they mean something, and where they lead."""
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_a_trip_latches_from_anywhere_and_only_a_reset_leaves(mode: Mode) -> None:
-    assert next_mode(mode, Event.TRIP) is Mode.FAULT
+@pytest.mark.parametrize("event", BY_ITSELF)
+def test_what_happens_by_itself_moves_the_rig_only_where_it_means_something(mode: Mode, event: Event) -> None:
+    where, after = BY_ITSELF[event]
+    assert next_mode(mode, event) is (after if mode in where else mode)
+
+
+def test_only_a_reset_leaves_a_fault() -> None:
     leaving = {event for event in Event if next_mode(Mode.FAULT, event) is not Mode.FAULT}
     assert leaving == {Event.RESET_HELD, Event.RESET_OFF}
-
-
-def test_the_closed_loop_is_reached_only_through_tensioning() -> None:
-    into = {mode for (mode, _), transition in TRANSITIONS.items() if transition.after is Mode.COMPENSATING}
-    assert into == {Mode.TENSIONING}
 
 
 ACCEPTED = {
@@ -50,11 +70,44 @@ ACCEPTED = {
 }
 
 
+LEADS_TO = {
+    Verb.TENSION: Mode.TENSIONING,
+    Verb.RELEASE: Mode.RELEASING,
+    Verb.HOLD: Mode.HOLD,
+    Verb.DISARM: Mode.DISARMED,
+    Verb.RESET: Mode.DISARMED,
+}
+"""The mode each command is for; the others change none."""
+SO_ALREADY = {
+    (Mode.DISARMED, Verb.DISARM), (Mode.TENSIONING, Verb.TENSION), (Mode.COMPENSATING, Verb.TENSION),
+    (Mode.RELEASING, Verb.RELEASE), *((mode, Verb.ARM) for mode in ARMED),
+}  # fmt: skip
+
+
 @pytest.mark.parametrize("mode", Mode)
 @pytest.mark.parametrize("verb", Verb)
-def test_each_command_is_accepted_in_these_modes_only(mode: Mode, verb: Verb) -> None:
+def test_each_command_is_accepted_in_these_modes_only_and_leads_to_its_own(mode: Mode, verb: Verb) -> None:
     decision = decide(mode, verb, READY)
-    assert (decision.refusal is Refusal.NONE) == (verb in ACCEPTED[mode])
+    if verb not in ACCEPTED[mode]:
+        assert decision == Decision(Refusal.ALREADY if (mode, verb) in SO_ALREADY else Refusal.WRONG_MODE)
+    elif verb in LEADS_TO and (mode, verb) != (Mode.FAULT, Verb.DISARM):
+        assert decision.refusal is Refusal.NONE
+        assert decision.event is not None
+        assert next_mode(mode, decision.event) is LEADS_TO[verb]
+    else:
+        assert decision == Decision()  # a fault that is disarmed stays latched
+
+
+def test_a_reset_holds_the_stroke_where_the_drive_still_does() -> None:
+    decision = decide(Mode.FAULT, Verb.RESET, Situation(drive_enabled=True))
+    assert decision == Decision(event=Event.RESET_HELD)
+    assert next_mode(Mode.FAULT, Event.RESET_HELD) is Mode.HOLD
+
+
+def test_what_a_trial_finds_is_put_on_record_and_so_are_gains() -> None:
+    assert {*TRIED_IN, Verb.GAINS} == FILED
+    for verb in TRIED_IN:
+        assert {mode for mode in Mode if verb in ACCEPTED[mode]} == set(TRIED_IN[verb])
 
 
 @pytest.mark.parametrize("value", [49.9, 350.1, -300.0, math.nan, math.inf])
@@ -62,9 +115,21 @@ def test_a_target_outside_its_limits_is_refused(value: float) -> None:
     assert decide(Mode.HOLD, Verb.TARGET, replace(READY, wanted_n=value)).refusal is Refusal.OUT_OF_RANGE
 
 
+@pytest.mark.parametrize(
+    ("measured_mm", "agrees"),
+    [(50.5, True), (49.5, True), (50.0, True), (50.6, False), (49.4, False), (math.nan, False)],
+)
+def test_a_stroke_is_confirmed_within_half_a_millimetre(measured_mm: float, agrees: bool) -> None:
+    situation = Situation(measured_mm=measured_mm, stroke_mm=50.0)
+    refusal = Refusal.NONE if agrees else Refusal.STROKE_DIFFERS
+    assert decide(Mode.DISARMED, Verb.CONFIRM_STROKE, situation).refusal is refusal
+    assert decide(Mode.FAULT, Verb.CONFIRM_STROKE, Situation(measured_mm=measured_mm)).refusal is not Refusal.NONE
+
+
 def test_guards() -> None:
     assert decide(Mode.DISARMED, Verb.ARM, Situation(failed_checks=1)).refusal is Refusal.PREFLIGHT
     assert decide(Mode.FAULT, Verb.RESET, Situation(cause_present=True)).refusal is Refusal.CAUSE_PRESENT
+    assert decide(Mode.FAULT, Verb.RESET, Situation(stop_running=True)).refusal is Refusal.STOP_RUNNING
     assert decide(Mode.FAULT, Verb.RESET, Situation(drive_enabled=True)).event is Event.RESET_HELD
     assert decide(Mode.FAULT, Verb.RESET, Situation()).event is Event.RESET_OFF
     assert decide(Mode.DISARMED, Verb.RESET, Situation(drive_faulted=True)).refusal is Refusal.NONE
@@ -73,6 +138,58 @@ def test_guards() -> None:
     assert decide(Mode.HOLD, Verb.RELEASE, Situation(slack=True)).refusal is Refusal.ALREADY
     assert decide(Mode.HOLD, Verb.TARE, Situation()).refusal is Refusal.LOADED
     assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(slack=True, needs_tight=True)).refusal is Refusal.SLACK
+
+
+@pytest.mark.parametrize("value", [50.0, 350.0])
+def test_a_target_at_its_bound_is_inside(value: float) -> None:
+    situation = Situation(wanted_n=value, target_min_n=50.0, target_max_n=350.0)
+    assert decide(Mode.HOLD, Verb.TARGET, situation) == Decision()
+
+
+@pytest.mark.parametrize("latched", [False, True])
+@pytest.mark.parametrize("mode", Mode)
+def test_only_a_ramp_down_is_ended_by_hold_as_a_trip(mode: Mode, latched: bool) -> None:
+    event = decide(mode, Verb.HOLD, Situation(fault_latched=latched)).event
+    assert (event is Event.TRIP) == (latched and mode is Mode.RELEASING)
+
+
+def test_guards_refuse_for_their_own_reason_only() -> None:
+    assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(slack=True)) == Decision()
+    assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(needs_tight=True)) == Decision()
+    assert decide(Mode.DISARMED, Verb.RESET, Situation()).refusal is Refusal.WRONG_MODE
+    assert decide(Mode.FAULT, Verb.DISARM, Situation(cause_present=True, fault_latched=True)) == Decision()
+
+
+@pytest.mark.parametrize("value", [Situation(), Decision(), TRANSITIONS[Mode.HOLD, Event.TENSION]],
+                         ids=lambda value: type(value).__name__)  # fmt: skip
+def test_what_was_decided_is_not_changed_afterwards(value: object) -> None:
+    with pytest.raises(FrozenInstanceError):
+        value.refusal = None  # type: ignore[attr-defined]
+
+
+def test_a_situation_of_which_nothing_is_known_has_no_reason_and_no_permission() -> None:
+    nothing = Situation()
+    assert not any((nothing.failed_checks, nothing.cause_present, nothing.stop_running, nothing.fault_latched))
+    assert not any((nothing.drive_enabled, nothing.drive_faulted, nothing.slack, nothing.unloaded, nothing.needs_tight))
+    assert (nothing.wanted_n, nothing.measured_mm, nothing.target_min_n, nothing.target_max_n) == (0.0, 0.0, 0.0, 0.0)
+
+
+GIVEN = {
+    Verb.ARM: "near_end", Verb.TARGET: "target_n", Verb.CALIBRATE: "weight_n", Verb.IDENTIFY: "tight",
+    Verb.CONFIRM_STROKE: "stroke_mm", Setting.ZERO: "zero_n", Setting.SCALE: "scale overdue",
+    Setting.OVERDUE: "overdue", Setting.HOST_CHECKS: "host_checks",
+    Setting.LAW_GAINS: "k_tension k_speed k_integral",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("code", [*Verb, *Setting])
+def test_a_command_has_its_own_values_only(code: Verb | Setting) -> None:
+    fields = [field.name for field in COMMAND.fields]
+    slot = dict(zip(fields, command_slot(5, 7, code, 1.0, 2.0, 3.0, 4.0), strict=True))
+    assert (slot["t_ns"], slot["id"], slot["verb"]) == (5, 7, code)
+    own = GIVEN.get(code, "").split()
+    assert [slot[name] for name in own] == [1.0, 2.0, 3.0][: len(own)]
+    assert all(math.isnan(slot[name]) for name in fields[3:] if name not in own)
 
 
 def armed() -> MachineLog:

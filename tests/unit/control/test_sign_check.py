@@ -49,6 +49,19 @@ def test_the_right_way_round_passes_with_its_stiffness(slack_mm: float) -> None:
     assert check.slope_n_mm == pytest.approx(K, rel=1e-6)
 
 
+def test_a_rope_that_is_hardly_tight_shows_no_stiffness_yet() -> None:
+    """Up to twice the limit of slack its sag makes it softer."""
+    check, soft_n = SignCheck(SETTINGS), 2.0 * SETTINGS.tension.slack_n
+    check.begin(0.0, 0.0)
+    for tick in range(3000):
+        stroke_mm = 10.0e-3 * tick
+        sagging_mm = soft_n / (0.1 * K)
+        tension_n = min(0.1 * K * stroke_mm, soft_n) + K * max(0.0, stroke_mm - sagging_mm)
+        assert check.see(10.0, stroke_mm, tension_n) is Fault.NONE
+    assert check.passed
+    assert check.slope_n_mm == pytest.approx(K, rel=0.02)
+
+
 @pytest.mark.parametrize("slack_mm", [2.0, -40.0])
 def test_each_wrong_way_round_is_found_early(slack_mm: float) -> None:
     fault, stroke, _ = Rig(drive_sign=-1.0, slack_mm=slack_mm).run(SignCheck(SETTINGS))

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import can
 import pytest
 
 from hil.bus import InProcessBus
@@ -21,6 +22,7 @@ from rigctl.devices import objects as od
 from rigctl.devices.process_data import COMMAND, DRIVE_SPEED, DRIVE_STATUS, DriveUnits, ProcessData, wanted
 from rigctl.devices.remote_node import StartupError
 from tests.builders.rig_bench import SETTINGS, changed
+from tests.unit.control.test_plain_inbox import Queue
 from tests.unit.hil.test_parameter_sets import with_set
 
 CELL, SLOPE, DRIVE = 2, 3, 4
@@ -107,6 +109,11 @@ def test_default_devices_are_mapped_already_and_no_pdo_is_written() -> None:
     devices = Devices(SETTINGS)
     report = devices.bring_up()
     assert report.supervised
+    kept = {(item.node, item.index, item.sub): item.wanted for item in report.watched}
+    for node in (CELL, SLOPE, DRIVE):
+        assert kept[node, od.TPDO1_COMMUNICATION, 1] & 0x7FF == od.TPDO1_BASE + node
+        assert kept[node, od.TPDO1_COMMUNICATION, 2] > 0
+    assert (DRIVE, od.QUICK_STOP_DECELERATION, 0) in kept
     assert report.process_data == wanted(SETTINGS)
     assert {name: layout.mapping for name, layout in report.process_data.frames.items()} == {
         "tension_cell": od.CELL_TPDO.mapping, "inclinometer": od.SLOPE_TPDO.mapping, "cylinder": od.DRIVE_TPDO.mapping,
@@ -263,6 +270,15 @@ def test_a_fixed_mapping_too_long_for_the_bus_is_refused() -> None:
     settings = changed(settings, can={"bitrate_bit_s": round(500_000 * load / (limit - 0.001))})
     said = refusal(settings)
     assert "bus load" in said and "expected at most 80%" in said
+
+
+@pytest.mark.parametrize("can_id", [od.SYNC_COB, od.HEARTBEAT_BASE + SETTINGS.can.controller_node])
+def test_another_controller_on_the_bus_ends_the_start(can_id: int) -> None:
+    bus = Queue()
+    bus.send(can.Message(arbitration_id=od.HEARTBEAT_BASE + DRIVE, data=b"\x05", is_extended_id=False))
+    bus.send(can.Message(arbitration_id=can_id, is_extended_id=False))
+    with pytest.raises(StartupError):
+        startup.refuse_rival(bus, SETTINGS)
 
 
 @pytest.mark.parametrize(("node", "pdo"), [(CELL, od.CELL_TPDO), (SLOPE, od.SLOPE_TPDO), (DRIVE, od.DRIVE_TPDO)])

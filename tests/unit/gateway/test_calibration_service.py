@@ -69,6 +69,15 @@ def test_a_tare_is_on_record_before_it_is_in_force(
     assert in_force(Runtime(tmp_path)).zero_n == service.standing.zero_n == 1.5
 
 
+@pytest.mark.parametrize(
+    ("weight_n", "possible"),
+    [(0.5, True), (PAPER.tension_cell.range_n, True), (0.0, False), (-1.0, False), (1e6, False)],
+)
+def test_a_known_weight_is_above_nothing_and_within_the_cells_range(weight_n: float, possible: bool) -> None:
+    why = findings.impossible(PAPER, Request(Verb.CALIBRATE, "kim", weight_n))
+    assert (why is None) is possible
+
+
 def test_what_the_loop_did_not_take_is_withdrawn(service: CalibrationService, settings: RigSettings) -> None:
     service.withdraw(filed(service))
     service.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 
 import pytest
@@ -81,6 +82,14 @@ def test_it_follows_the_target_and_reports_micrometres(bench: RigBench) -> None:
     assert position == pytest.approx(truth.stroke_mm * 1000, abs=13.5)  # one tick older, rounded, 3 um of ripple
     assert status & 0x1237 == 0x1237  # following, remote, voltage, operation enabled
     assert bench.read(DRIVE, objects.VELOCITY_ACTUAL) == pytest.approx(10_000, abs=5)  # an encoder step a millisecond
+
+
+@pytest.mark.parametrize("speed", [5.0, -5.0])
+def test_the_16_bit_velocity_has_its_sign_and_own_unit(bench: RigBench, speed: float) -> None:
+    bench.drive(400, ENABLE, 5.0)  # away from the end of the stroke
+    bench.drive(400, ENABLE, speed)
+    (found,) = struct.unpack("<h", struct.pack("<H", bench.read(DRIVE, objects.VELOCITY_ACTUAL_16) & 0xFFFF))
+    assert found * 0.01 == pytest.approx(speed, abs=0.02)  # 0x2044 counts in 0.01 mm/s
 
 
 def test_a_velocity_offset_is_added_to_the_target_velocity(bench: RigBench) -> None:
@@ -193,8 +202,10 @@ def press(bench: RigBench, pressed: bool) -> None:
 def test_an_emergency_stop_ramps_down_closes_the_brake_and_keeps_the_drive_off_until_released(bench: RigBench) -> None:
     bench.drive(500, ENABLE, 10.0)
     before = bench.rig.truth.stroke_mm
+    others = inputs(bench) & 0xFFFF
     assert inputs(bench) >> 16 & 1
     press(bench, True)
+    assert inputs(bench) & 0xFFFF == others
     assert bench.emergencies(DRIVE) == [EmcyCode.EXTERNAL]
     assert bench.state() is DriveState.FAULT_REACTION_ACTIVE
     assert not inputs(bench) >> 16 & 1

@@ -61,6 +61,7 @@ def test_parquet_holds_every_value_with_its_unit(found: Recording, tmp_path: pat
         else:
             assert np.array_equal(table[name].to_numpy(), values, equal_nan=True), name
     assert np.array_equal(table["wall_ns"].to_numpy(), found.records["t_ns"] + OFFSET_NS)
+    assert np.diff(table["t_s"].to_numpy()) == pytest.approx(np.diff(found.records["t_ns"]) / 1e9, abs=1e-9)
     for field in RECORD.fields:
         assert table.schema.field(field.name).metadata[b"unit"].decode() == field.unit
     assert table.schema.metadata[b"sha256"].decode() == found.sha256

@@ -198,7 +198,9 @@ def test_what_the_rings_no_longer_held_is_a_gap(tape: Tape) -> None:
     tape.close()
     found = recording.read(*tape.files())
     (gap,) = [gap for gap in found.gaps if gap.ring == "records"]
-    assert (gap.after, gap.count) == (400, 501)  # one slot less than the ring holds is safe to read
+    assert (gap.after, gap.count) == (400, 501)
+    (seen,) = recording._gaps("records", found.records["seq"], found.records["t_ns"])
+    assert (seen.after, seen.upto) == (400, 901)  # one slot less than the ring holds is safe to read
     assert tape.recording.as_dict()["records_lost"] == 501
 
 

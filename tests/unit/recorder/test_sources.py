@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pathlib
 import subprocess
 import sys
 from enum import IntEnum
@@ -14,9 +13,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.config import rig_file as config
-from rigctl.config.recording_section import RecordingSettings
-from rigctl.config.settings import AuditSettings, RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.gate import Verdict
@@ -32,22 +29,6 @@ from rigctl.recorder.protobuf import Decoding, Encoding
 from rigctl.recorder.recorder_process import Recorder
 from rigctl.recorder.sources import SOURCES, AuditedRings
 from rigctl.wire.state_message import RECORDER_SILENT_NS, recorder_of
-
-
-@pytest.fixture
-def settings(tmp_path: pathlib.Path) -> RigSettings:
-    own = AuditSettings(file=str(tmp_path / "log" / "audit.jsonl"), trips=str(tmp_path / "trips"))
-    kept = RecordingSettings(folder=str(tmp_path / "recordings"))
-    return config.load("config/paper_rig.yaml").model_copy(update={"audit": own, "recording": kept})
-
-
-@pytest.fixture
-def runtime(tmp_path: pathlib.Path, settings: RigSettings) -> Runtime:
-    found = Runtime(tmp_path / "run")
-    found.directory.mkdir()
-    found.make_rings(settings)
-    found.write_json(ACTIVE, {"settings": settings.model_dump(mode="json"), "started_wall_ns": 5, "version": "1"})
-    return found
 
 
 def entries(settings: RigSettings) -> list[chain.AuditEntry]:

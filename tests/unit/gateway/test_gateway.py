@@ -1,0 +1,208 @@
+"""The gateway in this process, with a real session; the test plays the loop on the rings."""
+
+from __future__ import annotations
+
+import pathlib
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from rigctl.client.connection import Client
+from rigctl.config import rig_file as config
+from rigctl.config.settings import RigSettings
+from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_NS
+from rigctl.control.checks import HOST_CHECKS
+from rigctl.control.events import Kind
+from rigctl.control.modes import Mode, Setting, Verb
+from rigctl.control.safety import Action, table
+from rigctl.control.trials import AVERAGED_S
+from rigctl.gateway.command_rate import ALL_BURST
+from rigctl.gateway.command_server import ANSWER_NS, WAIT_NS
+from rigctl.gateway.gateway_process import Gateway
+from rigctl.ipc import ledger
+from rigctl.ipc.notes import Note
+from rigctl.ipc.record import RECORD, REPLY
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from tests.builders.paths import ROOT
+
+LIMIT_S = 10.0
+S = 1_000_000_000
+
+
+class Rig:
+    """A gateway and the rings of its loop."""
+
+    def __init__(self, folder: pathlib.Path, lease_s: int = 300) -> None:
+        paper = config.load(ROOT / "config/paper_rig.yaml")
+        telemetry = paper.telemetry.model_copy(
+            update={"listen": f"unixsock-stream/{folder}/listen.sock", "lease_s": lease_s}
+        )
+        kept = paper.audit.model_copy(update={"file": str(folder / "audit.jsonl"), "trips": str(folder / "trips")})
+        self.settings: RigSettings = paper.model_copy(
+            update={"telemetry": telemetry, "audit": kept, "directory": str(folder)}
+        )
+        self.runtime = Runtime(folder / "run")
+        self.runtime.directory.mkdir()
+        self.runtime.make_rings(self.settings)
+        self.runtime.write_json(ACTIVE, {"settings": self.settings.model_dump(mode="json"), "run_id": "this"})
+        names = [field.name for field in RECORD.fields]
+        self._blank = dict(zip(names, np.zeros(1, RECORD.dtype)[0].item()[1:], strict=True))
+        self._records, self._replies = self.runtime.records.writer(), self.runtime.replies.writer()
+        self._given = self.runtime.commands.reader(from_start=True)
+        self.gateway = Gateway(self.runtime, self.settings)
+        self.client = Client(f"unixsock-stream/{self.runtime.gateway_socket}", self.settings.rig)
+        self._asking = ThreadPoolExecutor(8)
+
+    def close(self) -> None:
+        self.client.close()
+        self.gateway.close()
+        self._asking.shutdown()
+
+    def record(self, **values: float) -> None:
+        """The loop writes a record."""
+        self._records.write(*{**self._blank, "t_ns": time.monotonic_ns(), **values}.values())
+
+    def state(self) -> dict[str, Any]:
+        """The state as a client gets it after one period."""
+        self.gateway.publish()
+        return self.client.state()
+
+    def ask(self, verb: str, operator: str = "kim", value: float | None = None) -> Future[dict[str, Any]]:
+        """An operator's command, whose answer is to come."""
+        return self._asking.submit(self.client.command, verb, operator, value)
+
+    def order(self, code: Verb | Setting) -> np.void:
+        """The next command of this kind that reaches the loop."""
+        found: list[np.void] = []
+
+        def came() -> bool:
+            found.extend(slot for slot in self._given.read() if slot["verb"] == code)
+            return bool(found)
+
+        until(came)
+        return found[0]
+
+    def logged(self, count: int) -> list[np.void]:
+        """Requests and answers as logged; an answer is sent before it is logged."""
+        found: list[np.void] = []
+        log = self.runtime.requests.reader(from_start=True)
+
+        def came() -> bool:
+            found.extend(log.read())
+            return len(found) >= count
+
+        until(came)
+        return found
+
+    def answer(self, slot: np.void, **figures: float) -> None:
+        """The loop carries a command out."""
+        values = {"t_ns": time.monotonic_ns(), "id": int(slot["id"]), "accepted": 1, "reason": 0, "checks": 0,
+                  "mode": int(Mode.DISARMED), **figures}  # fmt: skip
+        self._replies.write(*REPLY.values(**values))
+
+
+def until(true: Callable[[], object]) -> None:
+    end = time.monotonic() + LIMIT_S
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.002)
+
+
+@pytest.fixture
+def rig(tmp_path: pathlib.Path) -> Iterator[Rig]:
+    made = Rig(tmp_path)
+    yield made
+    made.close()
+
+
+def notes(runtime: Runtime) -> list[tuple[int, str]]:
+    return [(int(note["kind"]), note["operator"].decode()) for note in runtime.notes.reader(from_start=True).read()]
+
+
+def test_a_tare_is_measured_recorded_and_in_force_before_it_is_answered(rig: Rig) -> None:
+    answer = rig.ask("tare")
+    rig.answer(rig.order(Verb.TARE), reading_n=1.5, rms_n=0.03)
+    setting = rig.order(Setting.ZERO)
+    assert setting["zero_n"] == 1.5
+    (entry,) = ledger.read(rig.settings)
+    assert not answer.done()
+    rig.answer(setting)
+    found = answer.result(LIMIT_S)
+    assert found["accepted"]
+    assert found["entry"] == msgspec.to_builtins(entry)
+    log = rig.logged(2)  # the command as given, and its answer
+    assert [slot["entry"].decode() for slot in log if slot["answered"]] == [ledger.entry_digest(entry)]
+
+
+def test_a_command_without_an_entry_is_logged_without_one(rig: Rig) -> None:
+    answer = rig.ask("disarm")
+    rig.answer(rig.order(Verb.DISARM))
+    assert answer.result(LIMIT_S)["accepted"]
+    given, answered = rig.logged(2)
+    assert (given["answered"], given["id"]) == (0, answered["id"])
+    assert (answered["answered"], answered["entry"]) == (1, b"")
+
+
+def test_a_reply_to_a_command_of_an_earlier_gateway_is_nobodys(rig: Rig) -> None:
+    answer = rig.ask("disarm")
+    slot = rig.order(Verb.DISARM)
+    stranger = slot.copy()
+    stranger["id"] = 7
+    rig.answer(stranger)
+    rig.answer(slot)
+    assert answer.result(LIMIT_S)["accepted"]
+
+
+def test_the_holder_gets_a_command_through_a_flood_of_others(rig: Rig) -> None:
+    first = rig.ask("disarm")
+    rig.answer(rig.order(Verb.DISARM))
+    assert first.result(LIMIT_S)["accepted"]
+    later_ns = time.monotonic_ns() + 3600 * S  # the bucket fills with the time since the newest command: not at all
+    why = [rig.gateway._commands._rate.admit(f"user{number}", later_ns) for number in range(ALL_BURST + 1)]
+    assert "too many commands" in why[-1]
+    answer = rig.ask("disarm")
+    rig.answer(rig.order(Verb.DISARM))
+    assert answer.result(LIMIT_S)["accepted"]
+
+
+def test_the_gateway_waits_longer_than_the_loop_may_take() -> None:
+    assert WAIT_NS[Verb.TARE] > ANSWER_NS + AVERAGED_S * S
+    assert WAIT_NS[Verb.CALIBRATE] > ANSWER_NS + AVERAGED_S * S
+    assert WAIT_NS[Verb.ARM] > AWAIT_NS + BRAKE_TEST_NS + AWAIT_NS
+
+
+def test_a_loop_that_shows_other_host_checks_is_sent_them(rig: Rig) -> None:
+    rig.record(checks=0)
+    rig.gateway.publish()
+    found = int(rig.order(Setting.HOST_CHECKS)["host_checks"])
+    assert found
+    assert found & ~int(HOST_CHECKS) == 0
+
+
+def test_a_state_without_a_loop_has_no_causes_and_one_with_it_says_since_when(rig: Rig) -> None:
+    assert rig.state()["causes"] == []
+    row = next(row for row in table(rig.settings) if row.action is not Action.LOG and row.words is None)
+    began_ns = time.monotonic_ns()
+    rig.runtime.events.writer().write(began_ns, Kind.CAUSE, row.fault, row.action, 3.0, row.sign * row.limit, b"")
+    rig.record(mode=next(iter(row.modes)), cause_bits=1 << row.fault)
+    before = time.time_ns() - time.monotonic_ns()
+    (cause,) = rig.state()["causes"]
+    assert (cause["fault"], cause["value"], cause["since_ns"]) == (row.fault.name, 3.0, began_ns)
+    assert cause["since_wall_ns"] - began_ns == pytest.approx(before, abs=60 * S)
+
+
+def test_a_lease_that_lapses_is_noted_also_while_no_command_comes(tmp_path: pathlib.Path) -> None:
+    rig = Rig(tmp_path, lease_s=0)
+    try:
+        answer = rig.ask("disarm")
+        rig.answer(rig.order(Verb.DISARM))
+        assert answer.result(LIMIT_S)["accepted"]
+        rig.gateway.publish()
+        until(lambda: (int(Note.LEASE_LAPSED), "kim") in notes(rig.runtime))
+    finally:
+        rig.close()

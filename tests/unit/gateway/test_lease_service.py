@@ -1,0 +1,73 @@
+"""The lease service: what it writes down for the next gateway, and what it notes."""
+
+from __future__ import annotations
+
+import pathlib
+
+import pytest
+
+from rigctl.config import rig_file as config
+from rigctl.control.modes import Verb
+from rigctl.gateway.command_rate import RefusedCommands
+from rigctl.gateway.lease_service import IN_FORCE, NAMES_REPORTED, LeaseService
+from rigctl.ipc.notes import Note
+from rigctl.ipc.runtime_folder import Runtime
+from rigctl.wire.command_request import Request
+from tests.builders.paths import ROOT
+
+S = 1_000_000_000
+
+
+@pytest.fixture
+def runtime(tmp_path: pathlib.Path) -> Runtime:
+    found = Runtime(tmp_path)
+    found.make_rings(config.load(ROOT / "config/paper_rig.yaml"))
+    found.write_json(IN_FORCE, {})
+    return found
+
+
+def notes(runtime: Runtime) -> list[tuple[Note, str, str, str]]:
+    found = runtime.notes.reader(from_start=True).read()
+    return [(Note(note["kind"]), *(note[name].decode() for name in ("operator", "other", "reason"))) for note in found]
+
+
+def lease_of(service: LeaseService, operator: str, now_ns: int) -> str:
+    given = service.admit(Request(Verb.DISARM, operator), now_ns)
+    assert isinstance(given, Request)
+    assert given.lease is not None
+    return given.lease
+
+
+def test_the_next_gateway_goes_on_with_the_lease(runtime: Runtime) -> None:
+    lease = lease_of(LeaseService(runtime, 300, 1 * S), "anna", 2 * S)
+    after = LeaseService(runtime, 300, 3 * S)
+    assert after.is_holder("anna", lease, 4 * S)
+    assert not after.is_holder("kim", lease, 4 * S)
+    assert notes(runtime) == [(Note.LEASE_TAKEN, "anna", "", "")]
+    after.expire(400 * S)
+    assert LeaseService(runtime, 300, 401 * S).shown(401 * S) is None
+    assert notes(runtime)[1:] == [(Note.LEASE_LAPSED, "anna", "", "")]  # by the one that saw it lapse, once
+
+
+def test_a_hold_without_the_lease_is_noted_with_whom_it_overruled(runtime: Runtime) -> None:
+    service = LeaseService(runtime, 300, 1 * S)
+    service.note_hold(Request(Verb.HOLD, "kim"), 1 * S)
+    lease = lease_of(service, "anna", 2 * S)
+    service.note_hold(Request(Verb.HOLD, "kim"), 3 * S)
+    service.note_hold(Request(Verb.HOLD, "anna", lease=lease), 4 * S)
+    held = [(operator, other) for kind, operator, other, _ in notes(runtime) if kind is Note.HOLD_WITHOUT_LEASE]
+    assert held == [("kim", ""), ("kim", "anna")]
+
+
+@pytest.mark.parametrize("names", [1, NAMES_REPORTED, NAMES_REPORTED + 1, NAMES_REPORTED + 3])
+def test_refused_commands_are_noted_by_name_and_the_rest_together(runtime: Runtime, names: int) -> None:
+    refused = [RefusedCommands(f"user{number}", 100 - number, 2 * S) for number in range(names)]
+    LeaseService(runtime, 300, 1 * S).note_refused(refused, 12 * S)
+    found = notes(runtime)
+    assert {kind for kind, *_ in found} == {Note.TOO_MANY_COMMANDS}
+    each = [(f"user{number}", f"{100 - number} commands in 10 s") for number in range(min(names, NAMES_REPORTED))]
+    rest = names - NAMES_REPORTED
+    if rest > 0:
+        total = sum(one.count for one in refused[NAMES_REPORTED:])
+        each.append((f"{rest} other{'s' if rest > 1 else ''}", f"{total} commands in 10 s"))
+    assert [(operator, reason) for _, operator, _, reason in found] == each

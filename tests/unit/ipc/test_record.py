@@ -1,0 +1,25 @@
+"""Slots of replies: the one figure that each is about."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rigctl.ipc.record import REPLY, figure_of
+
+FIGURES = [field.name for field in REPLY.fields if field.unit and field.name not in ("t_ns", "rms_n")]
+
+
+def reply(**figures: float) -> np.void:
+    values = REPLY.values(t_ns=5, id=7, accepted=1, reason=0, checks=3, mode=1, **figures)
+    found: np.void = np.array([(1, *values)], REPLY.dtype)[0]
+    return found
+
+
+@pytest.mark.parametrize("name", [*FIGURES, "cause"])
+def test_a_reply_has_the_figure_that_was_given(name: str) -> None:
+    assert figure_of(reply(**{name: -2.5, "rms_n": 0.03})) == -2.5
+
+
+def test_a_reply_without_a_figure_has_none() -> None:
+    assert figure_of(reply()) == figure_of(reply(rms_n=0.03)) == 0.0
