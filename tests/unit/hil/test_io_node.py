@@ -56,6 +56,15 @@ def test_it_tells_what_it_is(bench: RigBench) -> None:
     assert [bench.read(NODE, objects.INPUTS_8, block) for block in (1, 2)] == [0, 2]
 
 
+def test_its_second_input_block_can_be_mapped_alone(bench: RigBench) -> None:
+    assert bench.write(NODE, COMMUNICATION, 1, VALID_COB | OFF, 4) == 0
+    assert bench.write(NODE, objects.TPDO1_MAPPING, 0, 0, 1) == 0
+    assert bench.write(NODE, objects.TPDO1_MAPPING, 1, objects.INPUTS_8 << 16 | 2 << 8 | 8, 4) == 0
+    assert bench.write(NODE, objects.TPDO1_MAPPING, 0, 1, 1) == 0
+    assert bench.write(NODE, COMMUNICATION, 1, VALID_COB, 4) == 0
+    assert inputs(bench, 30)[-1] == CLOSED[1:]
+
+
 def test_it_says_how_it_stands_once_it_is_operational_and_then_by_its_event_timer(bench: RigBench) -> None:
     assert inputs(bench, 1) == [CLOSED]
     assert inputs(bench, 200) == [CLOSED] * 10

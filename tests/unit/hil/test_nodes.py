@@ -207,6 +207,14 @@ def test_no_sdo_request_whatever_breaks_the_server(node: int, requests: list[byt
     assert bench.read(node, objects.IDENTITY, 4) > 0
 
 
+@pytest.mark.parametrize("continued", [0x00, 0x10, 0x60, 0x70])
+def test_a_segment_of_a_transfer_that_was_never_begun_is_refused(bench: RigBench, continued: int) -> None:
+    """Download and upload segments, either toggle bit."""
+    answer = bench.ask(CELL, bytes([continued, *bytes(7)]))
+    assert answer[0] == 0x80
+    assert struct.unpack_from("<I", answer, 4)[0] == Abort.COMMAND
+
+
 def test_block_download_is_refused_in_silence(bench: RigBench, caplog: pytest.LogCaptureFixture) -> None:
     assert bench.ask(CELL, bytes([0xC6, 0x17, 0x10, 0, 4, 0, 0, 0])) == struct.pack(
         "<BHBI", 0x80, objects.PRODUCER_HEARTBEAT, 0, Abort.COMMAND
