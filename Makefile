@@ -15,11 +15,11 @@ demo: $(STAMP)
 	$(VENV)/bin/rigctl demo config/paper_rig.yaml --json results/demo.json
 
 test: $(STAMP) system
-	$(PYTHON) -m pytest -m "not real_time and not study" --numprocesses auto --dist loadfile
+	$(PYTHON) -m pytest -m "not real_time and not study" --numprocesses auto --dist worksteal
 	$(PYTHON) -m pytest -m brief
 
 test-live: $(STAMP) system
-	$(PYTHON) -m pytest -m "study and not real_time and not brief" --numprocesses auto --dist loadfile
+	$(PYTHON) -m pytest -m "study and not real_time and not brief" --numprocesses $$((2 * $$(nproc))) --dist worksteal
 	$(PYTHON) -m pytest -m "real_time and not brief"
 
 lint: $(STAMP)

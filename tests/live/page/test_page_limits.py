@@ -82,7 +82,7 @@ def test_hold_is_served_however_many_are_connected(commanding: Server, kind: str
     with contextlib.ExitStack() as stack:
         assert viewers(commanding, stack) == VIEWERS
         stack.enter_context(opened(commanding, 2 * CONNECTIONS, SILENT[kind]))
-        for _ in range(8):
+        for _ in range(2):
             status, answer = commanding.command("command", {"verb": "hold"})
             assert status in (200, 409), answer
             assert answer["verb"] == "hold", answer
