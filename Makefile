@@ -19,7 +19,7 @@ test: $(STAMP) system
 	$(PYTHON) -m pytest -m brief
 
 test-live: $(STAMP) system
-	$(PYTHON) -m pytest -m "study and not real_time and not brief" --numprocesses $$((2 * $$(nproc))) --dist worksteal
+	$(PYTHON) -m pytest -m "study and not real_time and not brief" --numprocesses auto --dist worksteal
 	$(PYTHON) -m pytest -m "real_time and not brief"
 
 lint: $(STAMP)

@@ -132,7 +132,7 @@ def rigctl(*arguments: str, file: pathlib.Path | None = None) -> subprocess.Comp
         text=True,
         cwd=ROOT,
         env=environment(file),
-        timeout=120,
+        timeout=240,
         check=False,
         stdin=subprocess.DEVNULL,
     )

@@ -56,7 +56,8 @@ def test_ten_kills_lose_nothing(daemon: Daemon) -> None:
         recorder = daemon.spawn("-m", "rigctl.recorder", str(daemon.runtime.directory))
         while entries() <= before:
             assert recorder.poll() is None
-            write_for(0.01)
+            write_for(0.001)  # few while it starts, however long that takes: the ring must hold them
+            time.sleep(0.02)
         write_for(choose.uniform(0.0, 0.2))
         recorder.send_signal(signal.SIGKILL)
         recorder.wait()

@@ -26,7 +26,7 @@ with connect(endpoint) as rig, rig.fast(depth) as samples:
     numbers = []
     end = None
     while end is None or len(numbers) < end:
-        block = samples.read(5.0)
+        block = samples.read(40.0)
         numbers += block["seq"].tolist()
         if len(numbers) == len(block):
             print("ready", flush=True)
