@@ -18,7 +18,18 @@ from hil.wire import ERROR_FLAG, EXTENDED_FLAG, FRAME, FRAME_SIZE, STANDARD_MASK
 _GONE = frozenset({errno.EPIPE, errno.ECONNRESET, errno.ENOTCONN, errno.EBADF})
 
 
-class RigSimBus(can.BusABC):
+class _SimulatedBus(can.BusABC):
+    """A simulated wire; a call that does not wait is served without the clock, loop and log of python-can."""
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame, as python-can gives it."""
+        if timeout != 0:
+            return super().recv(timeout)
+        message, filtered = self._recv_internal(0)
+        return message if message is None or filtered or self._matches_filters(message) else None
+
+
+class RigSimBus(_SimulatedBus):
     """``can.Bus(interface="rigsim", channel=SOCKET)``: a client of ``python -m hil serve``.
 
     Filters work as in the kernel: a refused frame is never seen and does not end a drain; error frames pass.
@@ -63,13 +74,6 @@ class RigSimBus(can.BusABC):
         super().shutdown()
         self._socket.close()
 
-    def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame; a call that does not wait takes a shorter way than python-can's, to the same end."""
-        if timeout != 0:
-            return super().recv(timeout)
-        message, filtered = self._recv_internal(0)
-        return message if message is None or filtered or self._matches_filters(message) else None
-
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         while True:
             try:
@@ -102,7 +106,7 @@ class RigSimBus(can.BusABC):
         return can.CanOperationError(f"{self.channel_info}: {reason}", error.errno)
 
 
-class InProcessBus(can.BusABC):
+class InProcessBus(_SimulatedBus):
     """The same wire within one process, for lockstep: a frame has arrived when ``send`` returns.
 
     Receive stamps are the hub's time (s); ``recv`` may also block in a thread of its own, as canopen's notifier does.
@@ -126,13 +130,6 @@ class InProcessBus(can.BusABC):
         """Leave the hub."""
         super().shutdown()
         self._hub.detach(self._port)
-
-    def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame; a call that does not wait takes a shorter way than python-can's, to the same end."""
-        if timeout != 0:
-            return super().recv(timeout)
-        message, filtered = self._recv_internal(0)
-        return message if message is None or filtered or self._matches_filters(message) else None
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if not self._frames and (timeout == 0 or not self._wait(timeout)):

@@ -164,14 +164,10 @@ class Escalator:
         self._bad_ns: dict[Symptom, int] = {}
         self._said: set[Symptom] = set()
 
-    def rest(self) -> None:
-        """One tick without a latched fault."""
-        self._latched = None
-
     def look(self, fault: Fault, action: Action, snapshot: Snapshot, t_ns: int) -> Escalation | None:
         """One tick with ``fault`` latched and ``action`` taken; returns each symptom once."""
         if fault is Fault.NONE:
-            self.rest()
+            self._latched = None
             return None
         since, bounds = self._since, self._bounds
         if self._latched != (fault, action):

@@ -254,10 +254,10 @@ class TensionFilter:
         # Plain floats: three rows of a handful of products cost numpy four times as much.
         (a, b, c), (d, e, f), (g, h, i) = self._carry
         tension_n, speed_mm_s, disturbance_mm_s = a * t + b * v + c * w, d * t + e * v + f * w, g * t + h * v + i * w
-        for (a, d, g), command in zip(self._forced, self._sent, strict=False):
-            tension_n += a * command
-            speed_mm_s += d * command
-            disturbance_mm_s += g * command
+        for (to_tension, to_speed, to_disturbance), command in zip(self._forced, self._sent, strict=False):
+            tension_n += to_tension * command
+            speed_mm_s += to_speed * command
+            disturbance_mm_s += to_disturbance * command
         return tension_n, speed_mm_s, disturbance_mm_s
 
     def command(self, speed_mm_s: float) -> None:

@@ -288,17 +288,14 @@ class Loop:
 
     def _escalate(self, t_ns: int) -> None:
         """Follow a reaction that has not helped against the latched fault by the next stronger one."""
-        machine = self.machine
-        if machine.fault is Fault.NONE:
-            self._escalator.rest()
-            return
+        machine, slack = self.machine, self.observer.slack
         over = machine.action is Action.RAMP_DOWN and machine.mode is Mode.FAULT
         action = Action.HOLD if over else machine.action
         found = self._escalator.look(machine.fault, action, self.observer.snapshot, t_ns)
         if found is not None:
             self._logbook.event(t_ns, Kind.ESCALATION, found.fault, found.symptom, found.value, found.limit)
             if found.trip is not None:
-                machine.trip(found.trip, t_ns, slack=self.observer.slack)
+                machine.trip(found.trip, t_ns, slack=slack)
 
     def _check_signs(self, now_ns: int) -> None:
         signs, inbox = self._signs, self.inbox
