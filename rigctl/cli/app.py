@@ -15,6 +15,7 @@ from rigctl.cli import (
     commission,
     descriptors,
     doctor,
+    keys,
     lease,
     page,
     recordings,
@@ -56,7 +57,8 @@ def _options(
 
 for command in (
     daemon.run, daemon.demo, daemon.check, design.tune, status.status, watch.watch, page.page, lease.lease,
-    doctor.doctor, bench.bench, audit.audit, replay.replay, report.report, recordings.info, recordings.export,
+    keys.keys, doctor.doctor, bench.bench, audit.audit, replay.replay, report.report,
+    recordings.info, recordings.export,
     verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset,
     commission.tare, commission.calibrate, commission.identify, commission.gains,
 ):  # fmt: skip
