@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from typing import Annotated, cast
@@ -51,8 +52,12 @@ def _options(
     _version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and end.")
     ] = False,
+    key: Annotated[
+        str | None, typer.Option(metavar="FILE", help="Your key file, for an endpoint tls/HOST:PORT [RIGCTL_KEY].")
+    ] = None,
 ) -> None:
-    pass
+    if key is not None:
+        os.environ["RIGCTL_KEY"] = key  # for every client of this process and of those it starts
 
 
 for command in (

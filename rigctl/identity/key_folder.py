@@ -6,6 +6,7 @@ and ``access.json``.
 
 from __future__ import annotations
 
+import datetime
 import os
 import pathlib
 import stat
@@ -88,6 +89,17 @@ class KeyFolder:
             return credentials.read(self.gateway)
         except CredentialsError as error:
             raise KeyFolderError(str(error)) from None
+
+    def check_gateway(self, now: datetime.datetime) -> None:
+        """Check that a gateway can be started with the folder.
+
+        Raises:
+            KeyFolderError: the folder or a file in it cannot be used, or the gateway's certificate has expired.
+        """
+        self.certificates()
+        until = self.gateway_credentials().not_after
+        if until <= now:
+            raise KeyFolderError(f"{self.gateway}: expired on {until:%Y-%m-%d}: rigctl keys renew {GATEWAY_NAME}")
 
     def edition(self) -> tuple[int, int, int]:
         """Changes whenever the access file does; zeros while there is none."""
