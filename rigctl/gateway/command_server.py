@@ -160,6 +160,7 @@ class CommandServer:
         name = key.rsplit("/", 1)[-1]
         request: Request | LeaseRequest | None = None
         refusal: dict[str, Any] | None = None
+        person = ""
         try:
             person = self._person(key)
             payload = _payload_of(query)
@@ -167,7 +168,7 @@ class CommandServer:
             if person:  # the access list lets only that person's certificate use the key
                 request = replace(request, operator=person)
         except RequestError as error:
-            refusal = refused(on_one_line(name), "", "bad_request", str(error))
+            refusal = refused(on_one_line(name), person, "bad_request", str(error))
         if isinstance(request, Request) and request.verb is Verb.HOLD:
             refusal = self._meant_for_another(request)
             if refusal is None:
@@ -176,7 +177,7 @@ class CommandServer:
                 return
             request = None
         now = time.monotonic_ns()
-        operator = request.operator if request is not None else ""
+        operator = request.operator if request is not None else person
         holder = request is not None and self._leases.is_holder(operator, request.lease, now)
         if why := self._rate.admit(operator, now, holder=holder):
             send_answer(query, refused(on_one_line(name), operator, "too_many", why))

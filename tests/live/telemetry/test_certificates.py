@@ -66,6 +66,18 @@ def test_what_a_role_may_not_ends_in_one_line(shared: CertifiedDaemon) -> None:
     assert shared.cli("status", RIGCTL_KEY=str(shared.key("vera"))).returncode == 0
 
 
+def test_a_malformed_command_is_on_record_under_the_certificates_name(shared: CertifiedDaemon) -> None:
+    with shared.client_of("max") as client:
+        answered, raw = client.ask(client.keys.command("target"), b'{"operator": "kim"')
+    assert not answered and b'"operator":"max"' in raw
+    given = shared.runtime.requests.reader(from_start=True)
+
+    def recorded() -> bool:
+        return any((slot["operator"], slot["reason"]) == (b"max", b"bad_request") for slot in given.read())
+
+    until(recorded, "the refusal on record")
+
+
 def test_a_command_line_without_a_usable_key_is_told_in_one_line(shared: CertifiedDaemon) -> None:
     opened = shared.runtime.directory / "open.pem"
     opened.write_text(shared.key("kim").read_text())

@@ -81,9 +81,10 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Network]:
     for name, role in zip(NAMES.values(), (Role.MAINTAINER, *PEOPLE), strict=True):
         keys.add(name, role)
     keys.revoke(NAMES["revoked"])
-    endpoint, socket = f"tls/127.0.0.1:{free_port()}", f"unixsock-stream/{folder}/own.sock"
+    port, socket = free_port(), f"unixsock-stream/{folder}/own.sock"
+    endpoint = f"tls/127.0.0.1:{port}"
     access = access_control(RIG, keys.folder.certificates(), NOW, OWN_ZID)
-    router = open_router([endpoint, socket], [], keys.folder.gateway_credentials(), access)
+    router = open_router([f"tls/0.0.0.0:{port}", socket], [], keys.folder.gateway_credentials(), access)
     own = open_client(socket, zid=OWN_ZID)
     people = {role: open_client(endpoint, credentials.read(keys.folder.issued(name))) for role, name in NAMES.items()}
     made = Network(router, own, people, endpoint, keys)
@@ -143,7 +144,8 @@ def answers(network: Network, session: zenoh.Session, key: str, role: str) -> bo
     network.judged(role)
     concrete = key.replace("cmd/*", f"cmd/{NAMES['operator']}").replace("**", "tele/state")
     found = []
-    for asker in (network.router, network.people["operator"]):
+    # Not the forger: a session answers its own questions itself.
+    for asker in (network.router, network.people["maintainer" if role == "operator" else "operator"]):
         found += list(asker.get(concrete, timeout=LIMIT_S, target=zenoh.QueryTarget.ALL,
                                 consolidation=zenoh.ConsolidationMode.NONE))  # fmt: skip
     queryable.undeclare()  # type: ignore[no-untyped-call]
@@ -222,8 +224,9 @@ def test_another_process_on_the_local_socket_only_reads(network: Network) -> Non
     socket = network.keys.folder.path.parent / "own.sock"
     other = open_client(f"unixsock-stream/{socket}")
     key = Keys(RIG, "kim").command("hold")
+    assert list(other.get(key, timeout=LIMIT_S)) == []
     other.declare_queryable(key, lambda query: (query.reply(key, b"forged"), finish(query)))
-    assert list(other.get("judged", timeout=LIMIT_S)) == [] == list(other.get(key, timeout=LIMIT_S))
+    assert list(other.get("judged", timeout=LIMIT_S)) == []
     assert list(other.get(Keys(RIG).state, timeout=LIMIT_S))
     found = list(network.people["operator"].get(key, timeout=LIMIT_S, target=zenoh.QueryTarget.ALL))
     assert [bytes(reply.ok.payload) for reply in found if reply.ok is not None] == [b"the gateway's"]
@@ -256,3 +259,25 @@ def test_nothing_of_a_key_is_in_a_sessions_configuration_messages(network: Netwo
     with pytest.raises(SessionError) as refused:
         open_client("tls/127.0.0.1:1", credentials.read(network.keys.folder.issued("kim")))
     assert not re.search("PRIVATE|BEGIN", str(refused.value))
+
+
+def test_a_session_ends_with_its_certificate(tmp_path: pathlib.Path) -> None:
+    """At the router's end: the session was open, its holder reads no more, and gets no other session."""
+    keys = KeyIssuer(tmp_path / "keys", NOW)
+    keys.init([])
+    lasts = datetime.timedelta(seconds=10)  # opening takes milliseconds
+    KeyIssuer(keys.folder.path, datetime.datetime.now(datetime.UTC) + lasts - datetime.timedelta(days=1)).add(
+        "eva", Role.VIEWER, days=1
+    )
+    endpoint, owned = f"tls/127.0.0.1:{free_port()}", credentials.read(keys.folder.issued("eva"))
+    access = access_control(RIG, keys.folder.certificates(), datetime.datetime.now(datetime.UTC), OWN_ZID)
+    router = open_router([endpoint], [], keys.folder.gateway_credentials(), access)
+    router.declare_queryable(Keys(RIG).state, answer)
+    session = open_client(endpoint, owned)
+    assert list(session.get(Keys(RIG).state, timeout=LIMIT_S))
+    until(lambda: not list(session.get(Keys(RIG).state, timeout=LIMIT_S)), "the end of the session")
+    assert datetime.datetime.now(datetime.UTC) >= owned.not_after
+    with pytest.raises(SessionError):
+        close(open_client(endpoint, owned))
+    close(session)
+    close(router)
