@@ -63,6 +63,10 @@ class ChoiceError(ValueError):
     """The endpoint or the rig's name is not valid, or several rigs answer; ``str()`` is one line."""
 
 
+class NoKeyError(ChoiceError):
+    """An endpoint ``tls/`` and no key file; ``str()`` is one line."""
+
+
 def _open(endpoint: str, owned: Credentials | None) -> zenoh.Session:
     """Open a session, giving up after ``OPEN_S`` whatever the network does."""
     opened: list[zenoh.Session] = []
@@ -103,13 +107,14 @@ def credentials_of(endpoint: str, key: pathlib.Path | str | None) -> Credentials
     """The key file given, else that of ``RIGCTL_KEY``, for an endpoint ``tls/``; None for any other.
 
     Raises:
-        ChoiceError: there is no key file, it cannot be used, or its certificate has expired.
+        NoKeyError: there is no key file.
+        ChoiceError: it cannot be used, or its certificate has expired.
     """
     if not endpoint.startswith("tls/"):
         return None
     given = key or os.environ.get("RIGCTL_KEY")
     if not given:
-        raise ChoiceError(f"found no key for {endpoint}, expected a key file in --key or RIGCTL_KEY (rigctl keys add)")
+        raise NoKeyError(f"found no key for {endpoint}, expected a key file in --key or RIGCTL_KEY (rigctl keys add)")
     try:
         owned = credentials.read(pathlib.Path(given))
     except CredentialsError as error:

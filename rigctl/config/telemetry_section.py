@@ -12,6 +12,7 @@ from rigctl.config.settings_base import Settings, require
 # Without # and ?, behind which Zenoh takes settings that would overrule those of the daemon.
 _LISTEN = r"^(tcp|tls|unixsock-stream)/[^\s#?]+$"
 _JOIN = r"^(tcp|unixsock-stream)/[^\s#?]+$"
+_EVERY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}
 _NETWORK = ("tcp", "tls")
 _LOCAL = "a loopback address, tls/ with telemetry.tls, or telemetry.listen_waiver: why not, in words"
 
@@ -53,6 +54,14 @@ class TelemetrySettings(Settings):
             for key, endpoint in (("listen", self.listen), *((f"join.{i}", one) for i, one in enumerate(self.join))):
                 require(self.tls is not None or _is_local(endpoint), key, endpoint, _LOCAL)
         return self
+
+    @property
+    def listen_here(self) -> str:
+        """Endpoint for clients on this computer: no certificate is good for the address of every interface."""
+        protocol, _, where = self.listen.partition("/")
+        if protocol == "tls" and (address := Address.parse(where)).host in _EVERY_ADDRESS:
+            return f"{protocol}/{Address(_EVERY_ADDRESS[address.host], address.port)}"
+        return self.listen
 
 
 def _is_local(endpoint: str) -> bool:
