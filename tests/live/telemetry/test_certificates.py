@@ -60,7 +60,7 @@ def test_what_a_role_may_not_ends_in_one_line(shared: CertifiedDaemon) -> None:
                 refused()
         with pytest.raises(NoDaemonError, match=r"calibrate of kim is not answered .* \(absent, or not allowed\)"):
             kim.command("calibrate", "kim", 300.0)
-        assert kim.command("hold", "kim")["accepted"]
+        assert kim.command("hold", "kim")["operator"] == "kim"  # answered: there is nothing to hold while DISARMED
     done = shared.cli("--key", str(shared.key("vera")), "hold")
     assert done.returncode == 1 and re.fullmatch(f"rigctl: hold {REFUSED}\n", done.stderr)
     assert shared.cli("status", RIGCTL_KEY=str(shared.key("vera"))).returncode == 0
@@ -150,7 +150,7 @@ def test_a_name_that_got_a_new_key_is_served_and_its_stolen_one_is_not(own: Cert
     own.keys.add("kim", NAMES["kim"])
     own.renewed_gateway()
     with own.client_of("kim") as kim:
-        assert kim.command("hold", "kim")["accepted"]
+        assert kim.command("hold", "kim")["operator"] == "kim"  # answered: there is nothing to hold while DISARMED
     with pytest.raises(NoDaemonError):
         Client(own.endpoint, own.settings.rig, key=stolen)
 
