@@ -128,13 +128,15 @@ def test_a_name_that_would_change_a_key_or_a_file_is_refused(issuer: KeyIssuer, 
         issuer.add(name, Role.VIEWER)
 
 
+def linked(folder: KeyFolder) -> None:
+    folder.path.rename(folder.path.with_name("away"))
+    folder.path.symlink_to("away")
+
+
 DAMAGES: dict[str, tuple[Callable[[KeyFolder], object], str]] = {
     "open folder": (lambda folder: folder.path.chmod(0o750), "found mode 0750, expected 0700"),
     "no folder": (lambda folder: folder.path.rename(folder.path.with_name("away")), "rigctl keys init"),
-    "a link": (
-        lambda folder: (folder.path.rename(folder.path.with_name("away")), folder.path.symlink_to("away")),
-        "found no folder",
-    ),
+    "a link": (linked, "found no folder"),
     "another's folder": (lambda folder: os.chown(folder.path, 65534, 65534), "found a folder of uid 65534"),
     "open key": (lambda folder: folder.gateway.chmod(0o640), r"gateway\.pem: found mode 0640, expected 0600"),
     "another's key": (lambda folder: os.chown(folder.gateway, 65534, 65534), r"gateway\.pem: found a file of uid"),
