@@ -225,7 +225,12 @@ def test_another_process_on_the_local_socket_only_reads(network: Network) -> Non
     other = open_client(f"unixsock-stream/{socket}")
     key = Keys(RIG, "kim").command("hold")
     assert list(other.get(key, timeout=LIMIT_S)) == []
-    other.declare_queryable(key, lambda query: (query.reply(key, b"forged"), finish(query)))
+
+    def forge(query: zenoh.Query) -> None:
+        query.reply(key, b"forged")
+        finish(query)
+
+    other.declare_queryable(key, forge)
     assert list(other.get("judged", timeout=LIMIT_S)) == []
     assert list(other.get(Keys(RIG).state, timeout=LIMIT_S))
     found = list(network.people["operator"].get(key, timeout=LIMIT_S, target=zenoh.QueryTarget.ALL))
