@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from typing import Annotated, cast
@@ -15,6 +16,7 @@ from rigctl.cli import (
     commission,
     descriptors,
     doctor,
+    keys,
     lease,
     page,
     recordings,
@@ -50,13 +52,18 @@ def _options(
     _version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and end.")
     ] = False,
+    key: Annotated[
+        str | None, typer.Option(metavar="FILE", help="Your key file, for an endpoint tls/HOST:PORT [RIGCTL_KEY].")
+    ] = None,
 ) -> None:
-    pass
+    if key is not None:
+        os.environ["RIGCTL_KEY"] = key  # for every client of this process and of those it starts
 
 
 for command in (
     daemon.run, daemon.demo, daemon.check, design.tune, status.status, watch.watch, page.page, lease.lease,
-    doctor.doctor, bench.bench, audit.audit, replay.replay, report.report, recordings.info, recordings.export,
+    keys.keys, doctor.doctor, bench.bench, audit.audit, replay.replay, report.report,
+    recordings.info, recordings.export,
     verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset,
     commission.tare, commission.calibrate, commission.identify, commission.gains,
 ):  # fmt: skip

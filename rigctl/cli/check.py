@@ -13,6 +13,7 @@ from rigctl.config.quantity import count, significant
 from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
 from rigctl.config.signals import WATCHED
+from rigctl.config.telemetry_section import open_listen
 from rigctl.control import limits, safety
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
@@ -36,6 +37,7 @@ def as_dict(settings: RigSettings) -> dict[str, Any]:
         "stop_distance_mm": round(stop.distance_mm, 3),
         "stop_n": round(stop.newtons, 2),
         "waived_bounds": [f"{key}: found {found}, expected {allowed}" for key, found, allowed in findings(settings)],
+        "waived_listen": open_listen(settings.telemetry),
     }
 
 
@@ -101,6 +103,8 @@ def show(settings: RigSettings, console: Console) -> None:
             highlight=False,
             markup=False,
         )
+    if reached := open_listen(settings.telemetry):
+        console.print(f"WAIVED ({settings.telemetry.listen_waiver}): {reached}", highlight=False, markup=False)
 
 
 def _watched(settings: RigSettings) -> Table:

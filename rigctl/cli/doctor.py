@@ -6,6 +6,7 @@ import pathlib
 import shutil
 import textwrap
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -43,7 +44,7 @@ def doctor(file: File = None, json: Json = False, connect: Connect = None, rig: 
 
 def examine(settings: RigSettings | None, connect: str | None, rig: str | None) -> list[DoctorFinding]:
     """Every finding; without a rig file the daemon's settings are used."""
-    from rigctl.cli import doctor_can, doctor_daemon, doctor_host
+    from rigctl.cli import doctor_can, doctor_daemon, doctor_host, doctor_keys
     from rigctl.ipc.runtime_folder import BASE
 
     state, active, why = _ask(settings, connect, rig)
@@ -52,6 +53,7 @@ def examine(settings: RigSettings | None, connect: str | None, rig: str | None) 
     findings.append(doctor_host.other_daemons(own, BASE))
     if own is not None:
         findings += doctor_can.link(own.can)
+        findings += doctor_keys.reach(own, datetime.now(UTC))
     if active is not None and state is not None:
         return findings + doctor_daemon.running(state, active, settings)
     lacks = doctor_host.fails if connect is not None else doctor_host.warning
@@ -89,14 +91,14 @@ def _ask(
     settings: RigSettings | None, connect: str | None, rig: str | None
 ) -> tuple[dict[str, Any] | None, dict[str, Any] | None, str]:
     """State and active configuration of the daemon, or why there are none."""
-    from rigctl.client.connection import ChoiceError, Client, NoDaemonError
+    from rigctl.client.connection import ChoiceError, Client, NoDaemonError, NoKeyError
 
     if settings is not None:
-        connect, rig = connect or settings.telemetry.listen, rig or settings.rig
+        connect, rig = connect or settings.telemetry.listen_here, rig or settings.rig
     try:
         with Client(connect, rig) as client:
             return client.state(), client.active(), ""
-    except NoDaemonError as error:
+    except (NoDaemonError, NoKeyError) as error:
         return None, None, str(error)
     except ChoiceError as error:
         end(USAGE, str(error))

@@ -71,6 +71,7 @@ def lease(
 
 
 def _ask(client: Client, act: LeaseTask, operator: str, reason: str) -> dict[str, Any]:
+    operator = client.person or operator
     kept = _show(client, operator)
     if act is LeaseTask.TAKE:
         answer = client.take_lease(operator, reason)
@@ -86,8 +87,10 @@ def give(client: Client, verb: str, operator: str, value: float | None = None, *
     """Give a command under the lease that this operator's terminals on this machine share; returns the answer.
 
     A free lease is taken and its id stored before the command is given, so that the next terminal can use it if this
-    one dies. A lapsed lease is taken again, since a person who types a command watches the rig.
+    one dies. A lapsed lease is taken again, since a person who types a command watches the rig. With a certificate the
+    operator is the person it names.
     """
+    operator = client.person or operator
     kept = _show(client, operator)
     if verb != "hold" and operator not in client.leases:
         _take(client, operator, kept)

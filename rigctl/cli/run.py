@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import os
 import pathlib
 import time
@@ -21,7 +22,7 @@ File = Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.")]
 
 
 def _check_files(settings: RigSettings) -> None:
-    """End the command on an invalid EDS file, gain file, ledger or audit log, before anything is started."""
+    """End the command on an invalid EDS file, gain file, ledger, audit log or key folder, before anything starts."""
     from rigctl.ipc import ledger
     from rigctl.recorder import audit_log
 
@@ -34,6 +35,11 @@ def _check_files(settings: RigSettings) -> None:
     with wrong_usage(ledger.LedgerError, audit_log.AuditError):
         ledger.read(settings)
         audit_log.check(settings.audit_log, settings.rig)
+    if settings.key_folder is not None:
+        from rigctl.identity.key_folder import KeyFolder, KeyFolderError
+
+        with wrong_usage(KeyFolderError):
+            KeyFolder(settings.key_folder).check_gateway(datetime.datetime.now(datetime.UTC))
 
 
 def _check_eds(settings: RigSettings) -> None:

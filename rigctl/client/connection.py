@@ -5,7 +5,9 @@ Zenoh runs in client mode: once connected it reconnects by itself after a restar
 
 from __future__ import annotations
 
+import datetime
 import os
+import pathlib
 import re
 import threading
 from collections.abc import Callable
@@ -32,11 +34,14 @@ from rigctl.client.shapes import (
 )
 from rigctl.client.stream import Stream
 from rigctl.client.stream_source import Question
+from rigctl.identity import credentials
+from rigctl.identity.credentials import Credentials, CredentialsError
 from rigctl.wire import keys
 from rigctl.wire.keys import Keys
 from rigctl.wire.lease import LeaseAct
 from rigctl.wire.session import SessionError, close, open_client
 
+ABSENT = "absent, or not allowed"  # an access list refuses without an answer
 OPEN_S = 2.0
 ASK_S = 2.0
 COMMAND_S = 6.0  # the gateway answers within 4 s
@@ -58,13 +63,17 @@ class ChoiceError(ValueError):
     """The endpoint or the rig's name is not valid, or several rigs answer; ``str()`` is one line."""
 
 
-def _open(endpoint: str) -> zenoh.Session:
+class NoKeyError(ChoiceError):
+    """An endpoint ``tls/`` and no key file; ``str()`` is one line."""
+
+
+def _open(endpoint: str, owned: Credentials | None) -> zenoh.Session:
     """Open a session, giving up after ``OPEN_S`` whatever the network does."""
     opened: list[zenoh.Session] = []
 
     def attempt() -> None:
         try:
-            opened.append(open_client(endpoint))
+            opened.append(open_client(endpoint, owned))
         except SessionError:
             return
 
@@ -72,7 +81,7 @@ def _open(endpoint: str) -> zenoh.Session:
     thread.start()
     thread.join(OPEN_S)
     if not opened:
-        raise NoDaemonError(f"no daemon answers at {endpoint} (absent, or not allowed)")
+        raise NoDaemonError(f"no daemon answers at {endpoint} ({ABSENT})")
     return opened[0]
 
 
@@ -94,14 +103,36 @@ def endpoint_of(connect: str | None) -> str:
     return endpoint
 
 
-def rigs(connect: str | None = None) -> list[str]:
+def credentials_of(endpoint: str, key: pathlib.Path | str | None) -> Credentials | None:
+    """The key file given, else that of ``RIGCTL_KEY``, for an endpoint ``tls/``; None for any other.
+
+    Raises:
+        NoKeyError: there is no key file.
+        ChoiceError: it cannot be used, or its certificate has expired.
+    """
+    if not endpoint.startswith("tls/"):
+        return None
+    given = key or os.environ.get("RIGCTL_KEY")
+    if not given:
+        raise NoKeyError(f"found no key for {endpoint}, expected a key file in --key or RIGCTL_KEY (rigctl keys add)")
+    try:
+        owned = credentials.read(pathlib.Path(given))
+    except CredentialsError as error:
+        raise ChoiceError(str(error)) from None
+    if owned.not_after <= datetime.datetime.now(datetime.UTC):
+        raise ChoiceError(f"{given}: expired on {owned.not_after:%Y-%m-%d}: rigctl keys renew {owned.name}")
+    return owned
+
+
+def rigs(connect: str | None = None, key: pathlib.Path | str | None = None) -> list[str]:
     """Names of the rigs whose daemons answer at an endpoint, sorted; several may share one router.
 
     Raises:
         NoDaemonError: no daemon answers, or access is not allowed.
-        ChoiceError: the endpoint is not valid.
+        ChoiceError: endpoint or key is not valid.
     """
-    session = _open(endpoint_of(connect))
+    endpoint = endpoint_of(connect)
+    session = _open(endpoint, credentials_of(endpoint, key))
     try:
         return _rigs(session)
     finally:
@@ -111,15 +142,23 @@ def rigs(connect: str | None = None) -> list[str]:
 class Client:
     """Connection to the daemon of one rig."""
 
-    def __init__(self, connect: str | None = None, rig: str | None = None, run_id: str | None = None) -> None:
+    def __init__(
+        self,
+        connect: str | None = None,
+        rig: str | None = None,
+        run_id: str | None = None,
+        key: pathlib.Path | str | None = None,
+    ) -> None:
         """``connect``: endpoint, else ``RIGCTL_CONNECT``; ``rig``: name, else ``RIGCTL_RIG``, else the only one.
+
+        ``key``: key file, else ``RIGCTL_KEY``, for an endpoint ``tls/``; who commands is then the name in it.
 
         ``run_id``: of the one daemon process that may be commanded; every command carries it, and a daemon of another
         run refuses it (``other_run``).
 
         Raises:
             NoDaemonError: no daemon answers, access is not allowed, or the run is not ``run_id``.
-            ChoiceError: endpoint or name is not valid, or several rigs answer and none is chosen.
+            ChoiceError: endpoint, name or key is not valid, or several rigs answer and none is chosen.
         """
         self.endpoint = endpoint_of(connect)
         wanted = rig or os.environ.get("RIGCTL_RIG") or None
@@ -128,9 +167,12 @@ class Client:
         self.leases: dict[str, str] = {}  # operator: lease id from the answers, sent with the operator's commands
         self.refusals = Refusals()  # messages without the shape of the daemon's
         self._mailboxes: list[Mailbox] = []
-        self.session = _open(self.endpoint)
+        owned = credentials_of(self.endpoint, key)
+        self.person = owned.name if owned is not None else ""
+        """Name in the certificate, by which the daemon knows this client; empty without one."""
+        self.session = _open(self.endpoint, owned)
         try:
-            self.keys = Keys(self._choose(wanted))
+            self.keys = Keys(self._choose(wanted), self.person)
             self._run_id = run_id
             self._check_run()
         except (NoDaemonError, ChoiceError):
@@ -155,7 +197,7 @@ class Client:
         return wanted or rigs[0]
 
     def _nobody(self) -> NoDaemonError:
-        return NoDaemonError(f"no daemon answers at {self.endpoint} (absent, or not allowed)")
+        return NoDaemonError(f"no daemon answers at {self.endpoint} ({ABSENT})")
 
     @property
     def rig(self) -> str:
@@ -251,14 +293,20 @@ class Client:
         """Give the lease back. See `command`."""
         answer = self._commanded(LeaseAct.RETURN.value, operator, {})
         if answer["accepted"]:
-            self.leases.pop(operator, None)
+            self.leases.pop(self.person or operator, None)
         return answer
 
     def _commanded(self, name: str, operator: str, body: dict[str, Any], limit_s: float = COMMAND_S) -> dict[str, Any]:
+        operator = self.person or operator
         shown = self.leases.get(operator)
         body = {"operator": operator} | ({"lease": shown} if shown else {}) | body
         body |= {"run_id": self._run_id} if self._run_id is not None else {}
-        answered, payload = self.ask(self.keys.command(name), msgspec.json.encode(body), limit_s, shapes.answer)
+        try:
+            answered, payload = self.ask(self.keys.command(name), msgspec.json.encode(body), limit_s, shapes.answer)
+        except NoDaemonError:
+            if not self.person:
+                raise
+            raise NoDaemonError(f"{name} of {self.person} is not answered at {self.endpoint} ({ABSENT})") from None
         answer = shapes.answer(payload) if answered else shapes.refusal(payload)
         if (held := answer.get("lease") or {}).get("id"):
             self.leases[operator] = held["id"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pathlib
 import time
 from collections.abc import Callable, Mapping
 from typing import Self
@@ -116,14 +117,15 @@ class Rig:
         """Give a command; ``accepted``, ``reason`` and ``text`` of the answer say what happened.
 
         It is given under ``lease``, else under the lease of an earlier answer; without one the lease is taken if
-        nobody holds it. ``value`` and ``options``: see ``schema()["commands"]``.
+        nobody holds it. With a certificate the operator is the person it names. ``value`` and ``options``: see
+        ``schema()["commands"]``.
 
         Raises:
             NoDaemonError: no answer; whether the command was carried out is unknown.
         """
         self.new_events.restart()
         if lease is not None:
-            self.connection.leases[operator] = lease
+            self.connection.leases[self.connection.person or operator] = lease
         return self.connection.command(verb, operator, value, **options)
 
     def take_lease(self, operator: str, reason: str = "") -> Message:
@@ -155,21 +157,28 @@ def fits(
     )
 
 
-def connect(endpoint: str | None = None, rig: str | None = None, *, timeout_s: float = 0.0) -> Rig:
+def connect(
+    endpoint: str | None = None,
+    rig: str | None = None,
+    *,
+    timeout_s: float = 0.0,
+    credentials: pathlib.Path | str | None = None,
+) -> Rig:
     """Connect to a rig's daemon.
 
     ``endpoint``: e.g. ``tcp/192.168.1.10:7447``, else ``RIGCTL_CONNECT``, else this computer's. ``rig``: its name, else
     ``RIGCTL_RIG``, else the only one. ``timeout_s``: how long to wait for a daemon that does not run yet.
+    ``credentials``: key file from ``rigctl keys``, else ``RIGCTL_KEY``, for an endpoint ``tls/HOST:PORT``.
 
     Raises:
         NoDaemonError: no daemon answers, or access is not allowed.
-        ChoiceError: endpoint or name is not valid, or several rigs answer and none is chosen.
+        ChoiceError: endpoint, name or key file is not valid, or several rigs answer and none is chosen.
         SchemaError: the daemon has a schema version this client does not know.
     """
     until = time.monotonic() + timeout_s
     while True:
         try:
-            connection = Client(endpoint, rig)
+            connection = Client(endpoint, rig, key=credentials)
             break
         except NoDaemonError:
             if time.monotonic() >= until:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
+import pathlib
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
@@ -114,10 +115,16 @@ class AsyncRig:
 
 @contextlib.asynccontextmanager
 async def connect_async(
-    endpoint: str | None = None, rig: str | None = None, *, timeout_s: float = 0.0
+    endpoint: str | None = None,
+    rig: str | None = None,
+    *,
+    timeout_s: float = 0.0,
+    credentials: pathlib.Path | str | None = None,
 ) -> AsyncIterator[AsyncRig]:
     """``async with connect_async() as rig``: as `rigctl.client.rig.connect`; closes the rig at the end."""
-    opening = asyncio.ensure_future(asyncio.to_thread(connect, endpoint, rig, timeout_s=timeout_s))
+    opening = asyncio.ensure_future(
+        asyncio.to_thread(connect, endpoint, rig, timeout_s=timeout_s, credentials=credentials)
+    )
     try:
         found = await asyncio.shield(opening)
     except asyncio.CancelledError:

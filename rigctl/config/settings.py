@@ -21,9 +21,9 @@ from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.settings_base import CanopenDevice, Hexadecimal, Settings, require
 from rigctl.config.signals import STATUS, WATCHED
 from rigctl.config.simulation_section import SimulationSettings
+from rigctl.config.telemetry_section import TelemetrySettings
 
 ADDED = frozenset({"directory", "plain"})  # settings that ``load`` adds to those of the file
-_ENDPOINT = r"^(tcp|unixsock-stream)/\S+$"
 _LARGEST_RAW = 2**31 - 1  # 0x6064, 0x60FF are INTEGER32
 _SDO_TRANSFERS = 100  # most transfers of a device at start-up, with room
 PdoNumber = Annotated[int, Field(ge=1, le=4, description="number of the PDO")]
@@ -347,18 +347,6 @@ class PreflightSettings(Settings):
     disk_free_mib: int = Field(default=512, ge=1, le=2**30, description="free where the rig writes things down")
 
 
-class TelemetrySettings(Settings):
-    """Zenoh, in the gateway process."""
-
-    listen: str = Field(default="tcp/127.0.0.1:7447", pattern=_ENDPOINT, description="endpoint")
-    join: list[Annotated[str, Field(pattern=_ENDPOINT)]] = Field(
-        default_factory=list, max_length=8, description="other routers to be one network with: rigs side by side"
-    )
-    rate_hz: int = Field(default=50, ge=1, le=100, description="state messages and fast blocks per second")
-    history_s: int = Field(default=16, ge=16, le=120, description="records the ring holds")
-    lease_s: int = Field(default=300, ge=15, le=28_800, description="after a command others are kept out so long")
-
-
 class AuditSettings(Settings):
     """Files of the recorder: the audit log, and a dump of each trip. Relative to the rig file."""
 
@@ -469,6 +457,11 @@ class RigSettings(Settings):
             for key, found, allowed in findings(self):
                 require(agree=False, key=key, found=found, allowed=allowed)
         return self
+
+    @property
+    def key_folder(self) -> pathlib.Path | None:
+        """Folder of the rig's keys; None without certificates."""
+        return self.file(self.telemetry.tls.keys) if self.telemetry.tls is not None else None
 
     @property
     def inclinometer_divisor(self) -> int:

@@ -11,7 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -75,12 +75,12 @@ class Pending:
     sharing: tuple[GivenCommand, ...] = ()  # HOLDs that arrived with it and get the same answer
 
 
-def send_answer(query: zenoh.Query, key: str, message: dict[str, Any]) -> None:
-    """Answer and finish a query; a querier that has disconnected is no error."""
+def send_answer(query: zenoh.Query, message: dict[str, Any]) -> None:
+    """Answer and finish a query of one key; a querier that has disconnected is no error."""
     payload = msgspec.json.encode(message)
     with contextlib.suppress(zenoh.ZError):
         if message["accepted"]:
-            query.reply(key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+            query.reply(query.key_expr, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
         else:
             query.reply_err(payload, encoding=zenoh.Encoding.APPLICATION_JSON)
     finish(query)
@@ -160,13 +160,15 @@ class CommandServer:
         name = key.rsplit("/", 1)[-1]
         request: Request | LeaseRequest | None = None
         refusal: dict[str, Any] | None = None
+        person = ""
         try:
-            if key != self._keys.command(name):
-                raise RequestError(f"found the key {on_one_line(key)}, expected one rig and one command")
+            person = self._person(key)
             payload = _payload_of(query)
             request = parse_lease(ACTS[name], payload) if name in ACTS else parse(verb_of(name), payload)
+            if person:  # the access list lets only that person's certificate use the key
+                request = replace(request, operator=person)
         except RequestError as error:
-            refusal = refused(on_one_line(name), "", "bad_request", str(error))
+            refusal = refused(on_one_line(name), person, "bad_request", str(error))
         if isinstance(request, Request) and request.verb is Verb.HOLD:
             refusal = self._meant_for_another(request)
             if refusal is None:
@@ -175,17 +177,24 @@ class CommandServer:
                 return
             request = None
         now = time.monotonic_ns()
-        operator = request.operator if request is not None else ""
+        operator = request.operator if request is not None else person
         holder = request is not None and self._leases.is_holder(operator, request.lease, now)
         if why := self._rate.admit(operator, now, holder=holder):
-            send_answer(query, key, refused(on_one_line(name), operator, "too_many", why))
+            send_answer(query, refused(on_one_line(name), operator, "too_many", why))
         elif refusal is not None:
-            send_answer(query, key, refusal)
+            send_answer(query, refusal)
             self._work.put(partial(self._record_refusal, refusal))
         elif isinstance(request, LeaseRequest):
             self._work.put(partial(self._decide_lease, query, request))
         elif request is not None:
             self._work.put(partial(self._give, GivenCommand(query, request)))
+
+    def _person(self, key: str) -> str:
+        """The name in the certificate under which a command came; empty without certificates."""
+        try:
+            return self._keys.giver(key)
+        except ValueError:
+            raise RequestError(f"found the key {on_one_line(key)}, expected one rig and one command") from None
 
     def _serve(self) -> None:
         while True:
@@ -203,7 +212,7 @@ class CommandServer:
 
     def _decide_lease(self, query: zenoh.Query, request: LeaseRequest) -> None:
         message = self._meant_for_another(request) or self._leases.decide(request, time.monotonic_ns())
-        send_answer(query, self._keys.command(request.command), message)
+        send_answer(query, message)
         self._record_refusal(message)
 
     def _meant_for_another(self, request: Request | LeaseRequest) -> dict[str, Any] | None:
@@ -332,7 +341,7 @@ class CommandServer:
         """Answer a command with the lease in force; returns the answer."""
         request = given.request
         message = self._leases.with_lease(request.operator, request.lease, message, now_ns)
-        send_answer(given.query, self._keys.command(request.command), message)
+        send_answer(given.query, message)
         return message
 
     def _holder(self) -> str:

@@ -25,11 +25,13 @@ from rigctl.control.faults import Fault
 from rigctl.control.modes import Setting, SettingOrder
 from rigctl.control.realtime import die_with_parent
 from rigctl.gateway.active import ActiveConfiguration, ReplacedFile
+from rigctl.gateway.admission import Admission
 from rigctl.gateway.calibration_service import CalibrationService
 from rigctl.gateway.command_server import CommandServer
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.published_position import Cursor
 from rigctl.gateway.streams import EventStream, FastStream, event_publishers, past_block, past_messages
+from rigctl.identity.key_folder import KeyFolderError
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.ring import RingError
@@ -38,7 +40,7 @@ from rigctl.ipc.termination import Termination
 from rigctl.wire.command_request import newest_record
 from rigctl.wire.keys import Keys
 from rigctl.wire.schema import schema
-from rigctl.wire.session import SessionError, close, finish, open_client, open_router
+from rigctl.wire.session import SessionError, close, finish, open_client
 from rigctl.wire.state_message import (
     Causes,
     CheckDetails,
@@ -152,12 +154,11 @@ def _declare_queryables(
     session: zenoh.Session,
     keys: Keys,
     runtime: Runtime,
-    settings: RigSettings,
     view: StateView,
     active: ActiveConfiguration,
     stream: int,
 ) -> None:
-    known = msgspec.json.encode(schema(settings.rig))
+    known = msgspec.json.encode(schema(keys.rig, keys.person))
     records, events, notes = runtime.records.reader(), runtime.events.reader(), runtime.notes.reader()
 
     def past_events(query: zenoh.Query) -> tuple[str, bytes]:
@@ -183,13 +184,15 @@ class Gateway:
 
         Raises:
             SessionError: the endpoint is in use or not valid, or another daemon has this rig's name.
+            KeyFolderError: the key folder cannot be used.
         """
-        keys, now = Keys(settings.rig), time.monotonic_ns()
+        self._admission = Admission(settings)
+        keys, now = self._admission.keys, time.monotonic_ns()
         socket = f"unixsock-stream/{runtime.gateway_socket}"
-        self._session = open_router([settings.telemetry.listen, socket], settings.telemetry.join)
+        self._session = self._admission.open_router(socket)
         self._refuse_duplicate_name(keys, settings)
         # Commands have a session of their own, so that congestion of the data cannot delay them.
-        self._command_session = open_client(socket)
+        self._command_session = open_client(socket, zid=self._admission.own_zid)
         self._period_ns = 1_000_000_000 // settings.telemetry.rate_hz
         self._per_call = max(1, settings.loop.rate_hz // settings.telemetry.rate_hz)
 
@@ -209,7 +212,7 @@ class Gateway:
         self._newest = newest = runtime.records.reader()
         self._calibration = calibration = CalibrationService(runtime, settings)
         self._preflight = Preflight(runtime, settings, lambda: calibration.standing, self._view.check_details.read)
-        self._read_ns = 0
+        self._read_ns, self._outdated = 0, False
         self._host_checks_ns = now  # earliest time at which the host checks are sent to the loop again
         self._leases = LeaseService(runtime, settings.telemetry.lease_s, now)
         self._commands = CommandServer(
@@ -227,7 +230,7 @@ class Gateway:
         verdict = self._preflight.verdict(now)
         lease = self._leases.shown(now)
         self._view.newest = self._view.make(now, 0, self._calibration.standing, lease, verdict, self._cursor)
-        _declare_queryables(self._session, keys, runtime, settings, self._view, self._active, self._cursor.stream)
+        _declare_queryables(self._session, keys, runtime, self._view, self._active, self._cursor.stream)
         self._commands.open(self._command_session)
         # On the session of the commands, after them: a client that sees the token finds every command.
         self._token = self._command_session.liveliness().declare_token(keys.daemon)
@@ -249,6 +252,7 @@ class Gateway:
         if now >= self._read_ns:
             self._read_ns = now + _READ_NS
             self._publish_active()
+            self._outdated = self._admission.has_changed()
         lease = self._leases.shown(now)
         state = self._view.make(now, self._fast.lost, self._calibration.standing, lease, verdict, self._cursor)
         self._view.newest = state  # before the events, see above
@@ -287,13 +291,15 @@ class Gateway:
         self._commands.give_setting(SettingOrder(Setting.HOST_CHECKS, (float(verdict.host_checks),)))
 
     def run(self, stop: Termination) -> None:
-        """Publish on an absolute grid until ``stop``; missed periods are skipped."""
+        """Publish on an absolute grid until ``stop``, or until the access list changes; missed periods are skipped."""
         due = time.monotonic_ns()
-        while not stop.requested:
+        while not stop.requested and not self._outdated:
             self.publish()
             now = time.monotonic_ns()
             due += self._period_ns * max(1, -((due - now) // self._period_ns))
             time.sleep(max(0.0, (due - time.monotonic_ns()) / 1e9))
+        if self._outdated:
+            sys.stderr.write("gateway: the access list has changed; it is started anew with the new one\n")
 
     def close(self) -> None:
         """Publish the rest and end the sessions."""
@@ -318,7 +324,7 @@ def main(arguments: list[str]) -> int:
     try:
         settings = RigSettings.model_validate(runtime.read_json("active.json").get("settings"))
         gateway = Gateway(runtime, settings)
-    except (OSError, ValidationError, msgspec.MsgspecError, RingError, SessionError) as error:
+    except (OSError, ValidationError, msgspec.MsgspecError, RingError, SessionError, KeyFolderError) as error:
         reason = "active.json holds no valid settings" if isinstance(error, ValidationError) else error
         sys.stderr.write(f"gateway: {reason}\n")
         return 1

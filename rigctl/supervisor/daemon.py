@@ -25,6 +25,7 @@ import numpy as np
 from rigctl import __version__
 from rigctl.config.bounds import findings
 from rigctl.config.settings import RigSettings
+from rigctl.config.telemetry_section import open_listen
 from rigctl.control import last_stroke
 from rigctl.control.events import worded
 from rigctl.control.homed import LastStroke
@@ -151,6 +152,8 @@ class Supervisor:
         self._say_calibration()
         for key, found, allowed in findings(settings):
             self._say(f"WARNING: {key}: found {found}, expected {allowed}; waived: {settings.safety.waiver}")
+        if reached := open_listen(settings.telemetry):
+            self._say(f"WARNING: {reached}; waived: {settings.telemetry.listen_waiver}")
         self._put_last_stroke(None)
         for name in self._modules:
             try:

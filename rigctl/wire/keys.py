@@ -12,9 +12,13 @@ SEVERITIES = ("info", "warning", "error")
 
 @dataclass(frozen=True)
 class Keys:
-    """Keys of one rig."""
+    """Keys of one rig.
+
+    ``person``: name in a certificate, whose keys the commands have; empty without certificates; ``*`` for anyone.
+    """
 
     rig: str
+    person: str = ""
 
     def _key(self, tail: str) -> str:
         return f"{ROOT}/{self.rig}/{tail}"
@@ -55,7 +59,19 @@ class Keys:
 
     def command(self, verb: str) -> str:
         """Command of one verb, or act on the lease; the gateway declares the key with ``*``."""
-        return self._key(f"cmd/{verb}")
+        return self._key(f"cmd/{self.person}/{verb}" if self.person else f"cmd/{verb}")
+
+    def giver(self, key: str) -> str:
+        """The person whose command a key is; empty without certificates.
+
+        Raises:
+            ValueError: it is not the key of one command, of one person and one rig.
+        """
+        _, _, tail = key.partition(self._key("cmd/"))
+        *person, verb = tail.split("/")
+        if len(person) != bool(self.person) or key != Keys(self.rig, *person).command(verb) or "*" in tail:
+            raise ValueError(key)
+        return person[0] if person else ""
 
 
 def rig_of(key: str) -> str:

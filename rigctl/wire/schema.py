@@ -93,9 +93,9 @@ def _commands(keys: Keys, verbs: Mapping[Any, tuple[str, tuple[str, ...]]], name
     }
 
 
-def schema(rig: str) -> dict[str, Any]:
-    """The schema of one rig."""
-    keys = Keys(rig)
+def schema(rig: str, person: str = "") -> dict[str, Any]:
+    """The schema of one rig; ``person``: see `Keys`, ``*`` stands for the name in the asker's certificate."""
+    keys = Keys(rig, person)
     verbs, acts = _commands(keys, VERBS, lambda v: str(v.name.lower())), _commands(keys, ACTS, lambda a: str(a.value))
     return {
         "rig": rig,

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import zenoh
+
+from rigctl.identity.credentials import Credentials
 
 MESSAGE_BYTES = 1 << 16
 """The longest message the daemon accepts: a command has at most 16 KiB, and fragments are collected in memory."""
@@ -23,9 +26,33 @@ class SessionError(RuntimeError):
     """A session that could not be opened; ``str()`` is one line."""
 
 
-def _config(mode: str, listen: list[str], connect: list[str], rx_bytes: int = 0) -> zenoh.Config:
+def _tls(owned: Credentials | None) -> dict[str, Any]:
+    """Mutual certificates for both ends; a link ends when the certificate of the other end does."""
+    if owned is None:
+        return {}
+    key, certificate, authority = (
+        base64.b64encode(text.encode()).decode() for text in (owned.key, owned.certificate, owned.authority)
+    )
+    own = {f"{end}_private_key_base64": key for end in ("listen", "connect")}
+    own |= {f"{end}_certificate_base64": certificate for end in ("listen", "connect")}
+    return {
+        "root_ca_certificate_base64": authority, **own,
+        "enable_mtls": True, "verify_name_on_connect": True, "close_link_on_expiration": True,
+    }  # fmt: skip
+
+
+def _config(
+    mode: str,
+    listen: list[str],
+    connect: list[str],
+    rx_bytes: int = 0,
+    owned: Credentials | None = None,
+    access_control: Mapping[str, Any] | None = None,
+    zid: str = "",
+) -> zenoh.Config:
     """``rx_bytes``: the longest message accepted, 0 for Zenoh's own limit."""
     tree: dict[str, Any] = {
+        **({"id": zid} if zid else {}),
         "mode": mode,
         "listen": {"endpoints": listen, "timeout_ms": 0, "exit_on_failure": True},
         "connect": {
@@ -46,6 +73,7 @@ def _config(mode: str, listen: list[str], connect: list[str], rx_bytes: int = 0)
                 "max_sessions": _SESSIONS_MAX,
             },
             "link": {
+                "tls": _tls(owned),
                 **({"rx": {"max_message_size": rx_bytes}} if rx_bytes else {}),
                 "tx": {
                     "queue": {
@@ -59,6 +87,7 @@ def _config(mode: str, listen: list[str], connect: list[str], rx_bytes: int = 0)
                 },
             },
         },
+        **({"access_control": access_control} if access_control is not None else {}),
     }
     return zenoh.Config.from_json5(json.dumps(tree))
 
@@ -80,27 +109,36 @@ def finish(query: zenoh.Query) -> None:
     query.drop()  # type: ignore[no-untyped-call]
 
 
-def open_router(listen: list[str], join: Sequence[str] = ()) -> zenoh.Session:
+def open_router(
+    listen: list[str],
+    join: Sequence[str] = (),
+    owned: Credentials | None = None,
+    access_control: Mapping[str, Any] | None = None,
+) -> zenoh.Session:
     """The gateway's session: clients connect to it, and it relays between them.
 
-    ``join``: other routers to form one network with; the connection is retried for ever.
+    ``join``: other routers to form one network with; the connection is retried for ever. ``owned``: the gateway's key,
+    for endpoints ``tls/``. ``access_control``: see `rigctl.wire.access_control`; None: everyone may do everything.
 
     Raises:
         SessionError: the endpoint cannot be opened; the message names it and the reason.
     """
     try:
-        return zenoh.open(_config("router", listen, list(join), _RELAYED_BYTES if join else MESSAGE_BYTES))
+        longest = _RELAYED_BYTES if join else MESSAGE_BYTES
+        return zenoh.open(_config("router", listen, list(join), longest, owned, access_control))
     except zenoh.ZError as error:
         raise SessionError(f"cannot listen on {listen[0]}: {_reason(error)}") from None
 
 
-def open_client(endpoint: str) -> zenoh.Session:
+def open_client(endpoint: str, owned: Credentials | None = None, zid: str = "") -> zenoh.Session:
     """A client session of the router at ``endpoint``; once open it reconnects by itself.
+
+    ``owned``: the key of who connects, for an endpoint ``tls/``. ``zid``: Zenoh's id of the session, else a random one.
 
     Raises:
         SessionError: no router answers, or ``endpoint`` is not valid.
     """
     try:
-        return zenoh.open(_config("client", [], [endpoint]))
+        return zenoh.open(_config("client", [], [endpoint], owned=owned, zid=zid))
     except zenoh.ZError as error:
         raise SessionError(f"cannot connect to {endpoint}: {_reason(error)}") from None

@@ -1,4 +1,4 @@
-"""``python -m tests.bench [--json F] [--seconds S] [--rates R ...]``; ``telemetry --help``, ``holds --help``."""
+"""``python -m tests.bench [--json F] [--seconds S] [--rates R ...]``; ``telemetry|holds|access|report --help``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rigctl.cli import bench
 from rigctl.cli.progress import progress
 from rigctl.config import rig_file as config
 from rigctl.demo.lockstep import play_lockstep
-from tests.bench import holds, plant, report, telemetry
+from tests.bench import access, holds, plant, report, telemetry
 from tests.builders import daemons
 
 
@@ -43,6 +43,8 @@ def show(measured: list[RateResult], results: dict[str, Any], console: Console) 
 def main() -> int:
     if sys.argv[1:2] == ["telemetry"]:
         return telemetry.main(sys.argv[2:])
+    if sys.argv[1:2] == ["access"]:
+        return access.main(sys.argv[2:])
     if sys.argv[1:2] == ["holds"]:
         return holds.main(sys.argv[2:])
     if sys.argv[1:2] == ["report"]:

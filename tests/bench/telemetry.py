@@ -99,7 +99,7 @@ class Slice:
     said: dict[str, Any] | None
 
 
-def _cpu_s(pid: int) -> float:
+def cpu_of(pid: int) -> float:
     words = pathlib.Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1].split()
     return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -110,9 +110,9 @@ def measure_slice(rig: BenchRig, what: str, seconds: float, clients: int, stalle
         subscribers = Subscribers(rig.endpoint, clients, stalled, cpus, stack) if clients else None
         time.sleep(SETTLE_S)
         gateway = daemons.process_with("rigctl.gateway.gateway_process", f"rigctl-{rig.rig}")
-        used, start = _cpu_s(gateway), time.monotonic()
+        used, start = cpu_of(gateway), time.monotonic()
         records = rig.measure(seconds)
-        pct = 100.0 * (_cpu_s(gateway) - used) / (time.monotonic() - start)
+        pct = 100.0 * (cpu_of(gateway) - used) / (time.monotonic() - start)
         return Slice(what, records, pct, subscribers.end() if subscribers is not None else None)
 
 

@@ -42,8 +42,8 @@ def main() -> None:
         schema.VERSION = int(sys.argv[2])
     served = schema.schema
 
-    def with_unknown_type(rig: str) -> dict[str, Any]:
-        found = served(rig)
+    def with_unknown_type(rig: str, person: str = "") -> dict[str, Any]:
+        found = served(rig, person)
         for field in found["fast"]["record"]["fields"]:
             if field["name"] == "tag":
                 field["type"] = "<decimal64"

@@ -1,0 +1,53 @@
+"""Whom the gateway's router lets in: its certificates and access list, from the rig's key folder.
+
+Zenoh takes an access list only when a session is opened. The gateway therefore ends when the list has changed, and the
+supervisor starts it anew, as after any end of it.
+"""
+
+from __future__ import annotations
+
+import datetime
+import secrets
+
+import zenoh
+
+from rigctl.config.settings import RigSettings
+from rigctl.identity.key_folder import KeyFolder
+from rigctl.wire.access_control import access_control
+from rigctl.wire.keys import Keys
+from rigctl.wire.session import open_router
+
+ANY_PERSON = "*"
+
+
+class Admission:
+    """Certificates and access list of one rig's router; without a key folder everyone may do everything."""
+
+    def __init__(self, settings: RigSettings) -> None:
+        self._settings = settings
+        self._folder = KeyFolder(settings.key_folder) if settings.key_folder is not None else None
+        self.own_zid = f"1{secrets.token_hex(15)}"
+        """Zenoh's id of the gateway's own session for commands; Zenoh takes no leading 0."""
+        self._edition = self._folder.edition() if self._folder is not None else None
+        self.keys = Keys(settings.rig, ANY_PERSON if self._folder is not None else "")
+        """The rig's keys; with certificates those of the commands carry the person's name."""
+
+    def open_router(self, socket: str) -> zenoh.Session:
+        """Open the router; ``socket``: its second endpoint, for the gateway's own session.
+
+        Raises:
+            SessionError: the endpoint cannot be opened.
+            KeyFolderError: the key folder cannot be used, or the gateway's certificate has expired.
+        """
+        telemetry = self._settings.telemetry
+        listen = [telemetry.listen, socket]
+        if self._folder is None:
+            return open_router(listen, telemetry.join)
+        now = datetime.datetime.now(datetime.UTC)
+        self._folder.check_gateway(now)
+        access = access_control(self._settings.rig, self._folder.certificates(), now, self.own_zid)
+        return open_router(listen, telemetry.join, self._folder.gateway_credentials(), access)
+
+    def has_changed(self) -> bool:
+        """Whether the access list is another than when the router was opened."""
+        return self._folder is not None and self._folder.edition() != self._edition
