@@ -36,7 +36,9 @@ from rigctl.ipc.ring import RingReader, RingWriter, create, identity
 ACTIVE = "active.json"
 RECORDED = "recorder.json"
 BASE = pathlib.Path("/dev/shm")
-"""Parent of the folders of all daemons of this computer."""
+"""Parent of the folders of the daemons that users start on this computer; anyone may make a folder there."""
+SERVICE_BASE = pathlib.Path("/run/rigctl")
+"""Parent of the folders of the installed service; only the service's user may make one there."""
 _LONGEST_LOCK, _LARGEST_PID = 20, 1 << 22
 _SMALL_RING = 4096
 _NOTES = 1024
