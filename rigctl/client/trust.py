@@ -28,7 +28,7 @@ from rigctl.wire import proof
 from rigctl.wire.proof import NONCE_BYTES, Attachment
 from rigctl.wire.run_keys import OPERATOR_KEY, PUBLIC_KEY, KeyFile
 
-_LOOPBACK = re.compile(r"[a-z-]+/(localhost|127\.\d+\.\d+\.\d+|\[::1\]):\d+")
+_LOOPBACK = re.compile(r"[a-z]+/(localhost|127\.\d+\.\d+\.\d+|\[::1\]):\d+|unixsock-stream/\S+")
 _CERTIFIED = ("tls/", "quic/")
 _READ_NS = 200_000_000  # at most one look at the folders in this time, whatever a hostile session sends
 

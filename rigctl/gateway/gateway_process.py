@@ -36,7 +36,7 @@ from rigctl.gateway.streams import EventStream, FastStream, event_publishers, pa
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.ring import RingError
-from rigctl.ipc.runtime_folder import RECORDED, Runtime
+from rigctl.ipc.runtime_folder import RECORDED, FolderError, Runtime
 from rigctl.ipc.termination import Termination
 from rigctl.wire.command_request import newest_record
 from rigctl.wire.keys import Keys
@@ -324,11 +324,11 @@ def main(arguments: list[str]) -> int:
     stop = Termination(signal.SIGTERM, signal.SIGHUP)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
-    runtime = Runtime(pathlib.Path(arguments[0]))
     try:
+        runtime = Runtime.entered(pathlib.Path(arguments[0]))
         settings = RigSettings.model_validate(runtime.read_json("active.json").get("settings"))
         gateway = Gateway(runtime, settings)
-    except (OSError, ValidationError, msgspec.MsgspecError, RingError, SessionError) as error:
+    except (OSError, ValidationError, msgspec.MsgspecError, RingError, FolderError, SessionError) as error:
         reason = "active.json holds no valid settings" if isinstance(error, ValidationError) else error
         sys.stderr.write(f"gateway: {reason}\n")
         return 1

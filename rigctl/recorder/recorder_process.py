@@ -26,7 +26,7 @@ from rigctl.control.modes import Mode
 from rigctl.control.realtime import die_with_parent
 from rigctl.ipc import ledger
 from rigctl.ipc.ring import RingError
-from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, Runtime
+from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, FolderError, Runtime
 from rigctl.ipc.supervision import OVER, Doing
 from rigctl.ipc.termination import Termination
 from rigctl.recorder.audit_log import AuditError, AuditLog, Item
@@ -303,10 +303,10 @@ def main(arguments: Sequence[str], stop: Termination) -> int:
         return 2
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
-    runtime = Runtime(pathlib.Path(arguments[0]))
     try:
+        runtime = Runtime.entered(pathlib.Path(arguments[0]))
         recorder = Recorder(runtime, _settings(runtime), time.monotonic_ns(), time.time_ns())
-    except (OSError, ValidationError, msgspec.MsgspecError, RingError, AuditError) as error:
+    except (OSError, ValidationError, msgspec.MsgspecError, RingError, AuditError, FolderError) as error:
         _say("active.json holds no valid settings" if isinstance(error, ValidationError) else str(error))
         return 1
     _serve(recorder, stop)

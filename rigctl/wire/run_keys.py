@@ -6,7 +6,8 @@
 | ``operator_key.json`` | the key that proves an operator's command | operators: the daemon's user |
 | ``public_key.json`` | the key that the daemon's signatures are verified with | everyone who may enter the folder |
 
-Each belongs to one run: another ``run_id`` means that another daemon made it.
+Of the installed service, the group ``rigctl-operator`` reads the operator key too. Each key belongs to one run: another
+``run_id`` means that another daemon made it.
 """
 
 from __future__ import annotations
