@@ -27,8 +27,10 @@ from rigctl.control.realtime import die_with_parent
 from rigctl.ipc import ledger
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, FolderError, Runtime
+from rigctl.ipc.seal import SealError
 from rigctl.ipc.supervision import OVER, Doing
 from rigctl.ipc.termination import Termination
+from rigctl.recorder import sealed_head
 from rigctl.recorder.audit_log import AuditError, AuditLog, Item
 from rigctl.recorder.continuous import Continuous
 from rigctl.recorder.sources import AuditedRings, sourced
@@ -96,6 +98,7 @@ class Recorder:
         self._thinning = Thinning()
         self._waiting: list[tuple[Item, dict[str, int]]] = []
         self._published: dict[str, Any] = {}
+        self._sealed = ""  # head of the log that was sealed last
         self._publish_ns = 0
         try:
             self.log.open()
@@ -270,6 +273,10 @@ class Recorder:
         if not at_once and figures == self._published and now_ns < self._publish_ns:
             return
         self._published, self._publish_ns = figures, now_ns + PUBLISH_NS
+        if self.log.head != self._sealed:
+            with contextlib.suppress(OSError, SealError):  # the log itself goes on
+                sealed_head.write(self._settings, self.log.entries, self.log.head)
+                self._sealed = self.log.head
         with contextlib.suppress(OSError):  # the runtime folder may be gone, or its memory full
             self._runtime.write_json(RECORDED, {**figures, "t_ns": now_ns})
 
