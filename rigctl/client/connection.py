@@ -47,6 +47,7 @@ COMMAND_S = 6.0  # the gateway answers within 4 s
 TRIAL_S = 30.0
 _RIG = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _EVENTS_DEPTH = 4096
+_UNPROVEN = "no_proof"
 _OLD = "proof_old"  # the refusal of a command whose stamp is not of now
 _TRIALS = ("arm", "tare", "calibrate", "identify", "gains")
 
@@ -298,7 +299,10 @@ class Client:
 
     def _commanded(self, name: str, operator: str, body: dict[str, Any], limit_s: float = COMMAND_S) -> dict[str, Any]:
         body = {"operator": operator} | body | ({"run_id": self._run_id} if self._run_id is not None else {})
+        secret = self.trust.secret
         answer = self._proven(name, operator, msgspec.json.encode(body), limit_s)
+        if answer.get("reason") == _UNPROVEN and self.trust.is_renewed(secret):
+            answer = self._proven(name, operator, msgspec.json.encode(body), limit_s)
         if answer.get("reason") == _OLD and isinstance(now_ns := answer.get("now_ns"), int):
             self.trust.set_clock(now_ns)  # the gateway started just now, or is on another computer
             answer = self._proven(name, operator, msgspec.json.encode(body), limit_s)

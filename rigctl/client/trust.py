@@ -150,6 +150,11 @@ class Trust:
             made.lease = proof.command_proof(proof.lease_secret(lease), made, key, payload)
         return made
 
+    def is_renewed(self, secret: bytes | None) -> bool:
+        """Whether the operator key is another than ``secret`` by now: the daemon has been started anew."""
+        self._read()
+        return self._secret != secret
+
     def set_clock(self, daemon_ns: int) -> None:
         """Take over the daemon's clock from an answer, for the stamps of commands."""
         self._clock_ns = daemon_ns - time.monotonic_ns()

@@ -66,7 +66,8 @@ def main(arguments: list[str]) -> int:
         sys.stderr.write("page: the settings have no page section\n")
         return 1
     address = settings.page.address
-    return serve(_listen(address), f"unixsock-stream/{runtime.gateway_socket}", settings.rig, Guard(address))
+    gateway = Runtime(arguments[0]).gateway_socket  # the page shows this path
+    return serve(_listen(address), f"unixsock-stream/{gateway}", settings.rig, Guard(address))
 
 
 if __name__ == "__main__":

@@ -104,6 +104,18 @@ def test_what_he_has_read_proves_nothing_a_second_time(own: Daemon, intruder: In
         assert anna.take_lease("anna")["accepted"]
 
 
+def test_a_client_goes_on_with_the_keys_of_the_next_run(own: Daemon) -> None:
+    with compensating(own) as anna:
+        before = own.runtime.read_json(OPERATOR_KEY)["key"]
+        own.kill_gateway()
+        own.runtime.write_json("active.json", {**own.runtime.read_json("active.json"), "run_id": "another"})
+        own.start_gateway()
+        own.client().close()
+        assert own.runtime.read_json(OPERATOR_KEY)["key"] != before
+        assert anna.command("target", "anna", 290.0)["accepted"]
+        assert anna.state()["rig"] == "paper_rig"
+
+
 def test_hold_is_taken_from_him_and_from_everyone(own: Daemon) -> None:
     with compensating(own) as anna, Intruder(own.endpoint, "paper_rig") as intruder:
         answer = intruder.ask(KEYS.command("hold"), b'{"operator": "kim"}')
