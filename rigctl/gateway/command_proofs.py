@@ -19,7 +19,7 @@ from rigctl.wire.proof import NONCE_BYTES, Attachment
 FRESH_NS = 5_000_000_000  # a busy computer takes seconds between proof and check; a client repeats a refused stamp once
 
 
-class Standing(Enum):
+class ProofStanding(Enum):
     """What the proofs of a command show; the value is the refusal's ``reason``."""
 
     PROVEN = "proven"
@@ -31,7 +31,7 @@ class Standing(Enum):
 class Shown:
     """What a command shows. ``holder``: it was given under the lease in force. ``new``: the lease it may be granted."""
 
-    standing: Standing
+    standing: ProofStanding
     holder: bool = False
     claims_lease: bool = False
     new: NewLease | None = None
@@ -51,17 +51,17 @@ class CommandProofs:
     ) -> Shown:
         """What a command shows; ``lease``: id of the lease in force, if any."""
         if attachment is None:
-            return Shown(Standing.UNPROVEN)
+            return Shown(ProofStanding.UNPROVEN)
         by_key = proof.is_proof(self._keys.operator, attachment.operator, attachment, key, payload)
         holder = lease is not None and proof.is_proof(
             proof.lease_secret(lease), attachment.lease, attachment, key, payload
         )
         claims = attachment.lease is not None
         if not (by_key or (self._certified and (holder or attachment.public is not None))):
-            return Shown(Standing.UNPROVEN, claims_lease=claims)
+            return Shown(ProofStanding.UNPROVEN, claims_lease=claims)
         if not self._is_fresh(attachment, now_ns):
-            return Shown(Standing.OLD, claims_lease=claims)
-        return Shown(Standing.PROVEN, holder, claims, self._new_lease(attachment, operator, by_key=by_key))
+            return Shown(ProofStanding.OLD, claims_lease=claims)
+        return Shown(ProofStanding.PROVEN, holder, claims, self._new_lease(attachment, operator, by_key=by_key))
 
     def _is_fresh(self, attachment: Attachment, now_ns: int) -> bool:
         """Whether this is the first command with this nonce, and its stamp is of now."""
@@ -92,9 +92,9 @@ class CommandProofs:
         return NewLease(proof.derived_key(secret, operator, attachment.nonce, nonce), nonce, public)
 
 
-def refusal_text(standing: Standing) -> str:
+def refusal_text(standing: ProofStanding) -> str:
     """Why a command is refused, in one line."""
-    if standing is Standing.OLD:
+    if standing is ProofStanding.OLD:
         return "found a proof that is old or was used before, expected one made for this command now"
     return (
         "found no proof of who gives it, expected one with the operator key of this run: give it as the daemon's user "

@@ -22,7 +22,7 @@ from rigctl.commission.preflight import Preflight
 from rigctl.config.one_line import on_one_line
 from rigctl.control.modes import FILED, Setting, SettingOrder, Verb, command_slot
 from rigctl.gateway.calibration_service import CalibrationService, Filed
-from rigctl.gateway.command_proofs import CommandProofs, Standing, refusal_text
+from rigctl.gateway.command_proofs import CommandProofs, ProofStanding, refusal_text
 from rigctl.gateway.command_rate import Flow
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.signer import Signer, query_attachment
@@ -168,7 +168,7 @@ class CommandServer:
             request = parse_lease(ACTS[name], payload) if name in ACTS else parse(verb_of(name), payload)
         except RequestError as error:
             refusal = refused(on_one_line(name), "", "bad_request", str(error))
-        standing, now = Standing.UNPROVEN, time.monotonic_ns()
+        standing, now = ProofStanding.UNPROVEN, time.monotonic_ns()
         if request is not None:
             standing, request = self._proven(query, key, payload or b"", request, now)
         if isinstance(request, Request) and request.verb is Verb.HOLD:
@@ -178,11 +178,11 @@ class CommandServer:
                 self._work.put(lambda: None)  # wakes the thread, which serves HOLDs first
                 return
             request = None
-        operator, proven = request.operator if request is not None else "", standing is Standing.PROVEN
+        operator, proven = request.operator if request is not None else "", standing is ProofStanding.PROVEN
         holder = request is not None and self._leases.is_holder(operator, request.lease, now)
         rate = self._rate if proven else self._unproven_rate
         if refusal is None and not proven:
-            more = {"now_ns": now} if standing is Standing.OLD else {}
+            more = {"now_ns": now} if standing is ProofStanding.OLD else {}
             refusal = refused(on_one_line(name), operator, standing.value, refusal_text(standing), **more)
         if why := rate.admit(operator, now, holder=holder):
             # No signature for a stranger's flood: one costs as much time as all else here.
@@ -198,7 +198,7 @@ class CommandServer:
 
     def _proven(
         self, query: zenoh.Query, key: str, payload: bytes, request: Request | LeaseRequest, now_ns: int
-    ) -> tuple[Standing, Request | LeaseRequest]:
+    ) -> tuple[ProofStanding, Request | LeaseRequest]:
         """Who gives a command, and the command with the lease that it proves, or may be granted."""
         in_force = self._leases.id_in_force(request.operator, now_ns)
         shown = self._proofs.shown(query_attachment(query), request.operator, key, payload, in_force, now_ns)

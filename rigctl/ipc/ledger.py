@@ -144,9 +144,9 @@ def read(settings: RigSettings) -> list[Entry]:
         raise LedgerError(f"{path}: no calibration ledger: {printable(' '.join(str(error).split()))}") from None
     if found.rig != settings.rig:
         raise LedgerError(f"{path}: found the ledger of {found.rig!r}, expected that of {settings.rig!r}")
-    _check_seal(settings, path, found)
     for number, item in enumerate(found.entries, 1):
         _check(path, number, item, settings)
+    _check_seal(settings, path, found)
     return found.entries
 
 
@@ -156,7 +156,7 @@ def _check_seal(settings: RigSettings, path: pathlib.Path, found: _LedgerFile) -
         verdict = seal.verdict(settings, _SEALED, found.sealed, found.seal)
     except seal.SealError as error:
         raise LedgerError(str(error)) from None
-    if verdict is seal.Verdict.BROKEN:
+    if verdict is seal.SealVerdict.BROKEN:
         key = seal.key_file(settings, _SEALED)
         raise LedgerError(
             f"{path}: its seal is not that of its entries: somebody else edited it; restore a copy, or if it is right, "

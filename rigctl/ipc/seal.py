@@ -27,7 +27,7 @@ class SealError(RuntimeError):
     """The key cannot be read or made, or is not its owner's alone; ``str()`` is one line."""
 
 
-class Verdict(Enum):
+class SealVerdict(Enum):
     """What a seal says of a file."""
 
     GOOD = "sealed"
@@ -86,7 +86,7 @@ def seal(settings: RigSettings, name: str, data: bytes) -> str:
         raise SealError(f"{path}: cannot be used: {error.strerror}") from None
 
 
-def verdict(settings: RigSettings, name: str, data: bytes, found: str) -> Verdict:
+def verdict(settings: RigSettings, name: str, data: bytes, found: str) -> SealVerdict:
     """What the seal ``found`` says of ``data``.
 
     Raises:
@@ -95,7 +95,9 @@ def verdict(settings: RigSettings, name: str, data: bytes, found: str) -> Verdic
     try:
         key = _key(key_file(settings, name))
     except FileNotFoundError:
-        return Verdict.BROKEN if found else Verdict.UNSEALED
+        return SealVerdict.BROKEN if found else SealVerdict.UNSEALED
     except OSError:
-        return Verdict.UNKNOWN
-    return Verdict.GOOD if hmac.compare_digest(_mac(key, name, data).encode(), found.encode()) else Verdict.BROKEN
+        return SealVerdict.UNKNOWN
+    return (
+        SealVerdict.GOOD if hmac.compare_digest(_mac(key, name, data).encode(), found.encode()) else SealVerdict.BROKEN
+    )

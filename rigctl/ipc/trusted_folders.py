@@ -20,14 +20,14 @@ def trusted_folders() -> Iterator[pathlib.Path]:
     """Every run-time folder that this user may believe and enter, in the order of their names."""
     for base, pattern in ((runtime_folder.SERVICE_BASE, "*"), (runtime_folder.BASE, "rigctl-*")):
         with contextlib.suppress(OSError):
-            owners = {os.geteuid(), *_service_owners(base)}
+            owners = {os.geteuid()} | (_service_owners(base) if base == runtime_folder.SERVICE_BASE else set())
             for folder in sorted(base.glob(pattern)):
                 if _is_trusted(folder, owners):
                     yield folder
 
 
 def _service_owners(base: pathlib.Path) -> set[int]:
-    """Owners besides this user whose folders in ``base`` are believed: none where anyone may make one."""
+    """Owners besides this user whose folders in the service's ``base`` are believed: none if anyone may make one."""
     found = base.lstat()
     closed = stat.S_ISDIR(found.st_mode) and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     parent = base.parent.lstat()

@@ -12,7 +12,7 @@ import msgspec
 from rigctl.config import input_file
 from rigctl.config.settings import RigSettings
 from rigctl.ipc import whole_file
-from rigctl.ipc.seal import SealError, Verdict, key_file, seal, verdict
+from rigctl.ipc.seal import SealError, SealVerdict, key_file, seal, verdict
 from rigctl.recorder.chain import ORIGIN
 
 _SEALED = "audit"
@@ -56,16 +56,16 @@ def read(settings: RigSettings) -> str | None:
     """
     path = head_file(settings)
     try:
-        found = input_file.decoded(input_file.read(path), SealedHead)
+        found: SealedHead = input_file.decoded(input_file.read(path), SealedHead)
     except FileNotFoundError:
-        if verdict(settings, _SEALED, b"", "") is Verdict.BROKEN and settings.audit_log.exists():
+        if verdict(settings, _SEALED, b"", "") is SealVerdict.BROKEN and settings.audit_log.exists():
             raise SealError(f"{path}: the sealed head of the log is gone, though the rig has a key") from None
         return None
     except (OSError, msgspec.MsgspecError) as error:
         raise SealError(f"{path}: no sealed head: {' '.join(str(error).split())}") from None
     match verdict(settings, _SEALED, found.sealed, found.seal):
-        case Verdict.BROKEN:
+        case SealVerdict.BROKEN:
             raise SealError(f"{path}: its seal is not that of {key_file(settings, _SEALED)}: somebody else wrote it")
-        case Verdict.GOOD if found.head != ORIGIN:
+        case SealVerdict.GOOD if found.head != ORIGIN:
             return found.head
     return None

@@ -123,6 +123,8 @@ def test_a_link_in_place_of_an_output_file_or_log_is_not_followed(tmp_path: path
     victim.write_text("root's")
     folder = tmp_path / "open"
     folder.mkdir()
+    for closed in (tmp_path, *tmp_path.parents[:2]):
+        closed.chmod(0o755)
     folder.chmod(0o777)
     part = folder / f".report.html.{os.getpid()}.part"
     assert as_nobody("ln", "-s", str(victim), str(part)).returncode == 0

@@ -13,7 +13,7 @@ from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.ipc import ledger, seal
 from rigctl.ipc.ledger import LedgerError
-from rigctl.ipc.seal import SealError, Verdict
+from rigctl.ipc.seal import SealError, SealVerdict
 from rigctl.recorder import sealed_head
 from rigctl.recorder.audit_log import AuditLog, Item
 from rigctl.recorder.chain import read_line, verify
@@ -99,7 +99,7 @@ def test_another_user_can_neither_read_the_key_nor_make_a_seal(settings: RigSett
     assert subprocess.run(
         [*become, "cat", str(seal.key_file(settings, "ledger"))], capture_output=True, check=False
     ).returncode
-    assert seal.verdict(settings, "ledger", b"", "0" * 64) is Verdict.BROKEN
+    assert seal.verdict(settings, "ledger", b"", "0" * 64) is SealVerdict.BROKEN
 
 
 def test_the_sealed_head_of_the_audit_log_shows_a_log_cut_off_or_computed_anew(
