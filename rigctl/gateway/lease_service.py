@@ -16,7 +16,7 @@ from rigctl.gateway.command_rate import RefusedCommands
 from rigctl.ipc.notes import Note
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.wire.command_request import Request, RequestError, operator_of, refused
-from rigctl.wire.lease import Denial, Lease, LeaseAct, LeaseChange, LeaseRegister, is_id
+from rigctl.wire.lease import Denial, Lease, LeaseAct, LeaseChange, LeaseRegister, NewLease, is_id
 from rigctl.wire.lease_request import LeaseRequest
 
 IN_FORCE = "lease.json"  # in the runtime folder
@@ -34,6 +34,10 @@ def valid_lease(written: Any, duration_ns: int, now_ns: int) -> Lease | None:
         return None
     sound = 0 <= lease.since_ns <= now_ns and lease.since_ns < lease.until_ns <= now_ns + duration_ns
     return lease if sound else None
+
+
+def _id_of(new: NewLease | None) -> str | None:
+    return new.id if new is not None else None
 
 
 def why_not(denial: Denial, operator: str, lease: Lease | None, now_ns: int) -> str:
@@ -70,7 +74,7 @@ class LeaseService:
     def admit(self, request: Request, now_ns: int) -> Request | dict[str, Any]:
         """The command with the lease it is given under, or the refusal."""
         self.expire(now_ns)
-        found = self._register.admit(request.operator, request.lease, now_ns, request.new and request.new.id)
+        found = self._register.admit(request.operator, request.lease, now_ns, _id_of(request.new))
         if isinstance(found, Lease):
             self._save(now_ns)
             return replace(request, lease=found.id)
@@ -107,7 +111,7 @@ class LeaseService:
         operator, id_ = request.operator, request.lease
         found: Lease | Denial | None
         if request.act is LeaseAct.TAKE:
-            found = self._register.take(operator, id_, request.reason, now_ns, request.new and request.new.id)
+            found = self._register.take(operator, id_, request.reason, now_ns, _id_of(request.new))
         else:
             found = self._register.give_back(operator, id_, now_ns)
         self._save(now_ns)
