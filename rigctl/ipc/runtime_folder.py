@@ -29,14 +29,16 @@ import shutil
 import stat
 import threading
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 
 from rigctl.config import input_file
-from rigctl.config.settings import RigSettings
 from rigctl.ipc import record
 from rigctl.ipc.ring import RingReader, RingWriter, create, identity
+
+if TYPE_CHECKING:
+    from rigctl.config.settings import RigSettings  # slow: the public client reads folders too
 
 ACTIVE = "active.json"
 RECORDED = "recorder.json"
