@@ -17,6 +17,7 @@ from rigctl.cli.options import BAD, DONE, USAGE, Json, end, load_rig_file, say, 
 from rigctl.config.quantity import count
 
 if TYPE_CHECKING:
+    from rigctl.config.settings import RigSettings
     from rigctl.recorder.chain import AuditEntry, Verification
 
 LINE_BYTES = 1 << 17  # the recorder writes no longer line
@@ -60,7 +61,8 @@ def audit(
     """Verify the audit log's chain of hashes, or show what is in it.
 
     Lines that were edited, removed, swapped or inserted break the chain. Lines cut off at the end are found out with
-    --head alone: note the hash that verify prints, or take it from a trip dump or from rigctl status --json.
+    --head (note the hash that verify prints, or take it from a trip dump or from rigctl status --json), or with the
+    rig file instead of the log: then the head that the recorder has sealed is looked for.
     """
     if act is AuditTask.SHOW and head is not None:
         end(USAGE, "found --head, expected with verify alone")
@@ -68,20 +70,12 @@ def audit(
         end(USAGE, "found a choice of entries, expected with show alone: the chain is verified as a whole")
     if head is not None and not _HASH.fullmatch(head):
         end(USAGE, f"--head: found {head[:80]!r}, expected 64 letters 0-9 a-f")
-    path = _log(file)
+    settings = load_rig_file(file) if file is not None and file.suffix in _RIG_FILES else None
+    path = settings.audit_log if settings is not None else file or _of_daemon()
     if act is AuditTask.VERIFY:
-        _verify(path, head, json)
+        _verify(path, head, json, settings)
     else:
         _show(path, last, _moment(since), what, who, json)
-
-
-def _log(file: pathlib.Path | None) -> pathlib.Path:
-    """Path of the log."""
-    if file is None:
-        return _of_daemon()
-    if file.suffix not in _RIG_FILES:
-        return file
-    return load_rig_file(file).audit_log
 
 
 def _of_daemon() -> pathlib.Path:
@@ -109,9 +103,16 @@ def _lines(path: pathlib.Path) -> Iterator[bytes]:
         end(USAGE, f"{path} cannot be read: {error.strerror}")
 
 
-def _verify(path: pathlib.Path, head: str | None, json: bool) -> None:
-    from rigctl.recorder import chain
+def _verify(path: pathlib.Path, head: str | None, json: bool, settings: RigSettings | None) -> None:
+    """Verify the chain, up to the head given, else the one that is sealed beside the log of a rig file."""
+    from rigctl.ipc.seal import SealError
+    from rigctl.recorder import chain, sealed_head
 
+    if head is None and settings is not None:
+        try:
+            head = sealed_head.read(settings)
+        except SealError as error:
+            end(BAD, str(error))
     report = chain.verify(_lines(path), head)
     if json:
         say_json({"file": str(path), "ok": report.good, "entries": report.entries, "rig": report.rig,
@@ -131,7 +132,7 @@ def _figures(report: Verification) -> str:
 def _since_head(report: Verification, head: str | None) -> str:
     if head is None:
         return ""
-    return f"; {count(report.entries - report.head_line, 'entry', 'entries')} since the head given"
+    return f"; {count(report.entries - report.head_line, 'entry', 'entries')} since the head given or sealed"
 
 
 def _moment(since: str | None) -> str:

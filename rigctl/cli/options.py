@@ -134,6 +134,8 @@ def daemon(connect: str | None, rig: str | None) -> Iterator[Client]:
 
     try:
         with Client(connect, rig) as client:
+            if words := client.trust.words:
+                sys.stderr.write(f"rigctl: {words}\n")
             yield client
     except NoDaemonError as error:
         end(BAD, str(error))

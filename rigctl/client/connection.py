@@ -9,6 +9,7 @@ import datetime
 import os
 import pathlib
 import re
+import secrets
 import threading
 from collections.abc import Callable
 from typing import Any, Self, TypeVar
@@ -34,11 +35,13 @@ from rigctl.client.shapes import (
 )
 from rigctl.client.stream import Stream
 from rigctl.client.stream_source import Question
+from rigctl.client.trust import Trust, local_daemons
 from rigctl.identity import credentials
 from rigctl.identity.credentials import Credentials, CredentialsError
 from rigctl.wire import keys
 from rigctl.wire.keys import Keys
 from rigctl.wire.lease import LeaseAct
+from rigctl.wire.proof import NONCE_BYTES, Attachment, derived_key, exchange, exchanged_key, unsealed
 from rigctl.wire.session import SessionError, close, open_client
 
 ABSENT = "absent, or not allowed"  # an access list refuses without an answer
@@ -49,6 +52,8 @@ COMMAND_S = 6.0  # the gateway answers within 4 s
 TRIAL_S = 30.0
 _RIG = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _EVENTS_DEPTH = 4096
+_UNPROVEN = "no_proof"
+_OLD = "proof_old"  # the refusal of a command whose stamp is not of now
 _TRIALS = ("arm", "tare", "calibrate", "identify", "gains")
 
 
@@ -83,6 +88,10 @@ def _open(endpoint: str, owned: Credentials | None) -> zenoh.Session:
     if not opened:
         raise NoDaemonError(f"no daemon answers at {endpoint} ({ABSENT})")
     return opened[0]
+
+
+def _has_token(session: zenoh.Session, rig: str) -> bool:
+    return any(reply.ok is not None for reply in session.liveliness().get(Keys(rig).daemon, timeout=ASK_S))
 
 
 def _rigs(session: zenoh.Session) -> list[str]:
@@ -165,14 +174,15 @@ class Client:
         if wanted is not None and not _RIG.fullmatch(wanted):
             raise ChoiceError(f"found rig {wanted!r}, expected a rig's name, e.g. paper_rig")
         self.leases: dict[str, str] = {}  # operator: lease id from the answers, sent with the operator's commands
-        self.refusals = Refusals()  # messages without the shape of the daemon's
+        self.refusals = Refusals()  # messages without the shape of the daemon's, or without its signature
         self._mailboxes: list[Mailbox] = []
         owned = credentials_of(self.endpoint, key)
         self.person = owned.name if owned is not None else ""
         """Name in the certificate, by which the daemon knows this client; empty without one."""
         self.session = _open(self.endpoint, owned)
         try:
-            self.keys = Keys(self._choose(wanted), self.person)
+            rig = self._choose(wanted)
+            self.keys, self.trust = Keys(rig, self.person), Trust(rig, self.endpoint)
             self._run_id = run_id
             self._check_run()
         except (NoDaemonError, ChoiceError):
@@ -187,7 +197,19 @@ class Client:
             )
 
     def _choose(self, wanted: str | None) -> str:
-        rigs = _rigs(self.session)
+        """The rig's name. Any session may declare a token, so a daemon with a key of this computer goes before others.
+
+        Raises:
+            NoDaemonError: no daemon answers.
+            ChoiceError: several rigs answer and none is chosen.
+        """
+        names = [wanted] if wanted is not None else sorted({one.rig for one in local_daemons()})
+        found = [name for name in names if _has_token(self.session, name)]
+        if len(found) > 1:
+            found = [name for name in found if self._is_proven(name)]
+        if len(found) == 1:
+            return found[0]
+        rigs = found or _rigs(self.session)
         if wanted is not None and rigs and wanted not in rigs:
             raise NoDaemonError(f"no daemon of {wanted} answers at {self.endpoint}, only of {', '.join(rigs)}")
         if not rigs:
@@ -195,6 +217,14 @@ class Client:
         if wanted is None and len(rigs) > 1:
             raise ChoiceError(f"several rigs answer at {self.endpoint}: {', '.join(rigs)}; choose one with --rig")
         return wanted or rigs[0]
+
+    def _is_proven(self, rig: str) -> bool:
+        """Whether a daemon of this name answers with its signature."""
+        trust = Trust(rig, self.endpoint)
+        try:
+            return trust.verifies and self.ask(Keys(rig).state, check=shapes.state, trust=trust)[0]
+        except NoDaemonError:
+            return False
 
     def _nobody(self) -> NoDaemonError:
         return NoDaemonError(f"no daemon answers at {self.endpoint} ({ABSENT})")
@@ -205,22 +235,32 @@ class Client:
         return self.keys.rig
 
     def ask(
-        self, selector: str, payload: bytes | None = None, timeout_s: float = ASK_S, check: Check = bytes
+        self,
+        selector: str,
+        payload: bytes | None = None,
+        timeout_s: float = ASK_S,
+        check: Check = bytes,
+        attachment: Attachment | None = None,
+        trust: Trust | None = None,
     ) -> tuple[bool, bytes]:
         """One query; returns whether it was answered (else refused), and the answer's bytes.
 
-        ``check``: raises MessageRefusedError for an answer of the wrong shape. Such an answer is skipped, because
-        anyone on the network may answer beside the daemon.
+        ``check``: raises MessageRefusedError for an answer of the wrong shape. Such an answer is skipped, as is one
+        without the daemon's signature, because anyone on the network may answer beside the daemon. ``attachment``: the
+        proofs of a command. ``trust``: of another rig than this client's.
 
         Raises:
             NoDaemonError: no answer.
             SchemaError: ``check`` expects a schema, and no answer has one that this client knows.
         """
         unknown: SchemaError | None = None
+        key, trust = selector.partition("?")[0], trust or self.trust
+        sent = attachment or Attachment(secrets.token_hex(NONCE_BYTES))
         # The answer gets the query's options: it never blocks the gateway, and has its own priority beside the data.
         replies = self.session.get(
             selector,
             payload=payload,
+            attachment=msgspec.json.encode(sent),
             timeout=timeout_s,
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.DATA_LOW if payload is None else zenoh.Priority.DATA_HIGH,
@@ -235,15 +275,18 @@ class Client:
             try:
                 if len(answer.payload) > LONGEST_PAST:
                     raise MessageRefusedError(f"found {len(answer.payload)} bytes, expected at most {LONGEST_PAST}")
-                found = bytes(answer.payload)
+                found, signature = bytes(answer.payload), None
                 if reply.ok is not None:
-                    check(found)
+                    signature = bytes(reply.ok.attachment) if reply.ok.attachment is not None else None
                 elif not found.startswith(b"{"):  # Zenoh's own text for a time-out
                     continue
                 else:
-                    shapes.refusal(found)
+                    found, signature = unsealed(found)
+                if not trust.is_answer(signature, sent.nonce, key, found, good=reply.ok is not None):
+                    raise MessageRefusedError("an answer that the daemon did not sign")
+                check(found) if reply.ok is not None else shapes.refusal(found)
             except MessageRefusedError as error:
-                self.refusals.add(selector.partition("?")[0], error)
+                self.refusals.add(key, error)
                 unknown = error if isinstance(error, SchemaError) else unknown
                 continue
             return reply.ok is not None, found
@@ -298,18 +341,35 @@ class Client:
 
     def _commanded(self, name: str, operator: str, body: dict[str, Any], limit_s: float = COMMAND_S) -> dict[str, Any]:
         operator = self.person or operator
-        shown = self.leases.get(operator)
-        body = {"operator": operator} | ({"lease": shown} if shown else {}) | body
-        body |= {"run_id": self._run_id} if self._run_id is not None else {}
+        body = {"operator": operator} | body | ({"run_id": self._run_id} if self._run_id is not None else {})
+        payload, secret = msgspec.json.encode(body), self.trust.secret
         try:
-            answered, payload = self.ask(self.keys.command(name), msgspec.json.encode(body), limit_s, shapes.answer)
+            answer = self._proven(name, operator, payload, limit_s)
+            if answer.get("reason") == _UNPROVEN and self.trust.is_renewed(secret):
+                answer = self._proven(name, operator, payload, limit_s)
+            if answer.get("reason") == _OLD and isinstance(now_ns := answer.get("now_ns"), int):
+                self.trust.set_clock(now_ns)  # the gateway started just now, or is on another computer
+                answer = self._proven(name, operator, payload, limit_s)
         except NoDaemonError:
             if not self.person:
                 raise
             raise NoDaemonError(f"{name} of {self.person} is not answered at {self.endpoint} ({ABSENT})") from None
-        answer = shapes.answer(payload) if answered else shapes.refusal(payload)
-        if (held := answer.get("lease") or {}).get("id"):
-            self.leases[operator] = held["id"]
+        return answer
+
+    def _proven(self, name: str, operator: str, payload: bytes, limit_s: float) -> dict[str, Any]:
+        """Give a command with its proofs; the answer's lease gets its ``id`` here, which is never sent."""
+        key, lease = self.keys.command(name), self.leases.get(operator)
+        private, public = exchange() if self.trust.certified and self.trust.secret is None else (None, None)
+        sent = self.trust.attachment(key, payload, lease, public)
+        answered, found = self.ask(key, payload, limit_s, shapes.answer, sent)
+        answer = shapes.answer(found) if answered else shapes.refusal(found)
+        held = answer.get("lease") or {}
+        if (nonce := held.pop("nonce", None)) is not None:
+            theirs = held.pop("public", None)
+            secret = exchanged_key(private, theirs) if private is not None and theirs else self.trust.secret
+            lease = derived_key(secret, operator, sent.nonce, nonce) if secret is not None else None
+        if held.pop("proven", False) and lease is not None:
+            self.leases[operator] = held["id"] = lease
         return answer
 
     # -- streams --------------------------------------------------------------------------------------------
@@ -345,7 +405,7 @@ class Client:
         )
 
     def _mailbox(self, key: str, depth: int, longest: int) -> Mailbox:
-        mailbox = Mailbox(self.session, key, depth, self.refusals, longest)
+        mailbox = Mailbox(self.session, key, depth, self.refusals, longest, self.trust)
         self._mailboxes = [*(one for one in self._mailboxes if not one.closed), mailbox]
         return mailbox
 

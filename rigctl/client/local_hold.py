@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import pathlib
 import re
 import socket
@@ -11,8 +10,8 @@ from typing import Any
 
 import msgspec
 
-from rigctl.ipc import runtime_folder as runtime
-from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime, daemon_pid
+from rigctl.ipc.trusted_folders import trusted_folders
 
 CONNECT_S = 0.5
 ANSWER_S = 2.5  # the service answers within 1.5 s, even when the loop does not reply
@@ -32,14 +31,18 @@ def same_endpoint(connect: str, listen: str) -> bool:
 
 
 def socket_of(endpoint: str, rig: str | None) -> pathlib.Path | None:
-    """Hold socket of this user's daemon on this computer that listens at ``endpoint``, named ``rig`` if given.
+    """Hold socket of the daemon of this computer that listens at ``endpoint``, named ``rig`` if given.
+
+    Only a daemon whose folder this user may believe is found (`rigctl.ipc.trusted_folders`).
 
     None for a daemon elsewhere, so that a HOLD meant for it never reaches another daemon here.
     """
-    for name, _ in runtime.daemons(runtime.BASE):
+    for folder in trusted_folders():
+        if not daemon_pid(folder):
+            continue
         with contextlib.suppress(OSError, msgspec.MsgspecError, RecursionError, KeyError, TypeError):
-            found = Runtime.of(name)
-            if rig not in (None, name) or found.directory.lstat().st_uid != os.geteuid():
+            found = Runtime(folder)
+            if rig not in (None, folder.name.removeprefix("rigctl-")):
                 continue
             if same_endpoint(endpoint, str(found.read_json(ACTIVE)["settings"]["telemetry"]["listen"])):
                 return found.hold_socket

@@ -75,4 +75,4 @@ def open_listen(settings: TelemetrySettings) -> str:
     reached = [one for one in (settings.listen, *settings.join) if not _is_local(one)]
     if settings.tls is not None or not reached:
         return ""
-    return f"telemetry: other computers reach {', '.join(reached)} and command without certificates"
+    return f"telemetry: other computers reach {', '.join(reached)}, to read and to give HOLD, without certificates"

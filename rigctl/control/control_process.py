@@ -29,7 +29,7 @@ from rigctl.devices import objects as od
 from rigctl.devices import startup
 from rigctl.devices.process_data import COMMAND, ProcessData
 from rigctl.ipc.ledger import in_force
-from rigctl.ipc.runtime_folder import Runtime
+from rigctl.ipc.runtime_folder import FolderError, Runtime
 from rigctl.ipc.termination import on_signals
 
 WARM_UP_TICKS = 50
@@ -117,7 +117,11 @@ def run(directory: str) -> int:
     """Body of the process; returns its exit code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     realtime.die_with_parent(signal.SIGTERM)
-    runtime = Runtime(directory)
+    try:
+        runtime = Runtime.entered(directory)
+    except FolderError as error:
+        _say(f"control: {error}")
+        return EXIT_CANNOT_START
     try:
         settings = RigSettings.model_validate(runtime.read_json("active.json").get("settings"))
     except (OSError, msgspec.MsgspecError, ValidationError):

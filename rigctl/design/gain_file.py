@@ -31,6 +31,7 @@ from rigctl.control.tension import Gains
 from rigctl.design.gains import DesignError, design
 from rigctl.design.margins import design_and_check, judge
 from rigctl.design.verdict import Design, GainSource
+from rigctl.ipc import output_file
 
 # Keys that determine gains, margins and performance.
 INPUTS: dict[str, tuple[str, ...]] = {
@@ -144,7 +145,9 @@ def write(file: pathlib.Path, found: Design, made: Provenance) -> None:
     file = file.resolve()  # so that a link stays a link
     part = file.with_name(f".{file.name}.{os.getpid()}")
     try:
-        part.write_text(_HEADING + text, encoding="utf-8")
+        part.unlink(missing_ok=True)
+        with os.fdopen(os.open(part, output_file.NEW, 0o666), "w", encoding="utf-8") as written:
+            written.write(_HEADING + text)
         part.replace(file)
     finally:
         part.unlink(missing_ok=True)

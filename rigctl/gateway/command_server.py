@@ -22,8 +22,10 @@ from rigctl.commission.preflight import Preflight
 from rigctl.config.one_line import on_one_line
 from rigctl.control.modes import FILED, Setting, SettingOrder, Verb, command_slot
 from rigctl.gateway.calibration_service import CalibrationService, Filed
+from rigctl.gateway.command_proofs import CommandProofs, ProofStanding, refusal_text
 from rigctl.gateway.command_rate import Flow
 from rigctl.gateway.lease_service import LeaseService
+from rigctl.gateway.signer import Signer, query_attachment
 from rigctl.ipc import ledger
 from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.record import COMMAND_LIFETIME_NS
@@ -32,7 +34,7 @@ from rigctl.wire.command_request import NewestRecord, Request, RequestError, ans
 from rigctl.wire.keys import Keys
 from rigctl.wire.lease import ACTS
 from rigctl.wire.lease_request import LeaseRequest, parse_lease
-from rigctl.wire.session import MESSAGE_BYTES, finish
+from rigctl.wire.session import MESSAGE_BYTES
 
 POLL_S = 0.002
 ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # the loop carries out no command older than its lifetime
@@ -45,6 +47,7 @@ WAIT_NS = {
 READ_BACK_NS = 15_000_000_000  # added while the record shows ARMING: the loop reads the devices' settings back first
 _PENDING_MAX = 64  # commands without an answer, HOLD not counted
 _NAMES_ON_RECORD = 8  # operators put on record for one shared HOLD
+_OTHER_LEASE = ""  # a lease that is not the one in force: no lease has this id
 _HOLD_SPACING_NS = 20_000_000  # between two HOLDs for the loop; those that arrive in between share the next one
 
 
@@ -75,17 +78,6 @@ class Pending:
     sharing: tuple[GivenCommand, ...] = ()  # HOLDs that arrived with it and get the same answer
 
 
-def send_answer(query: zenoh.Query, message: dict[str, Any]) -> None:
-    """Answer and finish a query of one key; a querier that has disconnected is no error."""
-    payload = msgspec.json.encode(message)
-    with contextlib.suppress(zenoh.ZError):
-        if message["accepted"]:
-            query.reply(query.key_expr, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
-        else:
-            query.reply_err(payload, encoding=zenoh.Encoding.APPLICATION_JSON)
-    finish(query)
-
-
 def _payload_of(query: zenoh.Query) -> bytes | None:
     """A query's payload, not copied where it is too long to be a command."""
     if query.payload is None:
@@ -114,13 +106,16 @@ class CommandServer:
         leases: LeaseService,
         log: RequestLog,
         preflight: Preflight,
+        signer: Signer,
+        proofs: CommandProofs,
         run_id: str = "",
     ) -> None:
         """``newest``: reads the newest record; ``limits_n``: lowest and highest target; ``log``: for the audit log.
 
+        ``signer``: answers; ``proofs``: says who gives a command.
         ``run_id``: of this daemon; a command that names another run is refused.
         """
-        self._run_id = run_id
+        self._run_id, self._signer, self._proofs = run_id, signer, proofs
         self._log, self._preflight = log, preflight
         self._calibration, self._leases = calibration, leases
         self._keys, self._commands, self._replies = keys, commands, replies
@@ -128,7 +123,8 @@ class CommandServer:
         self._work: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()  # None ends the thread
         self._holds: deque[GivenCommand] = deque()  # served before all others
         self._hold_ns = 0  # earliest time of the next HOLD for the loop
-        self._rate = Flow(time.monotonic_ns())
+        now = time.monotonic_ns()
+        self._rate, self._unproven_rate = Flow(now), Flow(now)  # strangers use up no operator's share
         self._pending: dict[int, Pending] = {}
         self._last_id = 0
         self._thread = threading.Thread(target=self._serve, name="commands", daemon=True)
@@ -146,8 +142,12 @@ class CommandServer:
         """Have a lapsed lease ended and refused commands reported, also while no command arrives."""
         if self._leases.has_lapsed(now_ns):
             self._work.put(lambda: self._leases.expire(time.monotonic_ns()))
-        if self._rate.due(now_ns):
-            self._work.put(lambda: self._leases.note_refused(self._rate.report(), time.monotonic_ns()))
+        for rate in (self._rate, self._unproven_rate):
+            if rate.due(now_ns):
+                self._work.put(partial(self._note_refused, rate))
+
+    def _note_refused(self, rate: Flow) -> None:
+        self._leases.note_refused(rate.report(), time.monotonic_ns())
 
     def close(self) -> None:
         """End the thread; nothing is answered after it."""
@@ -160,7 +160,7 @@ class CommandServer:
         name = key.rsplit("/", 1)[-1]
         request: Request | LeaseRequest | None = None
         refusal: dict[str, Any] | None = None
-        person = ""
+        person, payload = "", None
         try:
             person = self._person(key)
             payload = _payload_of(query)
@@ -169,6 +169,9 @@ class CommandServer:
                 request = replace(request, operator=person)
         except RequestError as error:
             refusal = refused(on_one_line(name), person, "bad_request", str(error))
+        standing, now = ProofStanding.UNPROVEN, time.monotonic_ns()
+        if request is not None:
+            standing, request = self._proven(query, key, payload or b"", request, now)
         if isinstance(request, Request) and request.verb is Verb.HOLD:
             refusal = self._meant_for_another(request)
             if refusal is None:
@@ -176,13 +179,18 @@ class CommandServer:
                 self._work.put(lambda: None)  # wakes the thread, which serves HOLDs first
                 return
             request = None
-        now = time.monotonic_ns()
-        operator = request.operator if request is not None else person
+        operator, proven = request.operator if request is not None else person, standing is ProofStanding.PROVEN
         holder = request is not None and self._leases.is_holder(operator, request.lease, now)
-        if why := self._rate.admit(operator, now, holder=holder):
-            send_answer(query, refused(on_one_line(name), operator, "too_many", why))
+        rate = self._rate if proven else self._unproven_rate
+        if refusal is None and not proven:
+            more = {"now_ns": now} if standing is ProofStanding.OLD else {}
+            refusal = refused(on_one_line(name), operator, standing.value, refusal_text(standing), **more)
+        if why := rate.admit(operator, now, holder=holder):
+            # No signature for a stranger's flood: one costs as much time as all else here.
+            too_many = refused(on_one_line(name), operator, "too_many", why)
+            self._signer.answer_command(query, too_many, signed=proven)
         elif refusal is not None:
-            send_answer(query, refusal)
+            self._signer.answer_command(query, refusal)
             self._work.put(partial(self._record_refusal, refusal))
         elif isinstance(request, LeaseRequest):
             self._work.put(partial(self._decide_lease, query, request))
@@ -195,6 +203,15 @@ class CommandServer:
             return self._keys.giver(key)
         except ValueError:
             raise RequestError(f"found the key {on_one_line(key)}, expected one rig and one command") from None
+
+    def _proven(
+        self, query: zenoh.Query, key: str, payload: bytes, request: Request | LeaseRequest, now_ns: int
+    ) -> tuple[ProofStanding, Request | LeaseRequest]:
+        """Who gives a command, and the command with the lease that it proves, or may be granted."""
+        in_force = self._leases.id_in_force(request.operator, now_ns)
+        shown = self._proofs.shown(query_attachment(query), request.operator, key, payload, in_force, now_ns)
+        lease = in_force if shown.holder else _OTHER_LEASE if shown.claims_lease else None
+        return shown.standing, replace(request, lease=lease, new=shown.new)
 
     def _serve(self) -> None:
         while True:
@@ -212,7 +229,7 @@ class CommandServer:
 
     def _decide_lease(self, query: zenoh.Query, request: LeaseRequest) -> None:
         message = self._meant_for_another(request) or self._leases.decide(request, time.monotonic_ns())
-        send_answer(query, message)
+        self._signer.answer_command(query, message)
         self._record_refusal(message)
 
     def _meant_for_another(self, request: Request | LeaseRequest) -> dict[str, Any] | None:
@@ -340,8 +357,8 @@ class CommandServer:
     def _send(self, given: GivenCommand, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
         """Answer a command with the lease in force; returns the answer."""
         request = given.request
-        message = self._leases.with_lease(request.operator, request.lease, message, now_ns)
-        send_answer(given.query, message)
+        message = self._leases.with_lease(request, message, now_ns)
+        self._signer.answer_command(given.query, message)
         return message
 
     def _holder(self) -> str:

@@ -27,15 +27,18 @@ from rigctl.control.realtime import die_with_parent
 from rigctl.gateway.active import ActiveConfiguration, ReplacedFile
 from rigctl.gateway.admission import Admission
 from rigctl.gateway.calibration_service import CalibrationService
+from rigctl.gateway.command_proofs import CommandProofs
 from rigctl.gateway.command_server import CommandServer
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.published_position import Cursor
+from rigctl.gateway.run_keys import run_keys
+from rigctl.gateway.signer import Signer
 from rigctl.gateway.streams import EventStream, FastStream, event_publishers, past_block, past_messages
 from rigctl.identity.key_folder import KeyFolderError
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.ring import RingError
-from rigctl.ipc.runtime_folder import RECORDED, Runtime
+from rigctl.ipc.runtime_folder import RECORDED, FolderError, Runtime
 from rigctl.ipc.termination import Termination
 from rigctl.wire.command_request import newest_record
 from rigctl.wire.keys import Keys
@@ -127,16 +130,16 @@ class StateView:
         return msgspec.json.encode({**own, **state})
 
 
-def _answering(answer: Callable[[zenoh.Query], tuple[str, bytes]]) -> Callable[[zenoh.Query], None]:
+def _answering(signer: Signer, answer: Callable[[zenoh.Query], tuple[str, bytes]]) -> Callable[[zenoh.Query], None]:
     """A queryable's callback, from a function that returns key and payload; an exception becomes an error reply."""
 
     def take(query: zenoh.Query) -> None:
         try:
             key, payload = answer(query)
-            query.reply(key, payload)
+            signer.reply(query, key, payload)
         except (ValueError, KeyError, OSError, msgspec.MsgspecError, zenoh.ZError) as error:
             with contextlib.suppress(zenoh.ZError):
-                query.reply_err(msgspec.json.encode({"text": str(error)}), encoding=_JSON)
+                signer.reply_error(query, {"text": str(error)})
         finish(query)
 
     return take
@@ -157,6 +160,7 @@ def _declare_queryables(
     view: StateView,
     active: ActiveConfiguration,
     stream: int,
+    signer: Signer,
 ) -> None:
     known = msgspec.json.encode(schema(keys.rig, keys.person))
     records, events, notes = runtime.records.reader(), runtime.events.reader(), runtime.notes.reader()
@@ -173,7 +177,7 @@ def _declare_queryables(
         (keys.fast, lambda query: (keys.fast, past_block(records, _after(query), stream))),
         (keys.events_past, past_events),
     ):
-        session.declare_queryable(key, _answering(answer))
+        session.declare_queryable(key, _answering(signer, answer))
 
 
 class Gateway:
@@ -188,6 +192,10 @@ class Gateway:
         """
         self._admission = Admission(settings)
         keys, now = self._admission.keys, time.monotonic_ns()
+        self._active, self._active_sent = ActiveConfiguration(runtime), b""
+        run_id, listen = str(self._active.written.get("run_id", "")), settings.telemetry.listen
+        run = run_keys(runtime, settings.rig, listen, run_id)
+        self._signer = signer = Signer(run.private)
         socket = f"unixsock-stream/{runtime.gateway_socket}"
         self._session = self._admission.open_router(socket)
         self._refuse_duplicate_name(keys, settings)
@@ -198,15 +206,14 @@ class Gateway:
 
         records = runtime.records.reader(from_start=True)
         self._cursor = Cursor(runtime.gateway_cursor, runtime.records.path, records.head)
-        self._active, self._active_sent = ActiveConfiguration(runtime), b""
         self._view = view = StateView(runtime, settings, self._active)
         self._state = self._session.declare_publisher(keys.state, encoding=_JSON, congestion_control=_DROP)
         self._configuration = self._session.declare_publisher(keys.active, encoding=_JSON, congestion_control=_DROP)
         fast = self._session.declare_publisher(keys.fast, congestion_control=_DROP)
-        self._fast = FastStream(fast, records, self._cursor, now)
+        self._fast = FastStream(fast, records, self._cursor, now, signer)
         publishers = event_publishers(self._session, keys)
         events, notes = runtime.events.reader(from_start=True), runtime.notes.reader(from_start=True)
-        self._events = EventStream(publishers, events, notes, self._cursor, now)
+        self._events = EventStream(publishers, events, notes, self._cursor, now, signer)
 
         limits_n = (settings.tension.target_min_n, settings.tension.target_max_n)
         self._newest = newest = runtime.records.reader()
@@ -225,12 +232,15 @@ class Gateway:
             self._leases,
             RequestLog(runtime.requests.writer()),
             self._preflight,
-            str(self._active.written.get("run_id", "")),
+            signer,
+            CommandProofs(run, now, certified=listen.startswith(("tls/", "quic/"))),
+            run_id,
         )
         verdict = self._preflight.verdict(now)
         lease = self._leases.shown(now)
         self._view.newest = self._view.make(now, 0, self._calibration.standing, lease, verdict, self._cursor)
-        _declare_queryables(self._session, keys, runtime, self._view, self._active, self._cursor.stream)
+        stream = self._cursor.stream
+        _declare_queryables(self._session, keys, runtime, self._view, self._active, stream, signer)
         self._commands.open(self._command_session)
         # On the session of the commands, after them: a client that sees the token finds every command.
         self._token = self._command_session.liveliness().declare_token(keys.daemon)
@@ -257,12 +267,12 @@ class Gateway:
         state = self._view.make(now, self._fast.lost, self._calibration.standing, lease, verdict, self._cursor)
         self._view.newest = state  # before the events, see above
         self._events.publish()
-        self._state.put(state)
+        self._signer.publish(self._state, state)
 
     def _publish_active(self) -> None:
         if (found := self._active.read()) is not self._active_sent:
             self._active_sent = found
-            self._configuration.put(found)
+            self._signer.publish(self._configuration, found)
 
     def _refuse_duplicate_name(self, keys: Keys, settings: RigSettings) -> None:
         """Refuse to start where a rig behind the joined routers has the same name: a command would reach both."""
@@ -320,13 +330,15 @@ def main(arguments: list[str]) -> int:
     stop = Termination(signal.SIGTERM, signal.SIGHUP)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
-    runtime = Runtime(pathlib.Path(arguments[0]))
     try:
+        runtime = Runtime.entered(pathlib.Path(arguments[0]))
         settings = RigSettings.model_validate(runtime.read_json("active.json").get("settings"))
         gateway = Gateway(runtime, settings)
-    except (OSError, ValidationError, msgspec.MsgspecError, RingError, SessionError, KeyFolderError) as error:
-        reason = "active.json holds no valid settings" if isinstance(error, ValidationError) else error
-        sys.stderr.write(f"gateway: {reason}\n")
+    except (OSError, RingError, FolderError, SessionError, KeyFolderError, msgspec.MsgspecError) as error:
+        sys.stderr.write(f"gateway: {error}\n")
+        return 1
+    except ValidationError:
+        sys.stderr.write("gateway: active.json holds no valid settings\n")
         return 1
     gateway.run(stop)
     gateway.close()

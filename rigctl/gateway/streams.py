@@ -10,6 +10,7 @@ import numpy.typing as npt
 import zenoh
 
 from rigctl.gateway.published_position import Cursor
+from rigctl.gateway.signer import Signer
 from rigctl.ipc.notes import note_message
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.ring import RingReader
@@ -79,8 +80,11 @@ class Resumption:
 class FastStream:
     """Every record, in blocks."""
 
-    def __init__(self, publisher: zenoh.Publisher, reader: RingReader, cursor: Cursor, now_ns: int) -> None:
+    def __init__(
+        self, publisher: zenoh.Publisher, reader: RingReader, cursor: Cursor, now_ns: int, signer: Signer
+    ) -> None:
         """``reader`` starts at the oldest record held; a cursor of the previous gateway moves it on."""
+        self._signer = signer
         self._publisher, self._reader, self._cursor = publisher, reader, cursor
         self._lost_before = cursor.fast_lost
         self._resumption = Resumption(cursor.fast_listened, now_ns)
@@ -100,7 +104,7 @@ class FastStream:
         cursor.fast_listened = has_subscriber(publisher)
         records = self._reader.read(BACKLOG_SPEED * per_call)
         for payload in blocks_of(records, self._reader, self.lost, cursor.stream):
-            publisher.put(payload)
+            self._signer.publish(publisher, payload)
         cursor.fast_seq, cursor.fast_lost = self._reader.cursor, self.lost
         cursor.save()
 
@@ -126,7 +130,9 @@ class EventStream:
         notes: RingReader,
         cursor: Cursor,
         now_ns: int,
+        signer: Signer,
     ) -> None:
+        self._signer = signer
         self._publishers, self._reader, self._notes, self._cursor = publishers, reader, notes, cursor
         self._resumption = Resumption(cursor.events_listened, now_ns)
         self._worded: list[tuple[str, dict[str, Any]]] | None = None
@@ -158,7 +164,8 @@ class EventStream:
             return
         self._cursor.events_listened = any(map(has_subscriber, self._publishers.values()))
         for severity, message in self._worded:
-            self._publishers[severity].put(msgspec.json.encode(message | {"stream": self._cursor.stream}))
+            payload = msgspec.json.encode(message | {"stream": self._cursor.stream})
+            self._signer.publish(self._publishers[severity], payload)
         self._worded = None
         self._cursor.save()
 

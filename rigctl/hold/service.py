@@ -26,7 +26,7 @@ from rigctl.control.modes import Mode, Verb
 from rigctl.control.realtime import die_with_parent
 from rigctl.ipc.record import COMMAND_LIFETIME_NS, HOLD_ID
 from rigctl.ipc.ring import RingError
-from rigctl.ipc.runtime_folder import Runtime
+from rigctl.ipc.runtime_folder import FolderError, Runtime
 from rigctl.ipc.termination import Termination
 from rigctl.wire.command_request import Request, RequestError, answer, newest_record, parse, refused, silent
 
@@ -212,8 +212,8 @@ def main(arguments: Sequence[str], stop: Termination) -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
     try:
-        service = HoldService(Runtime(pathlib.Path(arguments[0])))
-    except (OSError, RingError) as error:
+        service = HoldService(Runtime.entered(pathlib.Path(arguments[0])))
+    except (OSError, RingError, FolderError) as error:
         sys.stderr.write(f"hold: no socket for HOLD: {error}\n")
         return 1
     with contextlib.suppress(OSError):  # without the right it runs at normal priority

@@ -20,11 +20,12 @@ from rigctl import __version__
 from rigctl.config import input_file
 from rigctl.config.one_line import printable
 from rigctl.config.settings import RigSettings
-from rigctl.ipc import whole_file
+from rigctl.ipc import seal, whole_file
 from rigctl.ipc.correction import SCALE_BOUND, Correction, tare_limit_n
 from rigctl.ipc.runtime_folder import Runtime
 
 IN_FORCE = "calibration.json"  # in the runtime folder
+_SEALED = "ledger"  # what the seal is about
 _LARGEST_BYTES = 64 << 20  # a hundred years of a tare an hour
 CLOCKS_DIFFER = timedelta(days=1)  # at most, between the wall clocks of two starts
 
@@ -52,9 +53,15 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     passed: bool | None = None
 
 
-class _LedgerFile(msgspec.Struct, forbid_unknown_fields=True):
+class _LedgerFile(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     rig: str
     entries: list[Entry]
+    seal: str = ""
+
+    @property
+    def sealed(self) -> bytes:
+        """What the seal is about."""
+        return msgspec.json.encode([self.rig, self.entries], order="sorted")
 
 
 @dataclass(frozen=True)
@@ -139,7 +146,22 @@ def read(settings: RigSettings) -> list[Entry]:
         raise LedgerError(f"{path}: found the ledger of {found.rig!r}, expected that of {settings.rig!r}")
     for number, item in enumerate(found.entries, 1):
         _check(path, number, item, settings)
+    _check_seal(settings, path, found)
     return found.entries
+
+
+def _check_seal(settings: RigSettings, path: pathlib.Path, found: _LedgerFile) -> None:
+    """Refuse a ledger that was edited since it was sealed; one from before there were seals is believed."""
+    try:
+        verdict = seal.verdict(settings, _SEALED, found.sealed, found.seal)
+    except seal.SealError as error:
+        raise LedgerError(str(error)) from None
+    if verdict is seal.SealVerdict.BROKEN:
+        key = seal.key_file(settings, _SEALED)
+        raise LedgerError(
+            f"{path}: its seal is not that of its entries: somebody else edited it; restore a copy, or if it is right, "
+            f'delete {key} and its "seal"'
+        )
 
 
 def _check(path: pathlib.Path, number: int, item: Entry, settings: RigSettings) -> None:
@@ -170,9 +192,13 @@ def append(settings: RigSettings, new: Entry) -> list[Entry]:
     if path is None:
         raise LedgerError("the rig file has no calibration section")
     entries = [*read(settings), new]
-    data = msgspec.json.format(msgspec.json.encode(_LedgerFile(settings.rig, entries)), indent=1) + b"\n"
+    made = _LedgerFile(settings.rig, entries)
     try:
+        made.seal = seal.seal(settings, _SEALED, made.sealed)
+        data = msgspec.json.format(msgspec.json.encode(made), indent=1) + b"\n"
         whole_file.replace(path, data, mode=0o666)
+    except seal.SealError as error:
+        raise LedgerError(str(error)) from None
     except OSError as error:
         raise LedgerError(f"{path}: cannot be written: {error.strerror}") from None
     return entries

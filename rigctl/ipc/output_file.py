@@ -8,6 +8,9 @@ import os
 import pathlib
 from collections.abc import Iterator
 
+NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+"""Flags that make a file anew, in place of nothing that somebody else could have put there."""
+
 
 class OutputError(ValueError):
     """A file that cannot be written; ``str()`` is one line that names it."""
@@ -60,9 +63,13 @@ def replace(file: pathlib.Path, text: str) -> None:
             return
         part = place.with_name(f".{place.name}.{os.getpid()}.part")
         try:
-            part.write_text(text, encoding="utf-8")
-            if place.exists():
-                part.chmod(place.stat().st_mode & 0o777)
+            part.unlink(missing_ok=True)
+            # A link that somebody put in its place beforehand is not followed.
+            fd = os.open(part, NEW, 0o666)
+            with os.fdopen(fd, "w", encoding="utf-8") as written:
+                written.write(text)
+                if place.exists():
+                    os.fchmod(fd, place.stat().st_mode & 0o777)
             part.replace(place)
         finally:
             part.unlink(missing_ok=True)

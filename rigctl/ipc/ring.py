@@ -30,7 +30,9 @@ class RingError(ValueError):
     """The file is not the ring that was expected."""
 
 
-def create(path: pathlib.Path, dtype: np.dtype[Any], capacity: int, *, reserve: bool = False) -> None:
+def create(
+    path: pathlib.Path, dtype: np.dtype[Any], capacity: int, *, reserve: bool = False, mode: int = 0o600
+) -> None:
     """Make an empty ring of ``capacity`` slots of ``dtype``, whose first field is ``seq`` (u64).
 
     ``reserve``: allocate its memory now. Without it pages are allocated as they are written, and a memory-backed disk
@@ -46,6 +48,7 @@ def create(path: pathlib.Path, dtype: np.dtype[Any], capacity: int, *, reserve: 
     part.unlink(missing_ok=True)
     fd = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     with open(fd, "wb") as file:  # noqa: PTH123 - a descriptor
+        os.fchmod(fd, mode)
         file.truncate(size)
         if reserve:
             os.posix_fallocate(fd, 0, size)

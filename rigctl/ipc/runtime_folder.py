@@ -8,8 +8,13 @@ of the control process), ``lease.json`` (holder of the lease), ``gateway.*`` (th
 supervisor, with its pid in it).
 
 Anyone may make a folder of this name in ``/dev/shm``. A daemon uses only a folder that its user owns and that is closed
-to others (0700), follows no link in it, and makes its files anew (0600). A file that other processes read has a shape
-in ``SHAPES``; a file of another shape is not believed.
+to others (0700), follows no link in it, and makes its files anew (0600). Its processes open every file relative to a
+descriptor of the folder that each of them has checked (`Runtime.entered`).
+
+The installed service has its folders in ``/run/rigctl``, which belongs to the service's user. There the folder may be
+entered but not listed (0751), its group reads rings and files (0640), and everyone reads ``public_key.json``.
+
+A file that other processes read has a shape in ``SHAPES``; a file of another shape is not believed.
 """
 
 from __future__ import annotations
@@ -24,19 +29,23 @@ import shutil
 import stat
 import threading
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 
 from rigctl.config import input_file
-from rigctl.config.settings import RigSettings
 from rigctl.ipc import record
 from rigctl.ipc.ring import RingReader, RingWriter, create, identity
+
+if TYPE_CHECKING:
+    from rigctl.config.settings import RigSettings  # slow: the public client reads folders too
 
 ACTIVE = "active.json"
 RECORDED = "recorder.json"
 BASE = pathlib.Path("/dev/shm")
-"""Parent of the folders of all daemons of this computer."""
+"""Parent of the folders of the daemons that users start on this computer; anyone may make a folder there."""
+SERVICE_BASE = pathlib.Path("/run/rigctl")
+"""Parent of the folders of the installed service; only the service's user may make one there."""
 _LONGEST_LOCK, _LARGEST_PID = 20, 1 << 22
 _SMALL_RING = 4096
 _NOTES = 1024
@@ -121,7 +130,7 @@ def frames_held(settings: RigSettings) -> int:
 def recorded() -> list[dict[str, Any]]:
     """recorder.json of every daemon that runs on this computer."""
     found = []
-    for folder in sorted(BASE.glob("rigctl-*")):
+    for folder in (*sorted(BASE.glob("rigctl-*")), *sorted(SERVICE_BASE.glob("*"))):
         with contextlib.suppress(OSError, msgspec.MsgspecError):  # another user's, or just being deleted
             runtime = Runtime(folder)
             runs = pathlib.Path(f"/proc/{runtime.read_json(ACTIVE).get('pid', 0)}").exists()
@@ -130,15 +139,20 @@ def recorded() -> list[dict[str, Any]]:
     return found
 
 
-def daemons(base: pathlib.Path = BASE) -> list[tuple[str, int]]:
-    """Rig and pid of every daemon that runs on this computer, by the pid in its lock."""
-    found = []
-    for lock in sorted(base.glob("rigctl-*/lock")):
-        with contextlib.suppress(OSError, ValueError):  # just being deleted, or not written yet
-            pid = int(input_file.read(lock, largest=_LONGEST_LOCK))
-            if 0 < pid < _LARGEST_PID and _alive(pid):
-                found.append((lock.parent.name.removeprefix("rigctl-"), pid))
-    return found
+def daemons(base: pathlib.Path | None = None) -> list[tuple[str, int]]:
+    """Rig and pid of every daemon that runs on this computer, by the pid in its lock. ``base``: only in this folder."""
+    bases = (base,) if base is not None else (SERVICE_BASE, BASE)
+    folders = [folder for one in bases for folder in sorted(one.glob("*" if one == SERVICE_BASE else "rigctl-*"))]
+    return [(folder.name.removeprefix("rigctl-"), pid) for folder in folders if (pid := daemon_pid(folder))]
+
+
+def daemon_pid(folder: pathlib.Path) -> int:
+    """Process of the daemon that runs in a folder, by its lock; 0 without one."""
+    with contextlib.suppress(OSError, ValueError):  # just being deleted, or not written yet
+        pid = int(input_file.read(folder / _LOCK, largest=_LONGEST_LOCK))
+        if 0 < pid < _LARGEST_PID and _alive(pid):
+            return pid
+    return 0
 
 
 def is_free(rig: str, base: pathlib.Path = BASE) -> bool:
@@ -196,14 +210,42 @@ class Runtime:
         self.holds = RingFile(folder / "holds", record.HOLD)
         self.supervision = RingFile(folder / "supervision", record.NOTE)
         self._claimed = -1  # descriptor of the folder
+        self._shared = folder.parent == SERVICE_BASE
         self._rings: dict[pathlib.Path, tuple[int, bytes]] = {}  # inode and header of each
         self.cleared: list[str] = []
         """Links, pipes and folders that stood in place of files and were removed, for the operator."""
 
     @classmethod
     def of(cls, rig: str) -> Runtime:
-        """The folder of the daemon of ``rig``."""
+        """The folder of the daemon of ``rig``: in ``SERVICE_BASE`` for the service's user, else in ``BASE``."""
+        with contextlib.suppress(OSError):
+            found = SERVICE_BASE.lstat()
+            if stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid():
+                return cls(SERVICE_BASE / rig)
         return cls(BASE / f"rigctl-{rig}")
+
+    @classmethod
+    def entered(cls, directory: str | pathlib.Path) -> Runtime:
+        """The folder of a daemon as its processes use it: by a descriptor, so that nobody can put another in its place.
+
+        Raises:
+            FolderError: it is a link, belongs to another user than this process or its parent folder's owner, or others
+                may write to it.
+        """
+        path = pathlib.Path(directory)
+        try:
+            fd = os.open(path, _FOLDER_FLAGS)
+        except OSError as error:
+            raise FolderError(f"{path} cannot be entered: {error.strerror}") from None
+        found = os.fstat(fd)
+        owners = {os.geteuid()} | ({path.parent.lstat().st_uid} if path.parent == SERVICE_BASE else set())
+        if found.st_uid not in owners or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            os.close(fd)
+            mode = stat.S_IMODE(found.st_mode)
+            raise FolderError(f"{path}: found user {found.st_uid} and mode {mode:04o}, expected the daemon's folder")
+        entered = cls(f"/proc/self/fd/{fd}")
+        entered._shared = path.parent == SERVICE_BASE
+        return entered
 
     def claim(self) -> int:
         """Become the only daemon of this rig; returns the lock's file descriptor, held until the process ends.
@@ -236,11 +278,26 @@ class Runtime:
         self._claimed = folder
         return fd
 
+    @property
+    def _folder_mode(self) -> int:
+        return 0o751 if self._shared else 0o700
+
+    @property
+    def file_mode(self) -> int:
+        """Mode of rings and files."""
+        return 0o640 if self._shared else 0o600
+
+    @property
+    def public_mode(self) -> int:
+        """Mode of a file that everyone who may enter the folder may read."""
+        return 0o644 if self._shared else 0o600
+
     def _open_own(self) -> int:
         """The folder's descriptor; a folder that another user could write to is refused."""
         try:
             with contextlib.suppress(FileExistsError):
                 self.directory.mkdir(mode=0o700)
+                self.directory.chmod(self._folder_mode)
             found = self.directory.lstat()
         except OSError as error:
             raise FolderError(f"{self.directory}: the runtime folder cannot be made: {error.strerror}") from None
@@ -249,10 +306,10 @@ class Runtime:
             what = "found a link" if stat.S_ISLNK(found.st_mode) else "found no folder"
         elif found.st_uid != os.geteuid():
             what = f"found a folder of user {found.st_uid}"
-        elif found.st_mode & 0o077:
+        elif found.st_mode & 0o077 & ~self._folder_mode:
             what = f"found mode {stat.S_IMODE(found.st_mode):04o}"
         if what:
-            allowed = f"expected a folder of user {os.geteuid()} with mode 0700"
+            allowed = f"expected a folder of user {os.geteuid()} with mode {self._folder_mode:04o}"
             raise FolderError(f"{self.directory}: {what}, {allowed}; it was not used: remove it, or rename the rig")
         try:
             fd = os.open(self.directory, _FOLDER_FLAGS)
@@ -299,7 +356,7 @@ class Runtime:
             return ""  # a lack of descriptors or memory does not show that the folder is lost
         if not os.path.samestat(found, os.fstat(self._claimed)):
             return "it has been replaced by another"
-        if found.st_uid != os.geteuid() or found.st_mode & 0o077:
+        if found.st_uid != os.geteuid() or found.st_mode & 0o077 & ~self._folder_mode:
             return f"it has been given user {found.st_uid} and mode {stat.S_IMODE(found.st_mode):04o}"
         for path, made in self._rings.items():
             try:
@@ -324,7 +381,7 @@ class Runtime:
             self.notes: _NOTES, self.requests: _NOTES, self.supervision: _NOTES, self.frames: frames_held(settings),
         }  # fmt: skip
         for ring, capacity in capacities.items():
-            create(ring.path, ring.slot.dtype, capacity, reserve=reserve)
+            create(ring.path, ring.slot.dtype, capacity, reserve=reserve, mode=self.file_mode)
         self._rings = {ring.path: identity(ring.path) for ring in capacities}
 
     def remove(self) -> None:
@@ -363,8 +420,10 @@ class Runtime:
         """Socket between the gateway's command session and its router."""
         return self.directory / "gateway.sock"
 
-    def write_json(self, name: str, value: Any) -> None:
+    def write_json(self, name: str, value: Any, mode: int | None = None, group: int = -1) -> None:
         """Replace ``name`` at once, so that a reader sees the old file or the new one; a second line is its SHA-256.
+
+        ``mode``, ``group``: of the file, else as of all files here.
 
         Raises:
             OSError: there is no room, or the folder is gone.
@@ -374,6 +433,8 @@ class Runtime:
         try:
             fd = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
             with open(fd, "wb") as file:  # noqa: PTH123 - a descriptor
+                os.fchown(fd, -1, group)
+                os.fchmod(fd, self.file_mode if mode is None else mode)
                 data = msgspec.json.encode(value)
                 file.write(data + b"\n" + _digest(data) + b"\n")
             place = self.directory / name

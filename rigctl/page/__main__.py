@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from rigctl.config.page_address import Address, CannotListenError
 from rigctl.config.settings import RigSettings
 from rigctl.control.realtime import die_with_parent
-from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.ipc.runtime_folder import ACTIVE, FolderError, Runtime
 from rigctl.page.guard import Guard
 from rigctl.page.serve import serve
 
@@ -52,7 +52,11 @@ def main(arguments: list[str]) -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
     os.nice(NICENESS)
-    runtime = Runtime(pathlib.Path(arguments[0]))
+    try:
+        runtime = Runtime.entered(pathlib.Path(arguments[0]))
+    except FolderError as error:
+        sys.stderr.write(f"page: {error}\n")
+        return 1
     try:
         settings = RigSettings.model_validate(runtime.read_json(ACTIVE).get("settings"))
     except (OSError, ValidationError, msgspec.MsgspecError):
@@ -62,7 +66,8 @@ def main(arguments: list[str]) -> int:
         sys.stderr.write("page: the settings have no page section\n")
         return 1
     address = settings.page.address
-    return serve(_listen(address), f"unixsock-stream/{runtime.gateway_socket}", settings.rig, Guard(address))
+    gateway = Runtime(arguments[0]).gateway_socket  # the page shows this path
+    return serve(_listen(address), f"unixsock-stream/{gateway}", settings.rig, Guard(address))
 
 
 if __name__ == "__main__":

@@ -72,7 +72,8 @@ class AuditLog:
         """
         self.close()
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o640)
+        # A link is not followed: as root it could lead to any file.
+        fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC, 0o640)
         try:
             self._take_up(fd)
         except BaseException:
@@ -105,7 +106,7 @@ class AuditLog:
 
     def _keep(self, torn: bytes) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NONBLOCK | os.O_CLOEXEC  # opens a pipe without waiting
-        with open(os.open(self._torn, flags, 0o640), "ab") as file:  # noqa: PTH123 - a descriptor
+        with open(os.open(self._torn, flags | os.O_NOFOLLOW, 0o640), "ab") as file:  # noqa: PTH123 - a descriptor
             file.write(torn)
             file.flush()
             os.fsync(file.fileno())

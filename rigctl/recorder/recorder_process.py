@@ -26,9 +26,11 @@ from rigctl.control.modes import Mode
 from rigctl.control.realtime import die_with_parent
 from rigctl.ipc import ledger
 from rigctl.ipc.ring import RingError
-from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, Runtime
+from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, FolderError, Runtime
+from rigctl.ipc.seal import SealError
 from rigctl.ipc.supervision import OVER, Doing
 from rigctl.ipc.termination import Termination
+from rigctl.recorder import sealed_head
 from rigctl.recorder.audit_log import AuditError, AuditLog, Item
 from rigctl.recorder.continuous import Continuous
 from rigctl.recorder.sources import AuditedRings, sourced
@@ -96,6 +98,7 @@ class Recorder:
         self._thinning = Thinning()
         self._waiting: list[tuple[Item, dict[str, int]]] = []
         self._published: dict[str, Any] = {}
+        self._sealed = ""  # head of the log that was sealed last
         self._publish_ns = 0
         try:
             self.log.open()
@@ -270,6 +273,10 @@ class Recorder:
         if not at_once and figures == self._published and now_ns < self._publish_ns:
             return
         self._published, self._publish_ns = figures, now_ns + PUBLISH_NS
+        if self.log.head != self._sealed:
+            with contextlib.suppress(OSError, SealError):  # the log itself goes on
+                sealed_head.write(self._settings, self.log.entries, self.log.head)
+                self._sealed = self.log.head
         with contextlib.suppress(OSError):  # the runtime folder may be gone, or its memory full
             self._runtime.write_json(RECORDED, {**figures, "t_ns": now_ns})
 
@@ -303,10 +310,10 @@ def main(arguments: Sequence[str], stop: Termination) -> int:
         return 2
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
-    runtime = Runtime(pathlib.Path(arguments[0]))
     try:
+        runtime = Runtime.entered(pathlib.Path(arguments[0]))
         recorder = Recorder(runtime, _settings(runtime), time.monotonic_ns(), time.time_ns())
-    except (OSError, ValidationError, msgspec.MsgspecError, RingError, AuditError) as error:
+    except (OSError, ValidationError, msgspec.MsgspecError, RingError, AuditError, FolderError) as error:
         _say("active.json holds no valid settings" if isinstance(error, ValidationError) else str(error))
         return 1
     _serve(recorder, stop)

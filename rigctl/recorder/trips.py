@@ -22,7 +22,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.ipc import whole_file
+from rigctl.ipc import output_file, whole_file
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder.audit_log import moment
@@ -137,7 +137,8 @@ class Trips:
         path = self.folder / f"{self._settings.rig}-{stamp}-{group.fault}.mcap"
         part = path.with_name(f".{path.name}.part")
         try:
-            with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o640), "wb") as stream:
+            part.unlink(missing_ok=True)
+            with os.fdopen(os.open(part, output_file.NEW, 0o640), "wb") as stream:
                 records, frames = self._fill(stream, group, wall_offset_ns, audit)
                 stream.flush()
                 os.fsync(stream.fileno())

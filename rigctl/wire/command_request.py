@@ -19,7 +19,7 @@ from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.ipc.record import Flag, figure_of
 from rigctl.ipc.ring import RingReader
-from rigctl.wire.lease import ACTS, ID_BYTES, is_id
+from rigctl.wire.lease import ACTS, NewLease
 from rigctl.wire.meanings import VERBS as MEANINGS
 from rigctl.wire.state_message import ALIVE_NS
 
@@ -62,7 +62,8 @@ class Request:
     ``shunt``: CALIBRATE compares with the shunt. ``adopt``: it sets a new scale. ``tight``: IDENTIFY needs a tight
     rope. ``near_end``: ARM at an end of the stroke, to drive away from it.
     ``gain_file``, ``name``: text and name of a gain file, for GAINS.
-    ``lease``: id of the lease it is given under, None without one.
+    ``lease``: id of the lease it is given under, None without one; ``new``: the lease it may be granted. Neither is in
+    the payload: the gateway knows them from the proofs beside it.
     ``run_id``: run of the daemon it is meant for, empty for any.
     """
 
@@ -77,6 +78,7 @@ class Request:
     name: str = ""
     near_end: bool = False
     run_id: str = ""
+    new: NewLease | None = None
 
     @property
     def command(self) -> str:
@@ -133,16 +135,15 @@ def operator_of(text: str) -> str:
     return operator
 
 
-def lease_of(found: Any) -> str | None:
-    """A lease's id; None without one.
+def refuse_lease(found: Any) -> None:
+    """Refuse a lease in the payload, where everyone on the network could read it.
 
     Raises:
-        RequestError: it does not have the form of an id.
+        RequestError: there is one.
     """
-    if found is None or (isinstance(found, str) and is_id(found)):
-        return found
-    what = f"text of {len(found)} letters" if isinstance(found, str) else type(found).__name__
-    raise RequestError(f"found lease: {what}, expected the id from an answer, {2 * ID_BYTES} letters 0-9 a-f")
+    if found is not None:
+        what = f"text of {len(found)} letters" if isinstance(found, str) else type(found).__name__
+        raise RequestError(f"found lease: {what}, expected none: a lease is proven, never sent")
 
 
 def parse(verb: Verb, payload: bytes | None) -> Request:
@@ -165,13 +166,9 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
     if found.value is not None and not math.isfinite(found.value):
         raise RequestError(f"found value {found.value}, expected a finite number")
     value = math.nan if found.value is None else found.value
-    try:
-        lease = lease_of(found.lease)
-    except RequestError:
-        if verb is not Verb.HOLD:  # HOLD needs no lease, so a malformed one must not refuse it
-            raise
-        lease = None
-    given = msgspec.structs.asdict(found) | {"operator": operator, "value": value, "lease": lease}
+    if verb is not Verb.HOLD:  # HOLD needs no lease, so one that is sent must not refuse it
+        refuse_lease(found.lease)
+    given = msgspec.structs.asdict(found) | {"operator": operator, "value": value, "lease": None}
     return Request(verb, **given)
 
 

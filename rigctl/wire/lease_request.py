@@ -7,13 +7,13 @@ from typing import Any
 
 import msgspec
 
-from rigctl.wire.command_request import RequestError, decoded, lease_of, operator_of
-from rigctl.wire.lease import LeaseAct
+from rigctl.wire.command_request import RequestError, decoded, operator_of, refuse_lease
+from rigctl.wire.lease import LeaseAct, NewLease
 
 _REASON_LENGTH = 120
 _ALLOWED = {
-    LeaseAct.TAKE: '{"operator": "NAME"} and "lease": ID, "reason": TEXT',
-    LeaseAct.RETURN: '{"operator": "NAME", "lease": ID}',
+    LeaseAct.TAKE: '{"operator": "NAME"} and "reason": TEXT',
+    LeaseAct.RETURN: '{"operator": "NAME"}',
 }
 
 
@@ -26,13 +26,14 @@ class _LeasePayload(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class LeaseRequest:
-    """An operator's request to take or return the lease; ``reason`` may be empty. ``run_id``: see `Request`."""
+    """An operator's request to take or return the lease; ``reason`` may be empty. The others: see `Request`."""
 
     act: LeaseAct
     operator: str
     lease: str | None = None
     reason: str = ""
     run_id: str = ""
+    new: NewLease | None = None
 
     @property
     def command(self) -> str:
@@ -52,4 +53,5 @@ def parse_lease(act: LeaseAct, payload: bytes | None) -> LeaseRequest:
         raise RequestError(f"found reason, expected {_ALLOWED[act]}")
     if len(reason) > _REASON_LENGTH or not reason.isprintable():
         raise RequestError(f"found reason {reason[:80]!r}, expected up to {_REASON_LENGTH} printable letters")
-    return LeaseRequest(act, operator_of(found.operator), lease_of(found.lease), reason, found.run_id)
+    refuse_lease(found.lease)
+    return LeaseRequest(act, operator_of(found.operator), reason=reason, run_id=found.run_id)

@@ -82,7 +82,6 @@ NOTES: dict[Note, str] = {
 
 PAYLOAD: Rows = (
     ("operator", "string", "", "who gives it; required"),
-    ("lease", "string", "", "id from an earlier answer; without it the lease nobody holds is taken"),
     ("value", "number", "", "the target or the known weight of calibrate in N; the stroke of confirm_stroke in mm"),
     ("shunt", "boolean", "", "calibrate against the shunt"),
     ("adopt", "boolean", "", "calibrate sets the scale"),
@@ -94,7 +93,6 @@ PAYLOAD: Rows = (
 )
 LEASE_PAYLOAD: Rows = (
     ("operator", "string", "", "who asks; required"),
-    ("lease", "string", "", "id from an earlier answer"),
     ("reason", "string", "", "why it is taken over from another"),
     ("run_id", "string", "", "run of the daemon it is meant for; any other refuses it"),
 )
@@ -110,7 +108,7 @@ ANSWER: Rows = (
     ("t_ns", "integer", "ns", "when the loop answered, CLOCK_MONOTONIC"),
     ("value", "number?", "", "what it is about: target, tension or reading in N; identify: s"),
     ("entry", "object", "", "what the calibration ledger was given"),
-    ("lease", "object?", "", "who holds it: holder, since_ns, until_ns, held_s, left_s, and id for the holder alone"),
+    ("lease", "object?", "", "who holds it: holder, since_ns, until_ns, held_s, left_s, proven; nonce of a new lease"),
 )
 
 VERBS: dict[Verb, tuple[str, tuple[str, ...]]] = {

@@ -191,7 +191,8 @@ def run_gateway(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_folder_without_a_daemon_is_one_line() -> None:
-    result = run_gateway(f"/dev/shm/rigctl-none-{free_port()}")
+    folder = f"/dev/shm/rigctl-none-{free_port()}"
+    result = run_gateway(folder)
     assert result.returncode == 1
-    assert result.stderr == "gateway: active.json holds no valid settings\n"
+    assert result.stderr == f"gateway: {folder} cannot be entered: No such file or directory\n"
     assert run_gateway().returncode == 2

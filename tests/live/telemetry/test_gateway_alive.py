@@ -9,10 +9,12 @@ import threading
 import time
 from collections.abc import Iterator
 
+import msgspec
 import pytest
 import zenoh
 
 from rigctl.client.liveliness import Liveliness
+from rigctl.client.trust import Trust
 from rigctl.gateway import gateway_process
 from rigctl.wire.keys import Keys
 from rigctl.wire.session import SessionError, close, open_client
@@ -69,7 +71,9 @@ def test_whoever_sees_the_token_can_give_a_command_however_slow_the_session_of_t
         session = connected(own.endpoint)
         alive = Liveliness(session, keys.daemon)
         if alive.wait(True, PATIENCE_S):
-            query = session.get(keys.command("lease_take"), payload=b'{"operator":"kim"}', timeout=PATIENCE_S)
+            key, body = keys.command("lease_take"), b'{"operator":"kim"}'
+            proof = msgspec.json.encode(Trust(own.settings.rig, own.endpoint).attachment(key, body))
+            query = session.get(key, payload=body, attachment=proof, timeout=PATIENCE_S)
             answers.extend(answer.ok is not None for answer in query)
         alive.close()
         close(session)

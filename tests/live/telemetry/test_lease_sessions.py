@@ -286,9 +286,10 @@ def test_hold_comes_through_a_crowd(own: Daemon) -> None:
     """With as many unanswered commands as the server holds, the next one is refused, HOLD is not."""
     with own.client() as client:
         client.command("arm", "anna")
-        lease = client.leases["anna"]
-        body = msgspec.json.encode({"operator": "anna", "lease": lease, "value": 111.0})  # never answered
-        replies = [client.session.get(client.keys.command("target"), payload=body, timeout=5) for _ in range(70)]
+        lease, key = client.leases["anna"], client.keys.command("target")
+        body = msgspec.json.encode({"operator": "anna", "value": 111.0})  # never answered
+        proofs = [msgspec.json.encode(client.trust.attachment(key, body, lease)) for _ in range(70)]
+        replies = [client.session.get(key, payload=body, attachment=proof, timeout=5) for proof in proofs]
         with own.client() as kim:
             assert kim.command("hold", "kim")["accepted"]
         answers = [msgspec.json.decode(bytes(r.err.payload)) for reply in replies for r in reply if r.err is not None]

@@ -215,13 +215,11 @@ def test_watch_screen_survives_a_restart_and_ends_with_ctrl_c(own: Daemon) -> No
         os.close(master)
 
 
-def test_one_of_several_rigs_must_be_chosen(own: Daemon) -> None:
+def test_a_token_without_a_daemon_is_no_rig_to_choose_from(own: Daemon) -> None:
     with own.client() as client:
-        token = client.session.liveliness().declare_token("rigctl/other_rig/live/daemon")  # a duplicate rig name
-        result = own.cli("status")
-        assert result.returncode == 2
-        assert result.stderr == (
-            f"rigctl: several rigs answer at {own.endpoint}: other_rig, paper_rig; choose one with --rig\n"
-        )
-        assert own.cli("status", RIGCTL_RIG="paper_rig").returncode == 0
+        token = client.session.liveliness().declare_token("rigctl/other_rig/live/daemon")  # any session may
+        for more in ({}, {"RIGCTL_RIG": "paper_rig"}):
+            result = own.cli("status", **more)
+            assert (result.returncode, result.stderr) == (0, "")
+            assert "paper_rig" in result.stdout
         token.undeclare()  # type: ignore[no-untyped-call]

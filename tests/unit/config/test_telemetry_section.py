@@ -74,7 +74,7 @@ def test_check_and_run_refuse_an_open_address_and_say_what_is_waived(tmp_path: p
         done = rigctl(command, str(reached))
         assert done.returncode == 2 and LOCAL in done.stderr and done.stderr.count("\n") == 1
     waived = rig_file(tmp_path, {"telemetry": {"listen": "tcp/0.0.0.0:7447"} | WAIVER})
-    words = "other computers reach tcp/0.0.0.0:7447 and command without certificates"
+    words = "other computers reach tcp/0.0.0.0:7447, to read and to give HOLD, without certificates"
     assert words in " ".join(rigctl("check", str(waived)).stdout.split())
     assert words in json.loads(rigctl("check", str(waived), "--json").stdout)["waived_listen"]
 

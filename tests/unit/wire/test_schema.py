@@ -71,7 +71,7 @@ def test_every_verb_is_there_with_just_what_it_takes() -> None:
         assert said["description"]
         needs = {"operator": "kim"} | {option: examples[option] for option in required.get(name, set())}
         request.parse(Verb[name.upper()], msgspec.json.encode(needs))
-        for option in rows - {"operator", "lease", *needs}:
+        for option in rows - {"operator", *needs}:
             body = msgspec.json.encode(needs | {option: examples.get(option, True)})
             if option in said["options"]:
                 request.parse(Verb[name.upper()], body)
@@ -83,7 +83,7 @@ def test_every_verb_is_there_with_just_what_it_takes() -> None:
 def test_the_lease_is_there_with_just_what_it_takes() -> None:
     verbs = SCHEMA["lease"]["verbs"]
     assert set(verbs) == {act.value for act in LeaseAct}
-    assert described(SCHEMA["lease"]["payload"]) == {"operator", "lease", "reason", "run_id"}
+    assert described(SCHEMA["lease"]["payload"]) == {"operator", "reason", "run_id"}
     for act in LeaseAct:
         body = msgspec.json.encode({"operator": "kim", "reason": "tea"})
         if "reason" in verbs[act.value]["options"]:

@@ -1,0 +1,103 @@
+"""Seals of a rig's files: a file that somebody else has edited is noticed when it is read.
+
+A seal is HMAC-SHA256 over the content under a key of the rig, which lies beside the ledger (0600, of the user who runs
+the daemon). Who can read the key can seal. A user who cannot, reads a file without its seal verified.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import hmac
+import os
+import pathlib
+import secrets
+import stat
+from enum import Enum
+
+from rigctl.config import input_file
+from rigctl.config.settings import RigSettings
+from rigctl.ipc import whole_file
+
+KEY_BYTES = 32
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+
+
+class SealError(RuntimeError):
+    """The key cannot be read or made, or is not its owner's alone; ``str()`` is one line."""
+
+
+class SealVerdict(Enum):
+    """What a seal says of a file."""
+
+    GOOD = "sealed"
+    BROKEN = "edited since it was sealed"
+    UNSEALED = "never sealed"  # and there is no key yet
+    UNKNOWN = "its seal cannot be verified by this user"
+
+
+def key_file(settings: RigSettings, name: str) -> pathlib.Path:
+    """The rig's key for what is called ``name``, beside the ledger.
+
+    Each name has a key of its own: a file from before there were seals is believed until its own first seal.
+    """
+    return settings.last_stroke.with_name(f"{settings.rig}.{name}.key")
+
+
+def _key(path: pathlib.Path) -> bytes:
+    """The key.
+
+    Raises:
+        OSError: it cannot be read, or there is none.
+        SealError: it is not its owner's alone, or no key.
+    """
+    found = path.lstat()
+    if found.st_mode & 0o077 or not stat.S_ISREG(found.st_mode) or found.st_uid not in (0, os.geteuid()):
+        mode = f"user {found.st_uid} and mode {stat.S_IMODE(found.st_mode):04o}"
+        raise SealError(f"{path}: found {mode}, expected a file of user {os.geteuid()} with mode 0600")
+    key = input_file.read(path, largest=4 * KEY_BYTES).strip()
+    if len(key) != 2 * KEY_BYTES:
+        raise SealError(f"{path}: found {len(key)} bytes, expected a key of {2 * KEY_BYTES}")
+    return key
+
+
+def _mac(key: bytes, name: str, data: bytes) -> str:
+    return hmac.new(key, len(name).to_bytes(4, "little") + name.encode() + data, hashlib.sha256).hexdigest()
+
+
+def seal(settings: RigSettings, name: str, data: bytes) -> str:
+    """The seal of ``data``, the content of what is called ``name``; the first seal makes the key.
+
+    Raises:
+        SealError: the key cannot be read or made.
+    """
+    path = key_file(settings, name)
+    try:
+        with contextlib.suppress(FileExistsError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            fd = os.open(path, _NEW, 0o600)
+            with os.fdopen(fd, "wb") as file:
+                file.write(secrets.token_hex(KEY_BYTES).encode() + b"\n")
+                file.flush()
+                os.fsync(fd)
+            whole_file.sync_folder(path.parent)
+        return _mac(_key(path), name, data)
+    except OSError as error:
+        raise SealError(f"{path}: cannot be used: {error.strerror}") from None
+
+
+def verdict(settings: RigSettings, name: str, data: bytes, found: str) -> SealVerdict:
+    """What the seal ``found`` says of ``data``.
+
+    Raises:
+        SealError: the key is not its owner's alone, or no key.
+    """
+    try:
+        key = _key(key_file(settings, name))
+    except FileNotFoundError:
+        return SealVerdict.BROKEN if found else SealVerdict.UNSEALED
+    except OSError:
+        return SealVerdict.UNKNOWN
+    return (
+        SealVerdict.GOOD if hmac.compare_digest(_mac(key, name, data).encode(), found.encode()) else SealVerdict.BROKEN
+    )

@@ -1,0 +1,43 @@
+"""Run-time folders on this computer whose files this user may believe.
+
+In ``/dev/shm`` anyone can make a folder of any name, so only a folder of this user is believed. In ``/run/rigctl``,
+which the service manager makes for the installed service, a folder of the service's user is believed too. A folder
+that others may write to, or a link, is believed nowhere.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+import stat
+from collections.abc import Iterator
+
+from rigctl.ipc import runtime_folder
+
+
+def trusted_folders() -> Iterator[pathlib.Path]:
+    """Every run-time folder that this user may believe and enter, in the order of their names."""
+    for base, pattern in ((runtime_folder.SERVICE_BASE, "*"), (runtime_folder.BASE, "rigctl-*")):
+        with contextlib.suppress(OSError):
+            owners = {os.geteuid()} | (_service_owners(base) if base == runtime_folder.SERVICE_BASE else set())
+            for folder in sorted(base.glob(pattern)):
+                if _is_trusted(folder, owners):
+                    yield folder
+
+
+def _service_owners(base: pathlib.Path) -> set[int]:
+    """Owners besides this user whose folders in the service's ``base`` are believed: none if anyone may make one."""
+    found = base.lstat()
+    closed = stat.S_ISDIR(found.st_mode) and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    parent = base.parent.lstat()
+    of_root = parent.st_uid == 0 and not parent.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return {found.st_uid} if closed and of_root else set()
+
+
+def _is_trusted(folder: pathlib.Path, owners: set[int]) -> bool:
+    with contextlib.suppress(OSError):
+        found = folder.lstat()
+        closed = not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        return stat.S_ISDIR(found.st_mode) and found.st_uid in owners and closed and os.access(folder, os.X_OK)
+    return False

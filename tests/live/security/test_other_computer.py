@@ -1,0 +1,101 @@
+"""An attacker in another network namespace, joined by a cable: what plain TCP gives him, and what it does not."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import subprocess
+from collections.abc import Iterator
+
+import pytest
+
+from rigctl.client.connection import Client
+from rigctl.wire.keys import Keys
+from tests.builders.intruder import FORGED, Intruder
+from tests.builders.miniature import Daemon, until
+
+KEYS = Keys("paper_rig")
+HERE, THERE = "10.213.7.1", "10.213.7.2"
+
+
+def _run(*command: str) -> None:
+    subprocess.run(command, check=True, capture_output=True, text=True)
+
+
+@pytest.fixture
+def elsewhere() -> Iterator[tuple[str, ...]]:
+    """Words before a command that has it run in another network namespace, where this computer is ``HERE``."""
+    other = subprocess.Popen(["unshare", "-n", "sleep", "600"])
+    own, cable = pathlib.Path("/proc/self/ns/net").readlink(), f"rv{os.getpid()}"
+    try:
+        until(lambda: pathlib.Path(f"/proc/{other.pid}/ns/net").readlink() != own, "the namespace")
+        within = ("nsenter", "-t", str(other.pid), "-n")
+        try:
+            _run("ip", "link", "add", cable, "type", "veth", "peer", "name", "rv", "netns", str(other.pid))
+        except (OSError, subprocess.CalledProcessError):
+            pytest.skip("this computer allows no cable between network namespaces")
+        _run("ip", "addr", "add", f"{HERE}/30", "dev", cable)
+        _run("ip", "link", "set", cable, "up")
+        _run(*within, "ip", "addr", "add", f"{THERE}/30", "dev", "rv")
+        _run(*within, "ip", "link", "set", "rv", "up")
+        yield within
+    finally:
+        other.kill()
+        other.wait()
+        subprocess.run(["ip", "link", "del", cable], check=False, capture_output=True)
+
+
+@pytest.fixture
+def open_daemon() -> Iterator[Daemon]:
+    """A daemon that listens on every address of this computer, without TLS."""
+    daemon = Daemon()
+    try:
+        active = daemon.runtime.read_json("active.json")
+        port = daemon.endpoint.rpartition(":")[2]
+        active["settings"]["telemetry"]["listen"] = f"tcp/0.0.0.0:{port}"
+        daemon.runtime.write_json("active.json", active)
+        daemon.start_loop()
+        daemon.start_gateway()
+        yield daemon
+    finally:
+        daemon.close()
+
+
+def at(daemon: Daemon) -> str:
+    """The daemon's endpoint as seen from the other namespace."""
+    return f"tcp/{HERE}:{daemon.endpoint.rpartition(':')[2]}"
+
+
+def compensating(daemon: Daemon) -> Client:
+    client = daemon.client()
+    assert client.command("arm", "anna")["accepted"]
+    assert client.command("tension", "anna")["accepted"]
+    return client
+
+
+def test_a_loopback_address_does_not_answer_there(own: Daemon, elsewhere: tuple[str, ...]) -> None:
+    with compensating(own), pytest.raises(AssertionError):
+        Intruder(at(own), "paper_rig", namespace=elsewhere)
+
+
+def test_no_command_but_hold_is_taken_from_there(open_daemon: Daemon, elsewhere: tuple[str, ...]) -> None:
+    own = open_daemon
+    with compensating(own) as anna, Intruder(at(own), "paper_rig", namespace=elsewhere) as intruder:
+        for verb, body in (("lease_take", {"reason": "mine"}), ("release", {}), ("target", {"value": 349.0})):
+            answer = intruder.ask(KEYS.command(verb), json.dumps({"operator": "anna", **body}).encode())
+            assert not answer["good"]
+            assert "found no proof of who gives it" in answer["text"]
+        assert own.state(anna)["lease"]["holder"] == "anna"
+        assert intruder.ask(KEYS.command("hold"), b'{"operator": "kim"}')["good"]
+        assert own.state(anna)["mode"] == "HOLD"
+
+
+def test_his_answers_and_tokens_are_not_believed_here(open_daemon: Daemon, elsewhere: tuple[str, ...]) -> None:
+    own = open_daemon
+    with compensating(own), Intruder(at(own), "paper_rig", "answers", "tokens", namespace=elsewhere) as intruder:
+        done = own.cli("hold", "--operator", "kim")
+        intruder.wait("query", key=KEYS.command("hold"))
+        assert (done.returncode, done.stderr) == (0, "")
+        assert done.stdout.startswith("HOLD: stroke held at")
+        assert FORGED not in done.stdout
