@@ -74,9 +74,9 @@ def _settings(file: pathlib.Path) -> RigSettings:
 
 def _check_alone() -> None:
     """Refuse to run beside a daemon, whose loop may hold a load and would lose processor time."""
-    from rigctl.ipc.runtime_folder import BASE, daemons
+    from rigctl.ipc.runtime_folder import daemons
 
-    if running := [f"{rig} (process {pid})" for rig, pid in daemons(BASE)]:
+    if running := [f"{rig} (process {pid})" for rig, pid in daemons()]:
         end(BAD, f"bench: a daemon runs on this computer, and its loop comes first: {', '.join(running)}")
 
 

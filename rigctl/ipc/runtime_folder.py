@@ -28,15 +28,15 @@ from typing import Annotated, Any
 
 import msgspec
 
-from rigctl.config import input_file
+from rigctl.config import input_file, layout
 from rigctl.config.settings import RigSettings
 from rigctl.ipc import record
 from rigctl.ipc.ring import RingReader, RingWriter, create, identity
 
 ACTIVE = "active.json"
 RECORDED = "recorder.json"
-BASE = pathlib.Path("/dev/shm")
-"""Parent of the folders of all daemons of this computer."""
+BASE = layout.SHARED_MEMORY
+"""Parent of the folders of all daemons of this computer but the installed service's."""
 _LONGEST_LOCK, _LARGEST_PID = 20, 1 << 22
 _SMALL_RING = 4096
 _NOTES = 1024
@@ -130,10 +130,10 @@ def recorded() -> list[dict[str, Any]]:
     return found
 
 
-def daemons(base: pathlib.Path = BASE) -> list[tuple[str, int]]:
-    """Rig and pid of every daemon that runs on this computer, by the pid in its lock."""
+def daemons(*bases: pathlib.Path) -> list[tuple[str, int]]:
+    """Rig and pid of every daemon that runs on this computer, by the pid in its lock; ``bases``: other than all."""
     found = []
-    for lock in sorted(base.glob("rigctl-*/lock")):
+    for lock in [lock for base in bases or (layout.RUN, BASE) for lock in sorted(base.glob("rigctl-*/lock"))]:
         with contextlib.suppress(OSError, ValueError):  # just being deleted, or not written yet
             pid = int(input_file.read(lock, largest=_LONGEST_LOCK))
             if 0 < pid < _LARGEST_PID and _alive(pid):
@@ -201,9 +201,9 @@ class Runtime:
         """Links, pipes and folders that stood in place of files and were removed, for the operator."""
 
     @classmethod
-    def of(cls, rig: str) -> Runtime:
-        """The folder of the daemon of ``rig``."""
-        return cls(BASE / f"rigctl-{rig}")
+    def of(cls, rig: str, base: pathlib.Path = BASE) -> Runtime:
+        """The folder of the daemon of ``rig``; ``base``: see `rigctl.config.layout.run_base`."""
+        return cls(base / f"rigctl-{rig}")
 
     def claim(self) -> int:
         """Become the only daemon of this rig; returns the lock's file descriptor, held until the process ends.

@@ -23,6 +23,7 @@ import msgspec
 import numpy as np
 
 from rigctl import __version__
+from rigctl.config import layout
 from rigctl.config.bounds import findings
 from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke
@@ -83,7 +84,7 @@ class Supervisor:
         """``say`` takes the lines of the daemon's log."""
         self.settings = settings
         self._say = say
-        self._runtime = Runtime.of(settings.rig)
+        self._runtime = Runtime.of(settings.rig, layout.run_base(settings.directory))
         self._stopping = False
         self._feed_at_ns = 0
         self._supervision: Supervision | None = None
