@@ -15,6 +15,7 @@ from rigctl.cli import (
     commission,
     descriptors,
     doctor,
+    install,
     lease,
     page,
     recordings,
@@ -59,6 +60,7 @@ for command in (
     doctor.doctor, bench.bench, audit.audit, replay.replay, report.report, recordings.info, recordings.export,
     verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset,
     commission.tare, commission.calibrate, commission.identify, commission.gains,
+    install.install, install.uninstall,
 ):  # fmt: skip
     app.command()(command)
 # These take a negative number as a value, not as an option.
