@@ -35,7 +35,7 @@ def install(
     settings = load_rig_file(file)
     from rigctl.cli import install_files as files
     from rigctl.cli.check import accepted, verdict
-    from rigctl.cli.install_target import Target, deploy_folder, program
+    from rigctl.cli.install_target import ServiceError, Target, deploy_folder, program
 
     if not accepted(settings):
         end(BAD, f"{file}: {verdict(settings)}")
@@ -52,7 +52,10 @@ def install(
     changed = sum([target.keep_and_write(wanted), target.write(own), target.write(common), target.write(cpus)])
     changed += target.drop_stale(settings.rig, own, cpus)
     if target.is_live:
-        target.activate(settings.rig, files.units(settings), start=start)
+        try:
+            target.activate(settings.rig, files.units(settings), start=start)
+        except ServiceError as error:
+            end(BAD, str(error))
     _say_end(settings, target, changed, started=start)
 
 
@@ -63,14 +66,17 @@ def uninstall(
 ) -> None:
     """Stop a rig's services and remove what install wrote; its settings and data stay."""
     from rigctl.cli import install_files as files
-    from rigctl.cli.install_target import Target, deploy_folder, program
+    from rigctl.cli.install_target import ServiceError, Target, deploy_folder, program
 
     target = Target(root, say, dry_run=dry_run)
     if rig not in target.rigs():
         end(USAGE, f"{rig}: found no rig of this name among the installed: {', '.join(target.rigs()) or 'none'}")
     _check_rights(target)
     if target.is_live:
-        target.deactivate(rig)
+        try:
+            target.deactivate(rig)
+        except ServiceError as error:
+            end(BAD, str(error))
     with wrong_usage(files.InstallError):
         computer = files.host(program(live=False))
         cpus = files.processors(_loops(target, {rig: None}), computer)

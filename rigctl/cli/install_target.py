@@ -59,6 +59,10 @@ def program(live: bool) -> str:
     return str(used)
 
 
+class ServiceError(RuntimeError):
+    """The service manager refused; ``str()`` is one line."""
+
+
 class Target:
     """Files below a root, and its services.
 
@@ -189,7 +193,11 @@ class Target:
 
     # -- services -------------------------------------------------------------------------------------------
     def activate(self, rig: str, units: list[str], *, start: bool) -> None:
-        """Make users and folders, load the units, enable and start them; a daemon that runs goes on as it is."""
+        """Make users and folders, load the units, enable and start them; a daemon that runs goes on as it is.
+
+        Raises:
+            ServiceError: a step failed; the files stay, and the command may be given again.
+        """
         page = f"rigctl-page@{rig}.service"
         self.was_running = _succeeds("systemctl", "--quiet", "is-active", f"rigctl@{rig}.service")
         self._do("systemd-sysusers")
@@ -223,10 +231,10 @@ class Target:
         try:
             done = subprocess.run(command, capture_output=True, text=True, check=False)
         except OSError as error:
-            raise InstallError(f"{command[0]}: {error.strerror}") from None
+            raise ServiceError(f"{command[0]}: {error.strerror}") from None
         if done.returncode:
             said = " ".join(done.stderr.split()) or f"ended with code {done.returncode}"
-            raise InstallError(f"{' '.join(command)}: {said}")
+            raise ServiceError(f"{' '.join(command)}: {said}")
 
 
 def _succeeds(*command: str) -> bool:
