@@ -70,18 +70,17 @@ class ServiceComputer:
             with contextlib.suppress(OSError):
                 pathlib.Path(folder).rmdir()
 
-    def run(self, *command: str, user: str = "root") -> subprocess.CompletedProcess[str]:
-        """Run a command in it, as ``user``."""
-        become = [] if user == "root" else ["setpriv", f"--reuid={user}", f"--regid={user}", "--init-groups"]
-        clean = ["env", "-i", "PATH=/usr/sbin:/usr/bin:/sbin:/bin", "LANG=C.UTF-8", f"USER={user}", "HOME=/tmp"]
+    def run(self, *command: str) -> subprocess.CompletedProcess[str]:
+        """Run a command in it, as root."""
+        clean = ["env", "-i", "PATH=/usr/sbin:/usr/bin:/sbin:/bin", "LANG=C.UTF-8", "USER=root", "HOME=/tmp"]
         return subprocess.run(
-            ["nsenter", "--target", str(self._init), "--all", "--wd=/", *become, *clean, *command],
+            ["nsenter", "--target", str(self._init), "--all", "--root", "--wd", *clean, *command],
             capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, timeout=300,
         )  # fmt: skip
 
-    def done(self, *command: str, user: str = "root") -> str:
+    def done(self, *command: str) -> str:
         """Run a command that has to succeed; returns what it printed."""
-        result = self.run(*command, user=user)
+        result = self.run(*command)
         said = f"{shlex.join(command)}: {result.stdout}{result.stderr}"
         assert result.returncode == 0, f"{said}\n{self.journal()[-3000:]}"
         return result.stdout
