@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pathlib
 import shutil
@@ -61,8 +62,6 @@ def _fresh(request: pytest.FixtureRequest) -> Iterator[None]:
 
 def mode(computer: ServiceComputer) -> str:
     """The daemon's mode; empty while it does not answer."""
-    import json
-
     answer = computer.run("rigctl", "status", "--json")
     return str(json.loads(answer.stdout)["mode"]) if answer.returncode == 0 else ""
 
@@ -198,6 +197,45 @@ def test_the_page_is_a_service_of_its_own_and_comes_back(computer: ServiceComput
     assert computer.done("stat", "-c", "%U", f"/proc/{pid}").strip() == "rigctl-page"
     computer.done("kill", "-KILL", pid)
     computer.wait_for(lambda: computer.value(PAGE, "MainPID") not in ("0", pid) and served())
+
+
+def stages() -> dict[str, dict[str, str]]:
+    """Last value of each instruction of the container file, by stage."""
+    found: dict[str, dict[str, str]] = {}
+    text = (ROOT / "deploy/Containerfile").read_text().replace("\\\n", " ")
+    for line in text.splitlines():
+        word, _, rest = line.partition(" ")
+        if word == "FROM":
+            found[rest.split()[-1]] = {}
+        elif word.isupper():
+            found[list(found)[-1]][word] = rest
+    return found
+
+
+def in_container(computer: ServiceComputer, stage: dict[str, str], *more: str) -> tuple[str, ...]:
+    """A stage's entry point as its user, with what it prepares made first."""
+    if "RUN" in stage:
+        computer.done("sh", "-c", stage["RUN"])
+    user = stage["USER"]
+    group = computer.done("id", "-g", user).strip()
+    variables = [stage["ENV"]] if "ENV" in stage else []
+    become = ("setpriv", f"--reuid={user}", f"--regid={group}", "--init-groups", "env", "HOME=/tmp", *variables)
+    return (*become, *json.loads(stage["ENTRYPOINT"]), *more)
+
+
+def test_the_containers_entry_points_serve_a_rig_and_its_page(computer: ServiceComputer) -> None:
+    made = stages()
+    assert list(made) == ["base", "simulated", "page", "viewer"]
+    computer.done("systemctl", "stop", DAEMON, SIMULATED)
+    start = ("systemd-run", "--collect", "--quiet")
+    computer.done(*start, "--unit=container-rig", *in_container(computer, made["simulated"]))
+    computer.done(*start, "--unit=container-page", *in_container(computer, made["page"]))
+    computer.wait_for(lambda: mode(computer) == "DISARMED")
+    fetch = "import urllib.request as u; print(u.urlopen('http://127.0.0.1:8080/').status)"
+    computer.wait_for(lambda: computer.run("python3", "-c", fetch).stdout.strip() == "200")
+    seen = computer.run("timeout", "-s", "INT", "5", *in_container(computer, made["viewer"]))
+    assert "DISARMED" in seen.stdout.replace(" ", "")
+    computer.done("systemctl", "stop", "container-page", "container-rig")
 
 
 def test_uninstall_stops_the_services_and_keeps_settings_and_data(computer: ServiceComputer) -> None:
