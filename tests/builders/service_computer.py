@@ -10,6 +10,7 @@ import contextlib
 import os
 import pathlib
 import shlex
+import shutil
 import signal
 import subprocess
 import time
@@ -26,11 +27,14 @@ mount -t proc p $m/proc; mount -t sysfs -o ro s $m/sys; mount -t cgroup2 c $m/sy
 for f in run tmp dev; do mount -t tmpfs t $m/$f; done; chmod 1777 $m/tmp; chmod 755 $m/run $m/dev
 for n in null zero full random urandom tty; do touch $m/dev/$n; mount --bind /dev/$n $m/dev/$n; done
 mkdir $m/dev/shm $m/dev/pts; mount -t tmpfs -o mode=1777 s $m/dev/shm; ln -s /proc/self/fd $m/dev/fd
+mount -t devpts -o newinstance,ptmxmode=0666 d $m/dev/pts; ln -s pts/ptmx $m/dev/ptmx
 # A fresh system: only what the package and `rigctl install` enable is started.
 [ -e $1/booted ] || rm -rf $m/etc/systemd/system/*.wants $m/usr/lib/systemd/system/timers.target.wants
 touch $1/booted
 ip link set lo up
-exec chroot $m /usr/bin/env -i container=test PATH=/usr/sbin:/usr/bin:/sbin:/bin \
+# Not chroot: the services' own mounts need a root that is a mount.
+cd $m; mkdir -p .outside; pivot_root . .outside; umount -l .outside
+exec chroot . /usr/bin/env -i container=test PATH=/usr/sbin:/usr/bin:/sbin:/bin \
     /lib/systemd/systemd --unit=multi-user.target --log-target=journal --show-status=no
 """
 
@@ -77,6 +81,11 @@ class ServiceComputer:
             ["nsenter", "--target", str(self._init), "--all", "--root", "--wd", *clean, *command],
             capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, timeout=300,
         )  # fmt: skip
+
+    def put(self, file: pathlib.Path) -> str:
+        """Copy a file into it; returns where it is there."""
+        shutil.copy(file, f"/proc/{self._init}/root/var/cache/{file.name}")
+        return f"/var/cache/{file.name}"
 
     def done(self, *command: str) -> str:
         """Run a command that has to succeed; returns what it printed."""

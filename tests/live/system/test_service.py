@@ -41,7 +41,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
 def computer(package: pathlib.Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceComputer]:
     """A computer on which a new user has given the three commands of docs/install.md."""
     with service_computer(tmp_path_factory.mktemp("computer")) as made:
-        made.done("dpkg", "--install", str(package))
+        made.done("dpkg", "--install", made.put(package))
         made.done("rigctl", "install", RIG)
         made.wait_for(lambda: mode(made) == "DISARMED")
         made.done("rigctl", "arm")
