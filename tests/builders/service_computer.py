@@ -39,6 +39,20 @@ exec chroot . /usr/bin/env -i container=test PATH=/usr/sbin:/usr/bin:/sbin:/bin 
 """
 
 
+CAP_SYS_RESOURCE, CAP_SYS_NICE, CAP_IPC_LOCK = 24, 23, 14
+_LENT = """# This computer may not raise limits, so the right to real time is lent another way.
+[Service]
+CapabilityBoundingSet=CAP_SYS_NICE CAP_IPC_LOCK
+AmbientCapabilities=CAP_SYS_NICE CAP_IPC_LOCK
+"""
+
+
+def may_raise_limits() -> bool:
+    """Whether this computer's root may raise limits, which the units' LimitRTPRIO and LimitMEMLOCK need."""
+    words = pathlib.Path("/proc/self/status").read_text().partition("CapEff:")[2].split()
+    return bool(int(words[0], 16) >> CAP_SYS_RESOURCE & 1)
+
+
 class ServiceComputer:
     """One such computer. ``folder``: an empty one for its files, a mount of memory."""
 
@@ -86,6 +100,15 @@ class ServiceComputer:
         """Copy a file into it; returns where it is there."""
         shutil.copy(file, f"/proc/{self._init}/root/var/cache/{file.name}")
         return f"/var/cache/{file.name}"
+
+    def lend_real_time(self, *templates: str) -> None:
+        """Let services have real time where this computer's root may not raise limits."""
+        if may_raise_limits():
+            return
+        for template in templates:
+            folder = pathlib.Path(f"/proc/{self._init}/root/etc/systemd/system/{template}.d")
+            folder.mkdir(parents=True)
+            (folder / "lent.conf").write_text(_LENT)
 
     def done(self, *command: str) -> str:
         """Run a command that has to succeed; returns what it printed."""
