@@ -1,13 +1,14 @@
 # make demo   the daemon's main job on the simulated rig, judged       make lint   ruff and mypy strict
 # make test   what a change is judged by, in minutes                   make bench  timing against cyclictest
 # make test-live   all real processes in real time, studies, guest kernel's bus faults
+# make deb    Debian package, installable offline
 # make coverage   branches of modes and safety table    make mutation   mutants, all or a sample    make fuzz
 SHELL := /bin/bash
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-live lint bench coverage mutation fuzz setup system
+.PHONY: demo test test-live lint bench coverage mutation fuzz setup system deb
 .DELETE_ON_ERROR:
 
 demo: $(STAMP)
@@ -58,3 +59,6 @@ $(STAMP): pyproject.toml constraints.txt
 	    -e '.[dev]' | sed -u -n -e 's/^Collecting \([^ ]*\).*/  package \1/p' -e 's/^Installing collected.*/  installing/p'
 	$(PYTHON) -m hil.plant
 	touch $@
+
+deb: $(STAMP)
+	deploy/deb $(PYTHON) dist

@@ -24,6 +24,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control import realtime
 from rigctl.devices import eds_file
 from rigctl.ipc import output_file
+from rigctl.ipc.service_manager import notify
 from rigctl.ipc.termination import ENDING, on_signals
 
 WAIT_S = 0.001
@@ -179,6 +180,7 @@ def serve(file: pathlib.Path, truth: pathlib.Path | None, announce: Callable[[st
     try:
         _prepare_process(settings)
         announce(service.ready)
+        notify("READY=1")
         service.run()
     finally:
         service.close()

@@ -16,6 +16,7 @@ from rigctl.cli import (
     commission,
     descriptors,
     doctor,
+    install,
     keys,
     lease,
     page,
@@ -66,6 +67,7 @@ for command in (
     recordings.info, recordings.export,
     verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset,
     commission.tare, commission.calibrate, commission.identify, commission.gains,
+    install.install, install.uninstall,
 ):  # fmt: skip
     app.command()(command)
 # These take a negative number as a value, not as an option.

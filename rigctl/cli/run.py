@@ -49,8 +49,10 @@ def _check_eds(settings: RigSettings) -> None:
         eds_file.check(settings)
 
 
-def _with_page(settings: RigSettings, page: bool, listen: str | None) -> RigSettings:
-    """The settings, with a page if an option adds one."""
+def _with_page(settings: RigSettings, page: bool | None, listen: str | None) -> RigSettings:
+    """The settings, with a page if an option adds one, without one if an option leaves it to a unit of its own."""
+    if page is False:
+        return settings.model_copy(update={"page": None})
     if listen is not None:
         from rigctl.config.page_address import Address, AddressError
         from rigctl.config.page_section import PageSettings
@@ -85,7 +87,9 @@ def check(file: File, json: Json = False) -> None:
 
 def run(
     file: File,
-    page: Annotated[bool, typer.Option("--page", help="Serve the live page too, read-only.")] = False,
+    page: Annotated[
+        bool | None, typer.Option("--page/--no-page", help="Serve the live page too, read-only; or not in any case.")
+    ] = None,
     page_listen: Annotated[
         str | None, typer.Option("--page-listen", metavar="HOST:PORT", help="The same, there [127.0.0.1:8080].")
     ] = None,

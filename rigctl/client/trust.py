@@ -21,7 +21,7 @@ import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from rigctl.client.local_hold import same_endpoint
-from rigctl.ipc import runtime_folder as runtime
+from rigctl.config import layout
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.ipc.trusted_folders import trusted_folders
 from rigctl.wire import proof
@@ -105,7 +105,7 @@ class Trust:
         """Why nothing is verified, or why no command can be proven, in one line; empty if all is well."""
         if self.certified:
             return ""
-        where = f"{runtime.SERVICE_BASE}/{self.rig} or {runtime.BASE}/rigctl-{self.rig}"
+        where = f"{layout.RUN} or {layout.SHARED_MEMORY}, rigctl-{self.rig}"
         if not self.verifies:
             return (
                 f"{self.rig} at {self.endpoint} is not verified, and its daemon takes no command but HOLD from here: "

@@ -91,7 +91,7 @@ def judge(
 def folders(settings: RigSettings) -> list[Folder]:
     """Folders the rig file has written to: one for each disk, and each folder this process may not write to."""
     ledger = settings.ledger
-    places = [*([ledger.parent] if ledger else []), settings.audit_log.parent, settings.file(settings.audit.trips)]
+    places = [*([ledger.parent] if ledger else []), settings.audit_log.parent, settings.kept(settings.audit.trips)]
     found: dict[int, Folder] = {}
     for place in places:
         there = next((path for path in (place, *place.parents) if path.is_dir()), pathlib.Path("/"))

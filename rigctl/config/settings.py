@@ -11,6 +11,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from rigctl.config import layout
 from rigctl.config.bounds import findings
 from rigctl.config.canopen import SIMULATOR_NODE, VELOCITY_ACTUAL, VELOCITY_ACTUAL_16
 from rigctl.config.io_section import IoSettings
@@ -510,18 +511,22 @@ class RigSettings(Settings):
         """File of the ledger; None without a calibration section."""
         if self.calibration is None:
             return None
-        return self.file(self.calibration.file or f"calibration/{self.rig}.json")
+        return self.kept(self.calibration.file or f"calibration/{self.rig}.json")
 
     @property
     def last_stroke(self) -> pathlib.Path:
         """File in which the recorder keeps the last known stroke, beside the ledger."""
-        return (self.ledger or self.file(f"calibration/{self.rig}.json")).with_suffix(".stroke.json")
+        return (self.ledger or self.kept(f"calibration/{self.rig}.json")).with_suffix(".stroke.json")
 
     @property
     def audit_log(self) -> pathlib.Path:
         """File in which the recorder keeps the audit log."""
-        return self.file(self.audit.file or f"audit/{self.rig}.jsonl")
+        return self.kept(self.audit.file or f"audit/{self.rig}.jsonl")
 
     def file(self, name: str) -> pathlib.Path:
-        """A file named in the rig file, relative to the rig file's folder."""
+        """A file named in the rig file that the daemon reads, relative to the rig file's folder."""
         return pathlib.Path(self.directory) / name
+
+    def kept(self, name: str) -> pathlib.Path:
+        """A file or folder that the daemon writes; for its place see `rigctl.config.layout`."""
+        return layout.state_folder(self.directory) / name

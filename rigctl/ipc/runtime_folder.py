@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 
-from rigctl.config import input_file
+from rigctl.config import input_file, layout
 from rigctl.ipc import record
 from rigctl.ipc.ring import RingReader, RingWriter, create, identity
 
@@ -42,10 +42,8 @@ if TYPE_CHECKING:
 
 ACTIVE = "active.json"
 RECORDED = "recorder.json"
-BASE = pathlib.Path("/dev/shm")
+BASE = layout.SHARED_MEMORY
 """Parent of the folders of the daemons that users start on this computer; anyone may make a folder there."""
-SERVICE_BASE = pathlib.Path("/run/rigctl")
-"""Parent of the folders of the installed service; only the service's user may make one there."""
 _LONGEST_LOCK, _LARGEST_PID = 20, 1 << 22
 _SMALL_RING = 4096
 _NOTES = 1024
@@ -130,7 +128,7 @@ def frames_held(settings: RigSettings) -> int:
 def recorded() -> list[dict[str, Any]]:
     """recorder.json of every daemon that runs on this computer."""
     found = []
-    for folder in (*sorted(BASE.glob("rigctl-*")), *sorted(SERVICE_BASE.glob("*"))):
+    for folder in [one for base in (layout.RUN, BASE) for one in sorted(base.glob("rigctl-*"))]:
         with contextlib.suppress(OSError, msgspec.MsgspecError):  # another user's, or just being deleted
             runtime = Runtime(folder)
             runs = pathlib.Path(f"/proc/{runtime.read_json(ACTIVE).get('pid', 0)}").exists()
@@ -139,10 +137,9 @@ def recorded() -> list[dict[str, Any]]:
     return found
 
 
-def daemons(base: pathlib.Path | None = None) -> list[tuple[str, int]]:
-    """Rig and pid of every daemon that runs on this computer, by the pid in its lock. ``base``: only in this folder."""
-    bases = (base,) if base is not None else (SERVICE_BASE, BASE)
-    folders = [folder for one in bases for folder in sorted(one.glob("*" if one == SERVICE_BASE else "rigctl-*"))]
+def daemons(*bases: pathlib.Path) -> list[tuple[str, int]]:
+    """Rig and pid of every daemon that runs on this computer, by the pid in its lock; ``bases``: other than all."""
+    folders = [folder for base in bases or (layout.RUN, BASE) for folder in sorted(base.glob("rigctl-*"))]
     return [(folder.name.removeprefix("rigctl-"), pid) for folder in folders if (pid := daemon_pid(folder))]
 
 
@@ -210,19 +207,15 @@ class Runtime:
         self.holds = RingFile(folder / "holds", record.HOLD)
         self.supervision = RingFile(folder / "supervision", record.NOTE)
         self._claimed = -1  # descriptor of the folder
-        self._shared = folder.parent == SERVICE_BASE
+        self._shared = folder.parent == layout.RUN
         self._rings: dict[pathlib.Path, tuple[int, bytes]] = {}  # inode and header of each
         self.cleared: list[str] = []
         """Links, pipes and folders that stood in place of files and were removed, for the operator."""
 
     @classmethod
-    def of(cls, rig: str) -> Runtime:
-        """The folder of the daemon of ``rig``: in ``SERVICE_BASE`` for the service's user, else in ``BASE``."""
-        with contextlib.suppress(OSError):
-            found = SERVICE_BASE.lstat()
-            if stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid():
-                return cls(SERVICE_BASE / rig)
-        return cls(BASE / f"rigctl-{rig}")
+    def of(cls, rig: str, base: pathlib.Path = BASE) -> Runtime:
+        """The folder of the daemon of ``rig``; ``base``: see `rigctl.config.layout.run_base`."""
+        return cls(base / f"rigctl-{rig}")
 
     @classmethod
     def entered(cls, directory: str | pathlib.Path) -> Runtime:
@@ -238,13 +231,13 @@ class Runtime:
         except OSError as error:
             raise FolderError(f"{path} cannot be entered: {error.strerror}") from None
         found = os.fstat(fd)
-        owners = {os.geteuid()} | ({path.parent.lstat().st_uid} if path.parent == SERVICE_BASE else set())
+        owners = {os.geteuid()} | ({path.parent.lstat().st_uid} if path.parent == layout.RUN else set())
         if found.st_uid not in owners or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
             os.close(fd)
             mode = stat.S_IMODE(found.st_mode)
             raise FolderError(f"{path}: found user {found.st_uid} and mode {mode:04o}, expected the daemon's folder")
         entered = cls(f"/proc/self/fd/{fd}")
-        entered._shared = path.parent == SERVICE_BASE
+        entered._shared = path.parent == layout.RUN
         return entered
 
     def claim(self) -> int:

@@ -13,15 +13,16 @@ import pathlib
 import stat
 from collections.abc import Iterator
 
+from rigctl.config import layout
 from rigctl.ipc import runtime_folder
 
 
 def trusted_folders() -> Iterator[pathlib.Path]:
     """Every run-time folder that this user may believe and enter, in the order of their names."""
-    for base, pattern in ((runtime_folder.SERVICE_BASE, "*"), (runtime_folder.BASE, "rigctl-*")):
+    for base in (layout.RUN, runtime_folder.BASE):
         with contextlib.suppress(OSError):
-            owners = {os.geteuid()} | (_service_owners(base) if base == runtime_folder.SERVICE_BASE else set())
-            for folder in sorted(base.glob(pattern)):
+            owners = {os.geteuid()} | (_service_owners(base) if base == layout.RUN else set())
+            for folder in sorted(base.glob("rigctl-*")):
                 if _is_trusted(folder, owners):
                     yield folder
 

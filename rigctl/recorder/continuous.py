@@ -59,7 +59,7 @@ class Continuous:
         """``run``: wall clock at the daemon's start. Continues where the last part of this run ends."""
         self._runtime, self._settings = runtime, settings
         self._run = run or wall_ns
-        self.folder = settings.file(settings.recording.folder)
+        self.folder = settings.kept(settings.recording.folder)
         self._slots = slot_readers(runtime)
         self._audit: list[tuple[int, int, bytes]] = []
         self._audit_written = 0

@@ -108,7 +108,7 @@ class Trips:
         self._events = runtime.events.reader()
         self._events.cursor = min(dumped, self._events.head)
         self._pending: list[Trigger] = []
-        self.folder = settings.file(settings.audit.trips)
+        self.folder = settings.kept(settings.audit.trips)
 
     def due(self, now_ns: int, *, final: bool = False) -> Group | None:
         """A group whose time is over; ``final``: also one whose time is not, as no more data will come."""

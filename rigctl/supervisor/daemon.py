@@ -10,7 +10,6 @@ import contextlib
 import os
 import secrets
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -23,6 +22,7 @@ import msgspec
 import numpy as np
 
 from rigctl import __version__
+from rigctl.config import layout
 from rigctl.config.bounds import findings
 from rigctl.config.settings import RigSettings
 from rigctl.config.telemetry_section import open_listen
@@ -37,6 +37,7 @@ from rigctl.ipc import ledger
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, AlreadyRunningError, FolderError, Runtime
+from rigctl.ipc.service_manager import notify
 from rigctl.ipc.supervision import Doing, Supervision
 from rigctl.ipc.termination import ENDING, on_signals
 from rigctl.supervisor import memory
@@ -84,7 +85,7 @@ class Supervisor:
         """``say`` takes the lines of the daemon's log."""
         self.settings = settings
         self._say = say
-        self._runtime = Runtime.of(settings.rig)
+        self._runtime = Runtime.of(settings.rig, layout.run_base(settings.directory))
         self._stopping = False
         self._feed_at_ns = 0
         self._supervision: Supervision | None = None
@@ -177,7 +178,7 @@ class Supervisor:
             f"{settings.rig}: DISARMED, {settings.loop.rate_hz} Hz on {channel}, answering at "
             f"{settings.telemetry.listen}"
         )
-        _notify("READY=1")
+        notify("READY=1")
 
     def _say_real_time(self) -> None:
         try:
@@ -357,7 +358,7 @@ class Supervisor:
         alive = slot is not None and now_ns - int(slot["t_ns"]) < WATCHDOG_STALE_NS
         if alive and now_ns >= self._feed_at_ns:
             self._feed_at_ns = now_ns + WATCHDOG_PERIOD_NS
-            _notify("WATCHDOG=1")
+            notify("WATCHDOG=1")
 
     # -- stop -----------------------------------------------------------------------------------------------
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
@@ -365,7 +366,7 @@ class Supervisor:
 
     def _stop(self, records: RingReader, events: RingReader) -> int:
         """End control first: it holds the stroke and closes the brake; gateway and recorder end after reporting it."""
-        _notify("STOPPING=1")
+        notify("STOPPING=1")
         clean = self._end("control")
         self._log_events(events)
         last = records.latest()
@@ -409,12 +410,3 @@ def _ending(last: np.void | None, clean: bool) -> tuple[int, str]:
     if last["drive_quality"] or drive_state(int(last["statusword"])) is DriveState.OPERATION_ENABLED:
         return 1, f"stopped in {mode}: last seen {where}; the brake was not seen to close"
     return 0, f"stopped in {mode}: {where}, brake closed"
-
-
-def _notify(state: str) -> None:
-    """Notify the service manager, if there is one (sd_notify protocol)."""
-    address = os.environ.get("NOTIFY_SOCKET")
-    if address:
-        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
-            sock.connect("\0" + address[1:] if address.startswith("@") else address)
-            sock.send(state.encode(), socket.MSG_DONTWAIT)  # never wait for a manager that does not read

@@ -45,7 +45,7 @@ KINDS = frozenset({
     "json",
     "mermaid",
 })  # fmt: skip
-PROGRAMS = frozenset({"rigctl", "python", "make", "ip", ".venv/bin/python"})
+PROGRAMS = frozenset({"rigctl", "python", "make", "ip", "apt", "systemctl", ".venv/bin/python"})
 """Words that a command in a block may begin with."""
 README_LINES = 150
 PICTURE_BYTES = 150_000

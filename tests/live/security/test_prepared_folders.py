@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from rigctl.config import layout
 from rigctl.config import rig_file as config
 from rigctl.control.modes import Verb, command_slot
 from rigctl.ipc import output_file, runtime_folder
@@ -144,9 +145,8 @@ def service(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> Runtime:
     base.mkdir(mode=0o755)
     for folder in (tmp_path, *tmp_path.parents[:2]):
         folder.chmod(0o755)
-    monkeypatch.setattr(runtime_folder, "SERVICE_BASE", base)
-    runtime = Runtime.of("paper_rig")
-    assert runtime.directory == base / "paper_rig"
+    monkeypatch.setattr(layout, "RUN", base)
+    runtime = Runtime.of("paper_rig", base)
     runtime.claim()
     runtime.make_rings(SETTINGS)
     return runtime
