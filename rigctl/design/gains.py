@@ -59,7 +59,7 @@ def filter_gain(model: FilterModel) -> Array:
         before = _riccati(model.f.T, h.T, model.q, r)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(f"no steady state of the filter for these noises: {error}") from None
-    gain: Array = np.linalg.solve(h @ before @ h.T + r, h @ before).T
+    gain: Array = np.asarray(np.linalg.solve(h @ before @ h.T + r, h @ before), np.float64).T
     if not np.isfinite(gain).all():
         raise DesignError("no steady state of the filter for these noises: not finite")
     return gain
