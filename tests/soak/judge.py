@@ -52,13 +52,17 @@ class Slope:
             )
 
 
-def _growth(t_s: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> float:
-    """Growth over ``t_s`` at the lower 95 % bound of the Theil-Sen slope (Sen 1968): outliers do not move it."""
+def _growth(t_s: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> tuple[float, float]:
+    """Growth over ``t_s`` at the lower 95 % bound of the Theil-Sen slope (Sen 1968), and the noise about the line.
+
+    Outliers move neither; the noise is that of the residuals, or a leak would excuse itself.
+    """
     if np.ptp(y) == 0.0:
-        return 0.0
+        return 0.0, 0.0
     every = max(1, len(t_s) // 600)  # the fit takes every pair
-    low = float(theilslopes(y[::every], t_s[::every], 0.95)[2])
-    return low * float(t_s[-1] - t_s[0])
+    slope_per_s, offset, low, _ = theilslopes(y[::every], t_s[::every], 0.95)
+    residuals = y - (offset + slope_per_s * t_s)
+    return float(low) * float(t_s[-1] - t_s[0]), 1.4826 * float(np.median(np.abs(residuals)))
 
 
 def slope(life: Life) -> Slope | None:
@@ -68,12 +72,12 @@ def slope(life: Life) -> Slope | None:
         return None
     table = table[table[:, 0] >= table[0, 0] + WARM_UP_S]
     t_s, memory, handles = table.T
-    noise = 3.0 * 1.4826 * float(np.median(np.abs(memory - np.median(memory))))
+    grows, noise = _growth(t_s, memory)
     level = float(np.median(memory[: max(3, len(memory) // 10)]))
     return Slope(
-        life.name, life.pid, float(t_s[-1] - t_s[0]) / 60.0, level, _growth(t_s, memory),
-        max(GROWTH_MIB, GROWTH_SHARE * level, min(noise, 4.0 * GROWTH_MIB)),
-        float(np.median(handles[: max(3, len(handles) // 10)])), _growth(t_s, handles),
+        life.name, life.pid, float(t_s[-1] - t_s[0]) / 60.0, level, grows,
+        max(GROWTH_MIB, GROWTH_SHARE * level, min(3.0 * noise, 4.0 * GROWTH_MIB)),
+        float(np.median(handles[: max(3, len(handles) // 10)])), _growth(t_s, handles)[0],
     )  # fmt: skip
 
 

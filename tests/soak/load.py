@@ -19,6 +19,7 @@ from websockets.typing import Origin
 
 from rigctl.client import Rig, connect
 from rigctl.client.connection import Client, NoDaemonError
+from rigctl.wire.lease import Denial
 from tests.soak import plan
 
 OPERATOR = "soak"
@@ -90,6 +91,8 @@ class Commander(Worker):
         verb, value = plan.command(str(client.state().get("mode")), self._chance)
         answer = client.command(verb, OPERATOR, value)
         self.counts["accepted" if answer.get("accepted") else "refused"] += 1
+        if answer.get("reason") == Denial.HELD.value:  # by this operator, before the gateway was killed
+            client.take_lease(OPERATOR, "soak")
         if not answer.get("accepted"):
             self.reasons[f"{verb}: {answer.get('reason')}"] += 1
 

@@ -107,6 +107,9 @@ class Soak:
         }
         slopes = [fit for fit in map(judge.slope, processes.lives) if fit is not None]
         results["processes"] = [asdict(fit) for fit in slopes]
+        results["samples"] = [
+            {"name": one.name, "pid": one.pid, "s_mib_handles": one.table.round(2).tolist()} for one in processes.lives
+        ]
         results["broken"] = judge.broken(results, slopes)
         return results, slopes, processes
 

@@ -36,8 +36,10 @@ def test_noise_and_single_peaks_are_flat(seed: int) -> None:
     assert list(fit.findings) == []
 
 
-def test_a_slow_leak_is_found_in_noise() -> None:
-    fit = slope(life(noisy(60.0) + HOUR / 3600.0 * 5.0))
+@pytest.mark.parametrize("leak_mib_h", [3.0, 5.0])
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_a_slow_leak_is_found_in_noise(leak_mib_h: float, noise: float) -> None:
+    fit = slope(life(60.0 + noise * noisy(0.0) + HOUR / 3600.0 * leak_mib_h))
     assert fit is not None
     (line,) = fit.findings
     assert line.startswith("gateway (process 7): memory grew by ")
