@@ -3,12 +3,14 @@
 # make test-live   all real processes in real time, studies, guest kernel's bus faults
 # make deb    Debian package, installable offline
 # make coverage   branches of modes and safety table    make mutation   mutants, all or a sample    make fuzz
+# make soak   SOAK=1h of random commands, kills and a full disk   make wheel, lock   release: wheel, SBOM, hashes
 SHELL := /bin/bash
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
+SOAK ?= 1h
 
-.PHONY: demo test test-live lint bench coverage mutation fuzz setup system deb
+.PHONY: demo test test-live lint bench coverage mutation fuzz soak wheel lock deb setup system
 .DELETE_ON_ERROR:
 
 demo: $(STAMP)
@@ -46,6 +48,15 @@ fuzz: $(STAMP)
 	mkdir -p results
 	$(PYTHON) -m pytest -m "hypothesis and not real_time" --hypothesis-profile search --numprocesses auto
 	$(PYTHON) -m tests.fuzz --json results/fuzz.json
+
+soak: $(STAMP) system
+	$(PYTHON) -m tests.soak --for $(SOAK)
+
+wheel: $(STAMP)
+	$(PYTHON) deploy/release/wheel.py
+
+lock: $(STAMP)
+	$(PYTHON) deploy/release/lock.py
 
 setup: $(STAMP)
 

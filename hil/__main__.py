@@ -7,14 +7,18 @@ import signal
 import sys
 from typing import Annotated
 
-import typer
-from typer.exceptions import TyperException
-
-from hil.scenario.errors import ScenarioError
-from hil.serve import ServeError, serve
-from rigctl.cli import descriptors, standard_output
+from rigctl.config import extras
 from rigctl.ipc import output_file
 from rigctl.ipc.termination import on_signals
+
+PROGRAM = "python -m hil"
+with extras.refused(PROGRAM):
+    import typer
+    from typer.exceptions import TyperException
+
+    from hil.scenario.errors import ScenarioError
+    from hil.serve import ServeError, serve
+    from rigctl.cli import descriptors, standard_output
 
 _INTERRUPTED = 130
 """Exit code that typer gives Ctrl-C."""
@@ -120,7 +124,8 @@ def main() -> int:
     if lacking := descriptors.shortage():
         sys.stderr.write(f"hil: {lacking}\n")
         return 1
-    code = _run()
+    with extras.refused(PROGRAM):
+        code = _run()
     if unsaid := standard_output.complaint():
         sys.stderr.write(f"hil: {unsaid}\n")
         return 2

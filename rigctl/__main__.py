@@ -1,6 +1,6 @@
 """``python -m rigctl``: the same as ``rigctl``."""
 
-from rigctl.cli.app import main
+from rigctl.cli.entry import main
 
 if __name__ == "__main__":
     main()

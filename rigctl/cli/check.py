@@ -7,9 +7,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from rigctl.config import wording as config_wording
 from rigctl.config.bounds import Stop, findings
-from rigctl.config.quantity import count, significant
+from rigctl.config.quantity import count, significant, unit_of
 from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
 from rigctl.config.signals import WATCHED
@@ -136,4 +135,4 @@ def _add_section(table: Table, section: str, settings: Settings, narrow: bool) -
             _add_section(table, f"  {section}.{key}", found, narrow)
             continue
         text = "-" if found is None else significant(found) if isinstance(found, float) else str(found)
-        table.add_row(f"  {key}", text, *(() if narrow else (config_wording.unit_of(key), info.description or "")))
+        table.add_row(f"  {key}", text, *(() if narrow else (unit_of(key), info.description or "")))

@@ -26,6 +26,16 @@ def folder() -> pathlib.Path:
     return pathlib.Path(tempfile.gettempdir()) / f"rigctl-{os.getuid()}"
 
 
+def is_ours(path: pathlib.Path) -> bool:
+    """Whether only this user owns and enters a folder; in ``/tmp`` anyone may have created it.
+
+    Raises:
+        OSError: there is none.
+    """
+    found = path.lstat()
+    return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
+
+
 class LeaseFile:
     """The id kept for one operator of one rig."""
 
@@ -36,7 +46,7 @@ class LeaseFile:
     def read(self) -> str | None:
         """The id; None without one, or if another user could have written it."""
         with contextlib.suppress(OSError):
-            if self._is_ours():
+            if is_ours(self.path.parent):
                 fd = os.open(self.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
                 with os.fdopen(fd, "rb") as file:
                     id_ = file.read(_LONGEST).decode(errors="replace").strip()
@@ -48,7 +58,7 @@ class LeaseFile:
         part = self.path.with_name(f"{self.path.name}.{os.getpid()}")
         with contextlib.suppress(OSError):
             self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            if self._is_ours():
+            if is_ours(self.path.parent):
                 fd = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
                 with os.fdopen(fd, "w") as file:
                     file.write(id_ + "\n")
@@ -58,8 +68,3 @@ class LeaseFile:
         """Delete the stored id."""
         with contextlib.suppress(OSError):
             self.path.unlink()
-
-    def _is_ours(self) -> bool:
-        """Whether only this user owns and enters the folder; in ``/tmp`` anyone may have created it."""
-        found = self.path.parent.lstat()
-        return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import secrets
+import contextlib
+import pathlib
+import ssl
 from typing import Annotated
 
 import typer
 
-from rigctl.cli.options import BAD, USAGE, Connect, Rig, end, say
+from rigctl.cli import lease_file
+from rigctl.cli.options import BAD, USAGE, Connect, Rig, end, say, wrong_usage
 from rigctl.config.page_address import DEFAULT, Address, AddressError, CannotListenError
 
 Listen = Annotated[str, typer.Option("--listen", metavar="HOST:PORT", help="Where the page is served.")]
@@ -18,12 +21,28 @@ Rights = Annotated[
 Remote = Annotated[
     bool, typer.Option("--remote-operator", help="Allow operator rights on an address other computers reach.")
 ]
+Certificate = Annotated[
+    pathlib.Path | None, typer.Option("--tls-cert", metavar="FILE", help="Serve HTTPS with this certificate (PEM).")
+]
+CertificateKey = Annotated[
+    pathlib.Path | None, typer.Option("--tls-key", metavar="FILE", help="The certificate's key (PEM, mode 0600).")
+]
+SignsIn = Annotated[
+    bool, typer.Option("--sign-in", help="Reading needs a sign-in on loopback too; beyond loopback it always does.")
+]
+Link = Annotated[
+    bool, typer.Option("--link", help="Print another one-time link of your page server that listens there, and end.")
+]
 
 
 def page(
     listen: Listen = str(DEFAULT),
     operator: Rights = None,
     remote_operator: Remote = False,
+    tls_cert: Certificate = None,
+    tls_key: CertificateKey = None,
+    sign_in: SignsIn = False,
+    link: Link = False,
     connect: Connect = None,
     rig: Rig = None,
 ) -> None:
@@ -32,29 +51,66 @@ def page(
         address = Address.parse(listen)
     except AddressError as error:
         end(USAGE, f"--listen: {error}")
+    if link:
+        _print_link(address)
     name = _checked(operator)
     if name is not None and not address.is_loopback and not remote_operator:
         end(USAGE, f"--listen {address} with --operator: other computers reach it; allowed with --remote-operator")
     if remote_operator and name is None:
         end(USAGE, "found --remote-operator, expected with --operator NAME")
+    tls = _https(tls_cert, tls_key)
     endpoint, known = _daemon(connect, rig)
     try:
         listening = address.listen()
     except CannotListenError as error:
         end(BAD, str(error))
-    from rigctl.page.guard import Guard
+    from rigctl.page.guard import PLAIN_HTTP, Guard
+    from rigctl.page.link_socket import path_in
     from rigctl.page.serve import serve
 
     address = Address(address.host, listening.getsockname()[1])
-    token = secrets.token_urlsafe(24) if name is not None else None
-    say(f"page: http://{address}/" + (f"#token={token}" if token else "") + f" ({_rights(name)}), {known}")
-    if name is not None and not address.is_loopback:
-        say("WARNING: whoever has this address, and whoever listens on the network, can command the rig")
-    serve(listening, endpoint, rig, Guard(address, token), name)
+    guard = Guard.of(address, operator=name, sign_in=sign_in, tls=tls is not None)
+    rights = f"commands as {name}" if name is not None else "read-only"
+    say(f"page: {guard.link() if guard.needs_links else guard.url} ({rights}), {known}")
+    if tls is None and not address.is_loopback:
+        say(f"WARNING: {PLAIN_HTTP}" + ("; whoever does can command the rig" if name is not None else ""))
+    folder = _own_folder() if guard.needs_links else None
+    serve(listening, endpoint, rig, guard, tls=tls, links=path_in(folder, address.port) if folder else None)
 
 
-def _rights(operator: str | None) -> str:
-    return f"commands as {operator}" if operator is not None else "read-only"
+def _https(cert: pathlib.Path | None, key: pathlib.Path | None) -> ssl.SSLContext | None:
+    if cert is None or key is None:
+        if cert is not key:
+            end(USAGE, "found one of --tls-cert and --tls-key, expected both or neither")
+        return None
+    from rigctl.page import certificate
+
+    with wrong_usage(certificate.CertificateError):
+        return certificate.context(cert, key)
+
+
+def _own_folder() -> pathlib.Path | None:
+    """This user's own folder for the socket of links, or None where another user could reach it."""
+    folder = lease_file.folder()
+    with contextlib.suppress(OSError):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if lease_file.is_ours(folder):
+            return folder
+    return None
+
+
+def _print_link(address: Address) -> None:
+    """Print a new link of this user's page server at the address' port, a daemon's own page included, and end."""
+    from rigctl.ipc import runtime_folder
+    from rigctl.page.link_socket import new_link, path_in
+
+    folders = [lease_file.folder(), *(runtime_folder.Runtime.of(rig).directory for rig, _ in runtime_folder.daemons())]
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            if lease_file.is_ours(folder) and (found := new_link(path_in(folder, address.port))):
+                say(found)
+                raise typer.Exit
+    end(BAD, f"no page server of this user with sign-in listens at port {address.port} (--listen names another)")
 
 
 def _checked(operator: str | None) -> str | None:

@@ -27,6 +27,11 @@ def _check_files(settings: RigSettings) -> None:
     from rigctl.recorder import audit_log
 
     _check_eds(settings)
+    if settings.page is not None and settings.page.tls_cert is not None and settings.page.tls_key is not None:
+        from rigctl.page import certificate
+
+        with wrong_usage(certificate.CertificateError):
+            certificate.context(settings.file(settings.page.tls_cert), settings.file(settings.page.tls_key))
     if settings.design.gains_file is not None:
         from rigctl.design import gain_file
 
@@ -61,7 +66,8 @@ def _with_page(settings: RigSettings, page: bool | None, listen: str | None) -> 
             Address.parse(listen)
         except AddressError as error:
             end(USAGE, f"--page-listen: {error}")
-        return settings.model_copy(update={"page": PageSettings(listen=listen)})
+        found = settings.page or PageSettings()
+        return settings.model_copy(update={"page": found.model_copy(update={"listen": listen})})
     if page and settings.page is None:
         from rigctl.config.page_section import PageSettings
 

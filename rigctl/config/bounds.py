@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rigctl.config.quantity import unit_of
 from rigctl.config.signals import WATCHED
-from rigctl.config.wording import unit_of
 
 if TYPE_CHECKING:
     from rigctl.config.settings import RigSettings

@@ -13,6 +13,20 @@ class PageSettings(Settings):
 
     listen: str = Field(default=str(DEFAULT), description="HOST:PORT the page is served at")
 
+    tls_cert: str | None = Field(
+        default=None, min_length=1, description="certificate chain of HTTPS, PEM, relative to the rig file"
+    )
+    tls_key: str | None = Field(default=None, min_length=1, description="its key, PEM, mode 0600")
+    sign_in: bool = Field(
+        default=False, description="reading needs a sign-in on loopback too; beyond loopback it always does"
+    )
+
+    @model_validator(mode="after")
+    def _certificate_has_its_key(self) -> PageSettings:
+        key = "tls_key" if self.tls_key is None else "tls_cert"
+        require((self.tls_cert is None) == (self.tls_key is None), key, None, "both tls_cert and tls_key, or neither")
+        return self
+
     @model_validator(mode="after")
     def _listen_is_an_address(self) -> PageSettings:
         require(is_address(self.listen), "listen", self.listen, ALLOWED)

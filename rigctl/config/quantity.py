@@ -5,6 +5,13 @@ from __future__ import annotations
 import math
 from decimal import Decimal
 
+_UNITS = {
+    "impulse_n_s": "N s", "_n_s_mm": "N s/mm", "_n_s_m": "N s/m", "_n_mm": "N/mm", "_mm_s2": "mm/s2",
+    "_deg_s2": "deg/s2", "_mm_s": "mm/s", "_deg_s": "deg/s", "_mm_m": "mm/m", "_n_s": "N/s", "_n_h": "N/h",
+    "_bit_s": "bit/s", "_hz": "Hz", "_us": "us", "_ms": "ms", "_mm": "mm", "_kg": "kg", "_deg": "deg", "_ppm": "ppm",
+    "_pct": "%", "_n": "N", "_s": "s",
+}  # fmt: skip
+
 
 class Number(float):
     """A float without exponent and negative zero in any format: ``f"{Number(x):.1f}"``, ``f"{Number(x):.4g}"``."""
@@ -33,3 +40,8 @@ def significant(value: float, unit: str = "", digits: int = 10) -> str:
 def count(number: int, one: str, many: str = "") -> str:
     """``1 tick``, ``2 ticks``."""
     return f"{number} {one if number == 1 else many or one + 's'}"
+
+
+def unit_of(name: str) -> str:
+    """Unit a key's name ends in, or an empty string."""
+    return next((unit for suffix, unit in _UNITS.items() if name.endswith(suffix)), "")

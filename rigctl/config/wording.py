@@ -13,22 +13,11 @@ from pydantic.fields import FieldInfo
 
 from rigctl.config import strict_yaml
 from rigctl.config.one_line import on_one_line
+from rigctl.config.quantity import unit_of
 
 Path = strict_yaml.Path
-
-_UNITS = {
-    "impulse_n_s": "N s", "_n_s_mm": "N s/mm", "_n_s_m": "N s/m", "_n_mm": "N/mm", "_mm_s2": "mm/s2",
-    "_deg_s2": "deg/s2", "_mm_s": "mm/s", "_deg_s": "deg/s", "_mm_m": "mm/m", "_n_s": "N/s", "_n_h": "N/h",
-    "_bit_s": "bit/s", "_hz": "Hz", "_us": "us", "_ms": "ms", "_mm": "mm", "_kg": "kg", "_deg": "deg", "_ppm": "ppm",
-    "_pct": "%", "_n": "N", "_s": "s",
-}  # fmt: skip
 _KINDS = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
 _SECTION = "a section (a mapping of keys)"
-
-
-def unit_of(name: str) -> str:
-    """Unit a key's name ends in, or an empty string."""
-    return next((unit for suffix, unit in _UNITS.items() if name.endswith(suffix)), "")
 
 
 class KeyType(NamedTuple):

@@ -1,4 +1,4 @@
-"""Feedback gains and the filter's steady state, with python-control.
+"""Feedback gains and the filter's steady state, by discrete Riccati equations.
 
 Deviation states of the law: tension error e, speed deviation s = v + w - r/k and the integral z of the error. With
 ``u = -w + r/k + u'`` the disturbance and the ramp drop out of the filter's own model:
@@ -6,6 +6,9 @@ Deviation states of the law: tension error e, speed deviation s = v + w - r/k an
     e' = e + f01 s + b0 u',   s' = f11 s + b1 u',   z' = z + dt e
 
 The error is weighted as stretch, e/k in mm, so that the loop's shape does not depend on the spring.
+
+The equations are SciPy's, as behind ``dlqr`` and ``dlqe`` of python-control, which the tests compare with: that library
+needs matplotlib, which the rig's computer does without.
 """
 
 from __future__ import annotations
@@ -27,23 +30,18 @@ def design(settings: RigSettings) -> Gains:
     Raises:
         DesignError: the Riccati equation has no solution, or no finite one.
     """
-    import control  # takes 0.5 s, so only for a design
-
     model, weights = filter_model(settings), settings.design
     k = settings.plant.stiffness_n_mm
     cost = np.diag([weights.stretch_weight / k**2, 0.0, weights.integral_weight / k**2])
+    a = np.block([[model.f[:2, :2], np.zeros((2, 1))], [np.array([[model.period_s, 0.0, 1.0]])]])
+    b = np.vstack([np.reshape(model.b[:2], (2, 1)), [[0.0]]])
+    price = np.array([[weights.command_weight]])
     try:
-        found, _, _ = control.dlqr(
-            model.f[:2, :2],
-            model.b[:2],
-            cost,
-            [[weights.command_weight]],
-            integral_action=np.array([[model.period_s, 0.0]]),
-            method="scipy",
-        )
-    except (np.linalg.LinAlgError, ValueError, control.ControlException) as error:
+        x = _riccati(a, b, cost, price)
+        found = np.linalg.solve(b.T @ x @ b + price, b.T @ x @ a)
+    except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(f"no gains for these weights: {error}") from None
-    k_tension, k_speed, k_integral = (float(gain) for gain in np.asarray(found)[0])
+    k_tension, k_speed, k_integral = (float(gain) for gain in found[0])
     if not np.isfinite([k_tension, k_speed, k_integral]).all():
         raise DesignError("no gains for these weights: not finite")
     return Gains(k_tension, k_speed, k_integral)
@@ -55,15 +53,21 @@ def filter_gain(model: FilterModel) -> Array:
     Raises:
         DesignError: the Riccati equation has no solution, or no finite one.
     """
-    import control
-
     h = np.eye(2, 3)
     r = np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
     try:
-        _, before, _ = control.dlqe(model.f, np.eye(3), h, model.q, r, method="scipy")
-    except (np.linalg.LinAlgError, ValueError, control.ControlException) as error:
+        before = _riccati(model.f.T, h.T, model.q, r)
+    except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(f"no steady state of the filter for these noises: {error}") from None
-    gain: Array = np.linalg.solve(h @ before @ h.T + r, h @ before).T
+    gain: Array = np.asarray(np.linalg.solve(h @ before @ h.T + r, h @ before), np.float64).T
     if not np.isfinite(gain).all():
         raise DesignError("no steady state of the filter for these noises: not finite")
     return gain
+
+
+def _riccati(a: Array, b: Array, q: Array, r: Array) -> Array:
+    """Stabilising solution of the discrete algebraic Riccati equation."""
+    from scipy.linalg import solve_discrete_are  # takes 0.1 s, so only for a design
+
+    found: Array = solve_discrete_are(a, b, q, r)
+    return found

@@ -16,7 +16,9 @@ from rigctl.config.page_address import Address, CannotListenError
 from rigctl.config.settings import RigSettings
 from rigctl.control.realtime import die_with_parent
 from rigctl.ipc.runtime_folder import ACTIVE, FolderError, Runtime
-from rigctl.page.guard import Guard
+from rigctl.page import certificate
+from rigctl.page.guard import PLAIN_HTTP, Guard
+from rigctl.page.link_socket import path_in
 from rigctl.page.serve import serve
 
 NICENESS = 10  # the page is the least urgent process
@@ -35,7 +37,6 @@ def _listen(address: Address) -> socket.socket:
             warned = True
             time.sleep(RETRY_S)
             continue
-        _print(f"page: http://{address}/ (read-only)")
         return listening
 
 
@@ -65,9 +66,22 @@ def main(arguments: list[str]) -> int:
     if settings.page is None:
         sys.stderr.write("page: the settings have no page section\n")
         return 1
-    address = settings.page.address
-    gateway = Runtime(arguments[0]).gateway_socket  # the page shows this path
-    return serve(_listen(address), f"unixsock-stream/{gateway}", settings.rig, Guard(address))
+    page, tls = settings.page, None
+    if page.tls_cert is not None and page.tls_key is not None:
+        try:
+            tls = certificate.context(settings.file(page.tls_cert), settings.file(page.tls_key))
+        except certificate.CertificateError as error:
+            sys.stderr.write(f"page: {error}\n")
+            return 1
+    guard = Guard.of(page.address, sign_in=page.sign_in, tls=tls is not None)
+    listening = _listen(page.address)
+    signs_in = "; sign in by a link of rigctl page --link" if guard.needs_links else ""
+    _print(f"page: {guard.url} (read-only{signs_in})")
+    if tls is None and not page.address.is_loopback:
+        _print(f"WARNING: page: {PLAIN_HTTP}")
+    named = Runtime(arguments[0])  # the page shows the socket's path
+    links = path_in(named.directory, page.address.port)
+    return serve(listening, f"unixsock-stream/{named.gateway_socket}", settings.rig, guard, tls=tls, links=links)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,15 @@
 """Connections of the page's server: time for a request, number of connections, and room for a command.
 
 Anyone who reaches the port may open connections without a request. A new connection is always accepted; at the limit
-the oldest one that is neither a viewer nor a running command is closed for it, so an operator's HOLD is served.
+the oldest one that is neither a viewer nor a running command is closed for it, so an operator's HOLD is served. With
+HTTPS the same holds before and during the handshake.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import ssl
 from typing import Any
 
 import h11
@@ -28,14 +31,33 @@ class BrowserConnection(H11Protocol):
     """One connection, until it is closed or becomes a viewer's stream."""
 
     guard: Guard
+    tls: ssl.SSLContext | None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """See `asyncio.Protocol`."""
+        """See `asyncio.Protocol`. It counts, and has its time, from before the handshake of TLS on."""
         super().connection_made(transport)
         self._opened_s, self._answering = self.loop.time(), False
         self._timer = self.loop.call_later(REQUEST_S, transport.abort)
+        self._handshake: asyncio.Task[None] | None = None
+        self._early = b""  # data between the end of the handshake and the turn of its task
+        if self.tls is not None:
+            self._handshake = self.loop.create_task(self._shake_hands(transport, self.tls))
         if len(self.connections) > CONNECTIONS:
             self._make_room()
+
+    async def _shake_hands(self, plain: asyncio.Transport, tls: ssl.SSLContext) -> None:
+        secured = None
+        with contextlib.suppress(OSError):  # ssl.SSLError is one
+            secured = await self.loop.start_tls(plain, self, tls, server_side=True, ssl_handshake_timeout=REQUEST_S)
+        self._handshake = None
+        if secured is None or plain.is_closing():
+            plain.abort()
+            self.connection_lost(None)
+            return
+        super().connection_made(secured)
+        self._allow(REQUEST_S)
+        if self._early:
+            self.data_received(self._early)
 
     def _make_room(self) -> None:
         others = [one for one in self.connections if isinstance(one, BrowserConnection) and not one.commands]
@@ -45,13 +67,16 @@ class BrowserConnection(H11Protocol):
 
     @property
     def commands(self) -> bool:
-        """Whether a command with the token is being carried out here."""
+        """Whether a command with a session is being carried out here."""
         if not self._answering or not self.scope["path"].startswith("/api/"):
             return False
         return self.guard.may_command(Headers(raw=self.headers))
 
     def data_received(self, data: bytes) -> None:
         """See `asyncio.Protocol`."""
+        if self._handshake is not None:
+            self._early += data
+            return
         super().data_received(data)
         self._check_request()
 
@@ -88,7 +113,7 @@ class BrowserConnection(H11Protocol):
         super().connection_lost(exc)
 
 
-def protocol(guard: Guard) -> type[asyncio.Protocol]:
-    """The protocol of one server."""
-    attributes: dict[str, Any] = {"guard": guard}
+def protocol(guard: Guard, tls: ssl.SSLContext | None = None) -> type[asyncio.Protocol]:
+    """The protocol of one server; ``tls``: for HTTPS."""
+    attributes: dict[str, Any] = {"guard": guard, "tls": tls}
     return type("GuardedConnection", (BrowserConnection,), attributes)

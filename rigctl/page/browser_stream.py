@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -27,9 +28,16 @@ class BrowserStream:
     """One websocket. The browser sends ``{"window": N}`` and gets that window from its start."""
 
     def __init__(
-        self, socket: WebSocket, picture: Picture, hello: dict[str, Any], commands: PageCommands | None
+        self,
+        socket: WebSocket,
+        picture: Picture,
+        hello: dict[str, Any],
+        commands: PageCommands | None,
+        may_read: Callable[[], bool],
     ) -> None:
+        """``may_read``: whether the browser's session still allows the stream."""
         self._socket, self._picture, self._hello, self._commands = socket, picture, hello, commands
+        self._may_read = may_read
         self._window = self._since = 0
         self._newest_ns = -1
         self._events = self._active = -1
@@ -43,6 +51,9 @@ class BrowserStream:
             )
             count = 0
             while not listening.done():
+                if count % WORDS_EVERY == 0 and not self._may_read():
+                    await self._socket.close(4401)
+                    break
                 await self._round(count)
                 count += 1
                 await asyncio.sleep(FRAME_S)

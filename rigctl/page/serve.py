@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import pathlib
 import socket
+import ssl
 import sys
 import threading
 from collections.abc import Iterator
@@ -16,6 +18,7 @@ import uvicorn
 from rigctl.ipc.termination import ENDING, heeded
 from rigctl.page.browser_connection import BACKLOG, HEADER_BYTES, protocol
 from rigctl.page.guard import Guard
+from rigctl.page.link_socket import serve_links
 from rigctl.page.page_commands import PageCommands
 from rigctl.page.picture import Picture
 from rigctl.page.rig_reader import RigReader
@@ -34,12 +37,27 @@ class _Server(uvicorn.Server):
 
 
 def serve(
-    listening: socket.socket, endpoint: str, rig: str | None, guard: Guard, operator: str | None = None
+    listening: socket.socket,
+    endpoint: str,
+    rig: str | None,
+    guard: Guard,
+    *,
+    tls: ssl.SSLContext | None = None,
+    links: pathlib.Path | None = None,
 ) -> NoReturn:
-    """Serve until a signal of ``ENDING``, then end the process. ``operator``: name for commands, None: read-only."""
+    """Serve until a signal of ``ENDING``, then end the process.
+
+    Args:
+        listening: the socket of ``guard.address``.
+        endpoint: the daemon's endpoint.
+        rig: its rig, None for the only one there.
+        guard: who may read and command.
+        tls: for HTTPS.
+        links: place of the socket that makes further one-time links; without one there are no others.
+    """
     picture, stop = Picture(endpoint), threading.Event()
     reader = RigReader(picture, rig, stop)
-    commands = PageCommands(operator, rig, picture) if operator is not None else None
+    commands = PageCommands(guard.operator, rig, picture) if guard.operator is not None else None
     page = Page(picture, guard, commands)
     config = uvicorn.Config(
         page.app,
@@ -50,7 +68,7 @@ def serve(
         ws_per_message_deflate=False,  # compression costs more than it saves on a local network
         ws_max_size=4096,
         timeout_graceful_shutdown=CLOSE_S,
-        http=protocol(guard),
+        http=protocol(guard, tls),
         h11_max_incomplete_event_size=HEADER_BYTES,
         backlog=BACKLOG,
     )
@@ -60,7 +78,16 @@ def serve(
         loop = asyncio.get_running_loop()
         for number in heeded(*ENDING):
             loop.add_signal_handler(number, setattr, server, "should_exit", True)
+        more = None
+        if links is not None and guard.needs_links:
+            try:
+                more = await serve_links(links, guard)
+            except OSError as error:
+                sys.stderr.write(f"page: no further links: {links}: {error.strerror}\n")
         await server.serve(sockets=[listening])
+        if more is not None and links is not None:
+            more.close()
+            links.unlink(missing_ok=True)
 
     reader.start()
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import hashlib
 import pathlib
 import secrets
@@ -12,6 +13,7 @@ from typing import Any
 
 import msgspec
 from starlette.applications import Starlette
+from starlette.datastructures import Headers
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
@@ -25,11 +27,14 @@ from rigctl.page.guard import HEADERS, Guard
 from rigctl.page.history import WINDOWS_S
 from rigctl.page.page_commands import Answer, PageCommands, RefusedError
 from rigctl.page.picture import Picture
+from rigctl.page.sign_in import PROTOCOL, protocols_of
 
 STATIC = pathlib.Path(__file__).parent / "static"
 BODY_BYTES = 4096
 _READ_ONLY = "this page is read-only: rigctl page --operator NAME is one that may command"
-_NO_TOKEN = "the token is not this page server's: open the address it printed when it was started"
+_NO_SESSION = "this browser has not signed in: open a link of rigctl page (rigctl page --link prints another)"
+_USED_LINK = "the link was used before, is too old, or is another server's: rigctl page --link prints another"
+_OTHER_PAGE = "requests are taken from this server's own page alone"
 
 
 class _CommandBody(msgspec.Struct, forbid_unknown_fields=True):
@@ -46,22 +51,26 @@ class _LeaseBody(msgspec.Struct, forbid_unknown_fields=True):
     reason: str = ""
 
 
-class _RightsBody(msgspec.Struct, forbid_unknown_fields=True):
-    pass
+class _LinkBody(msgspec.Struct, forbid_unknown_fields=True):
+    link: str
 
 
 class SecurityHeaders:
-    """Middleware: adds the security headers to every answer and refuses a Host that is not this server's."""
+    """Middleware: security headers on every answer; no Host or Origin but this server's, web sockets included."""
 
     def __init__(self, app: ASGIApp, guard: Guard) -> None:
         self._app, self._guard = app, guard
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request (ASGI)."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
+        headers = Headers(scope=scope)
+        if scope["type"] == "websocket":
+            if self._guard.is_own_page(headers):
+                await self._app(scope, receive, send)
+            else:
+                await WebSocket(scope, receive, send).close(4403)
             return
-        if not self._guard.names_us(Request(scope).headers):
+        if not self._guard.names_us(headers):
             await Response("this server does not go by that name\n", 421)(scope, receive, send)
             return
 
@@ -70,7 +79,8 @@ class SecurityHeaders:
                 message["headers"] += [(name.encode(), value.encode()) for name, value in HEADERS.items()]
             await send(message)
 
-        await self._app(scope, receive, with_headers)
+        app = _refusal(_OTHER_PAGE, 403) if self._guard.is_foreign_page(headers) else self._app
+        await app(scope, receive, with_headers)
 
 
 def assets_digest() -> str:
@@ -93,7 +103,6 @@ class Page:
         # More threads than commands in progress, so that HOLD never waits behind commands to a slow rig.
         self._threads = ThreadPoolExecutor(32, "commands")
         acts: dict[str, tuple[type[Any], Callable[[PageCommands, Any], Answer]]] = {
-            "rights": (_RightsBody, lambda commands, _: {"accepted": True, "operator": commands.operator}),
             "lease": (_LeaseBody, lambda commands, body: commands.lease(body.act, body.reason)),
             "command": (_CommandBody, lambda commands, body: commands.propose(body.verb, body.value)),
             "confirm": (_ConfirmationBody, lambda commands, body: commands.confirm(body.confirm)),
@@ -103,6 +112,9 @@ class Page:
                 Route("/", self._index),
                 WebSocketRoute("/stream", self._stream),
                 *(Route(f"/api/{name}", self._post(*act), methods=["POST"]) for name, act in acts.items()),
+                Route("/api/sign-in", self._sign_in, methods=["POST"]),
+                Route("/api/session", self._session, methods=["POST"]),
+                Route("/api/sign-out", self._sign_out, methods=["POST"]),
                 Mount("/static", StaticFiles(directory=STATIC)),
             ],
             middleware=[Middleware(SecurityHeaders, guard=guard)],
@@ -115,16 +127,16 @@ class Page:
     def _post(
         self, kind: type[Any], act: Callable[[PageCommands, Any], Answer]
     ) -> Callable[[Request], Awaitable[Response]]:
-        """An endpoint for this server's own page with its token, and only with operator rights."""
+        """An endpoint for this server's own page with a session, and only with operator rights."""
 
         async def endpoint(request: Request) -> Response:
             commands = self._commands
             if commands is None:
                 return _refusal(_READ_ONLY, 403)
             if not self._guard.is_own_page(request.headers):
-                return _refusal("commands are taken from this server's own page alone", 403)
+                return _refusal(_OTHER_PAGE, 403)
             if not self._guard.may_command(request.headers):
-                return _refusal(_NO_TOKEN, 403)
+                return _refusal(_NO_SESSION, 403)
             try:
                 body = msgspec.json.decode(await _body_of(request), type=kind)
                 answer = await asyncio.get_running_loop().run_in_executor(self._threads, act, commands, body)
@@ -136,12 +148,50 @@ class Page:
 
         return endpoint
 
+    async def _sign_in(self, request: Request) -> Response:
+        """Exchange a one-time link for a session: the cookie, and the key in the answer."""
+        if not self._guard.is_own_page(request.headers):
+            return _refusal(_OTHER_PAGE, 403)
+        try:
+            session = self._guard.sessions.enter(msgspec.json.decode(await _body_of(request), type=_LinkBody).link)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, RefusedError) as error:
+            return _refusal(f"not a link: {error}", 400)
+        if session is None:
+            return _refusal(_USED_LINK, 403)
+        answer = _json({"accepted": True, "key": session.key}, 200)
+        answer.headers["set-cookie"] = self._guard.sessions.set_cookie(session.cookie)
+        return answer
+
+    async def _session(self, request: Request) -> Response:
+        """What this browser may do."""
+        signed_in = self._guard.sessions.knows(request.headers)
+        may_read = self._guard.may_read(request.headers)
+        return _json(
+            {
+                "accepted": True,
+                "signed_in": signed_in,
+                "reads": may_read,
+                "operator": self._guard.operator if signed_in else None,
+                "text": "" if may_read and (signed_in or self._commands is None) else _NO_SESSION,
+            },
+            200,
+        )
+
+    async def _sign_out(self, request: Request) -> Response:
+        if not self._guard.is_own_page(request.headers):
+            return _refusal(_OTHER_PAGE, 403)
+        self._guard.sessions.leave(request.headers)
+        answer = _json({"accepted": True}, 200)
+        answer.headers["set-cookie"] = self._guard.sessions.set_cookie("")
+        return answer
+
     async def _stream(self, socket: WebSocket) -> None:
-        if not self._guard.is_own_page(socket.headers):
-            await socket.close(4403)
+        if not self._guard.may_read(socket.headers):
+            await socket.close(4401)
             return
-        await socket.accept()
-        await BrowserStream(socket, self._picture, self._hello, self._commands).run()
+        await socket.accept(PROTOCOL if PROTOCOL in protocols_of(socket.headers) else None)
+        may_read = functools.partial(self._guard.may_read, socket.headers)
+        await BrowserStream(socket, self._picture, self._hello, self._commands, may_read).run()
 
     def close(self) -> None:
         """End the commands' threads and client."""

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from rigctl.config.wording import unit_of
+from rigctl.config.quantity import unit_of
 from rigctl.metrics.error_statistics import ErrorStatistics
 from rigctl.metrics.tension_error import PERCENTILES
 from rigctl.report import sensor_budget

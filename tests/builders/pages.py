@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import http.client
 import json
+import os
+import pathlib
 import re
+import shutil
 import signal
+import ssl
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -16,6 +22,7 @@ from typing import Any
 
 from playwright.sync_api import Browser, ConsoleMessage, Page, Request, WebSocket, sync_playwright
 
+from rigctl.page.link_socket import new_link, path_in
 from tests.builders.paths import ROOT
 
 CHROMIUM = "/usr/bin/chromium"
@@ -47,47 +54,68 @@ def until(true: Callable[[], Any], what: str) -> Any:
 
 
 class Server:
-    """``rigctl page`` and its output."""
+    """``rigctl page``, its output, and a session with it."""
 
-    def __init__(self, endpoint: str, *options: str, port: int = 0) -> None:
+    def __init__(self, endpoint: str, *options: str, port: int = 0, tls: ssl.SSLContext | None = None) -> None:
+        """``tls``: trusts the server's certificate."""
         listen = () if "--listen" in options else ("--listen", f"127.0.0.1:{port}")
+        self.folder = pathlib.Path(tempfile.mkdtemp(prefix="rigctl-page-"))
+        self.environment = {**os.environ, "XDG_RUNTIME_DIR": str(self.folder)}
         self.process = subprocess.Popen(
             [sys.executable, "-m", "rigctl", "page", "--connect", endpoint, *listen, *options],
-            cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=self.environment,
         )  # fmt: skip
         assert self.process.stdout is not None
         self.said = self.process.stdout.readline()
-        found = re.search(r"http://(\S+?):(\d+)/(?:#token=(\S+))?", self.said)
+        found = re.search(r"(https?)://(\S+?):(\d+)/(?:#link=(\S+))?", self.said)
         assert found, self.process.communicate()
-        self.port, self.token = int(found[2]), found[3] or ""
+        self.scheme, self.port, self.code, self._tls = found[1], int(found[3]), found[4] or "", tls
 
     @property
     def base(self) -> str:
-        return f"http://127.0.0.1:{self.port}"
+        return f"{self.scheme}://127.0.0.1:{self.port}"
 
     @property
     def address(self) -> str:
-        """The address that an operator opens."""
-        return f"{self.base}/#token={self.token}" if self.token else f"{self.base}/"
+        """An address that an operator opens, with a link of its own."""
+        return f"{self.base}/#link={self.new_code()}" if self.code else f"{self.base}/"
 
-    def ask(
-        self, method: str, path: str, body: Any = None, *, token: str | None = None, **headers: str
-    ) -> tuple[int, dict[str, str], bytes]:
+    def new_code(self) -> str:
+        """A link's code, as ``rigctl page --link`` gets it."""
+        path = path_in(self.folder / "rigctl", self.port)
+        link = until(lambda: new_link(path), "the socket of links")
+        return str(link).partition("#link=")[2]
+
+    @functools.cached_property
+    def session(self) -> dict[str, str]:
+        """Headers that prove a session, which the link printed at the start made."""
+        return self.sign_in(self.code)
+
+    def sign_in(self, code: str) -> dict[str, str]:
+        """Headers of a new session."""
+        status, headers, body = self.ask("POST", "/api/sign-in", {"link": code})
+        assert status == 200, body
+        return {"Cookie": headers["set-cookie"].partition(";")[0], "X-Rigctl-Key": json.loads(body)["key"]}
+
+    def ask(self, method: str, path: str, body: Any = None, **headers: str) -> tuple[int, dict[str, str], bytes]:
         """One request as this server's own page makes it, except for ``headers``: status, headers, body."""
         own = {"Host": f"127.0.0.1:{self.port}", "Origin": self.base}
-        own |= {"X-Rigctl-Token": token} if token is not None else {}
         own |= {name.capitalize(): value for name, value in headers.items()}
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
-        with contextlib.closing(connection):
-            connection.request(method, path, json.dumps(body) if body is not None else None, own)
-            reply = connection.getresponse()
+        where: dict[str, Any] = {"host": "127.0.0.1", "port": self.port, "timeout": PATIENCE_S}
+        secured = self.scheme == "https"
+        connection = http.client.HTTPSConnection(**where, context=self._tls) if secured else None
+        with contextlib.closing(connection or http.client.HTTPConnection(**where)) as one:
+            one.request(method, path, json.dumps(body) if body is not None else None, own)
+            reply = one.getresponse()
             return reply.status, {name.lower(): value for name, value in reply.getheaders()}, reply.read()
 
-    def command(self, what: str, body: Any, *, token: str | None = None, **headers: str) -> tuple[int, dict[str, Any]]:
-        """A POST to ``/api/what``: status and answer."""
-        status, _, answer = self.ask(
-            "POST", f"/api/{what}", body, token=self.token if token is None else token, **headers
-        )
+    def command(
+        self, what: str, body: Any, *, session: dict[str, str] | None = None, **headers: str
+    ) -> tuple[int, dict[str, Any]]:
+        """A POST to ``/api/what``: status and answer. ``session``: other headers than those of `session`."""
+        if session is None:
+            session = self.session if self.code else {}
+        status, _, answer = self.ask("POST", f"/api/{what}", body, **session, **headers)
         return status, dict(json.loads(answer))
 
     def end(self, number: int = signal.SIGTERM) -> tuple[int, str]:
@@ -95,13 +123,14 @@ class Server:
         if self.process.poll() is None:
             self.process.send_signal(number)
         _, error = self.process.communicate(timeout=PATIENCE_S)
+        shutil.rmtree(self.folder, ignore_errors=True)
         return self.process.returncode, error
 
 
 @contextlib.contextmanager
-def serving(endpoint: str, *options: str, port: int = 0) -> Iterator[Server]:
+def serving(endpoint: str, *options: str, port: int = 0, tls: ssl.SSLContext | None = None) -> Iterator[Server]:
     """A page server within the context."""
-    server = Server(endpoint, *options, port=port)
+    server = Server(endpoint, *options, port=port, tls=tls)
     try:
         yield server
     finally:

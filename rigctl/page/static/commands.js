@@ -1,22 +1,9 @@
-// Commands, where the page was opened with the token its server printed. The server checks everything again.
+// Commands, where this browser has signed in to a page with operator rights. The server checks everything again.
 const byId = (id) => document.getElementById(id);
 
-function takeToken() {
-  const found = new URLSearchParams(location.hash.slice(1)).get("token");
-  try {
-    if (found) {
-      sessionStorage.setItem("rigctl-token", found);
-      history.replaceState(null, "", location.pathname);
-    }
-    return sessionStorage.getItem("rigctl-token");
-  } catch {
-    return found; // a browser that keeps nothing: the token stays in the address
-  }
-}
-
 export class Commands {
-  constructor() {
-    this.token = takeToken();
+  constructor(session) {
+    this.session = session;
     this.waiting = null;
     this.mine = false;
     byId("hold").addEventListener("click", () => this.give("hold"));
@@ -24,19 +11,21 @@ export class Commands {
     byId("return").addEventListener("click", () => this.lease("return"));
     byId("confirm-yes").addEventListener("click", () => this.confirm());
     byId("confirm-no").addEventListener("click", () => this.ask(null));
+    byId("sign-out").addEventListener("click", () => session.leave());
     for (const button of document.querySelectorAll("[data-verb]")) {
       button.addEventListener("click", () => this.give(button.dataset.verb));
     }
   }
 
-  // Asked again whenever the server is a new one: a token is good for one start.
+  // Read again whenever the server is a new one: it knows no session of the one before.
   async rights() {
-    if (!this.token) return;
-    const { ok, answer } = await this.post("rights", {});
-    byId("commands").hidden = !ok;
-    byId("rights").textContent = ok ? `commands as ${answer.operator}` : "read-only";
-    byId("rights").title = ok ? "" : answer.text;
-    byId("rights").classList.toggle("rights", ok);
+    await this.session.look();
+    const { operator, signedIn, text } = this.session;
+    byId("commands").hidden = !operator;
+    byId("rights").textContent = operator ? `commands as ${operator}` : "read-only";
+    byId("rights").title = text;
+    byId("rights").classList.toggle("rights", Boolean(operator));
+    byId("sign-out").hidden = !signedIn;
     this.ask(null);
   }
 
@@ -57,13 +46,13 @@ export class Commands {
       body.value = byId("newtons").valueAsNumber;
       if (!Number.isFinite(body.value)) return this.say("TARGET: found no number of newtons", false);
     }
-    const { ok, answer } = await this.post("command", body);
+    const { ok, answer } = await this.session.post("command", body);
     if (ok && answer.confirm) this.ask(answer);
     else this.say(answer.text, ok);
   }
 
   async lease(act) {
-    const { ok, answer } = await this.post("lease", { act, reason: act === "take" ? byId("reason").value.trim() : "" });
+    const { ok, answer } = await this.session.post("lease", { act, reason: act === "take" ? byId("reason").value.trim() : "" });
     if (ok) byId("reason").value = "";
     this.say(answer.text, ok);
   }
@@ -84,18 +73,8 @@ export class Commands {
     if (!proposal) return;
     this.ask(null);
     this.say("...", true);
-    const { ok, answer } = await this.post("confirm", { confirm: proposal.confirm });
+    const { ok, answer } = await this.session.post("confirm", { confirm: proposal.confirm });
     this.say(answer.text, ok);
-  }
-
-  async post(what, body) {
-    const headers = { "content-type": "application/json", "x-rigctl-token": this.token };
-    try {
-      const reply = await fetch(`/api/${what}`, { method: "POST", headers, body: JSON.stringify(body) });
-      return { ok: reply.ok, answer: await reply.json() };
-    } catch {
-      return { ok: false, answer: { text: "the page server does not answer: what became of it is not known" } };
-    }
   }
 
   say(text, ok) {

@@ -2,8 +2,10 @@
 const FIRST_MS = 250, LONGEST_MS = 2000, SILENT_MS = 4000;
 
 export class Link {
-  constructor(take) {
+  constructor(take, session, refused) {
     this.take = take;
+    this.session = session;
+    this.refused = refused;
     this.window = 0;
     this.connected = false;
     this.opened = 0;
@@ -14,7 +16,8 @@ export class Link {
 
   open() {
     this.heard = performance.now();
-    const socket = (this.socket = new WebSocket(`ws://${location.host}/stream`));
+    const address = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/stream`;
+    const socket = (this.socket = new WebSocket(address, this.session.protocols));
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       this.connected = true;
@@ -29,6 +32,7 @@ export class Link {
     socket.onclose = () => {
       if (socket !== this.socket) return;
       this.connected = false;
+      this.refused(); // perhaps: a browser says no more than that it has ended
       setTimeout(() => this.open(), this.waitMs);
       this.waitMs = Math.min(2 * this.waitMs, LONGEST_MS);
     };

@@ -6,6 +6,7 @@ import { Theme } from "./look.js";
 import { Panel } from "./panel.js";
 import { Polar } from "./polar.js";
 import { Store } from "./store.js";
+import { Session } from "./session.js";
 import { Strips } from "./strips.js";
 
 const STALE_S = 1;
@@ -14,7 +15,7 @@ const SHORTEST_MS = 22, LONGEST_MS = 500; // ... within these bounds
 const POLAR_MS = 100;
 const byId = (id) => document.getElementById(id);
 
-const store = new Store(), panel = new Panel(), commands = new Commands();
+const store = new Store(), panel = new Panel(), session = new Session(), commands = new Commands(session);
 const strips = new Strips(byId("strips"), store);
 const polar = new Polar(document.querySelector("#polar canvas"), byId("polar-range"), store);
 const histogram = new Histogram(document.querySelector("#lateness canvas"), byId("lateness-figures"));
@@ -81,6 +82,7 @@ function ageS() {
 
 // Who is silent: the first on the way from here to the rig of whom most of the age comes.
 function blame() {
+  if (!session.reads) return session.text;
   if (!state) return "connecting";
   if (performance.now() - heard > 500 * STALE_S) return `the page server at ${location.host} does not answer; reconnecting`;
   if (state.silent_s === null || state.silent_s > 0.5 * STALE_S) return state.trouble;
@@ -92,7 +94,7 @@ function look() {
   byId("age").textContent = Number.isFinite(age) ? `${age < 10 ? age.toFixed(1) : age.toFixed(0)} s` : "-";
   document.body.classList.toggle("stale", stale);
   if (!stale) return;
-  byId("stale-what").textContent = Number.isFinite(age) ? `NO DATA FOR ${Math.floor(age)} s` : "NO DATA";
+  byId("stale-what").textContent = Number.isFinite(age) ? `NO DATA FOR ${Math.floor(age)} s` : session.reads ? "NO DATA" : "SIGN IN";
   const why = blame();
   byId("stale-why").textContent = Number.isFinite(age) ? `${why}. What is below is old.` : why;
 }
@@ -115,7 +117,8 @@ function animate() {
   firstDrawMs ??= performance.now();
 }
 
-const link = new Link(take);
+await session.enter();
+const link = new Link(take, session, () => commands.rights());
 setInterval(look, 200);
 requestAnimationFrame(animate);
 

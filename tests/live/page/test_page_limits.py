@@ -87,4 +87,4 @@ def test_hold_is_served_however_many_are_connected(commanding: Server, kind: str
             assert status in (200, 409), answer
             assert answer["verb"] == "hold", answer
             stack.enter_context(opened(commanding, 100, SILENT[kind]))
-    assert commanding.command("rights", {})[0] == 200
+    assert commanding.command("session", {})[1]["operator"] == "kim"

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rigctl.config import rig_file as config
 from rigctl.config import strict_yaml
-from rigctl.config import wording as config_wording
+from rigctl.config.quantity import unit_of
 from tests.builders.paths import ROOT
 
 PAPER = (ROOT / "config/paper_rig.yaml").read_text()
@@ -206,4 +206,4 @@ def test_a_float_written_in_full_reads_back(value: float) -> None:
 def test_every_field_says_its_unit_or_has_none() -> None:
     named = {"_n": "N", "_mm": "mm", "_mm_s": "mm/s", "_n_mm": "N/mm", "_hz": "Hz", "_ms": "ms", "_bit_s": "bit/s"}
     for suffix, unit in named.items():
-        assert config_wording.unit_of("x" + suffix) == unit
+        assert unit_of("x" + suffix) == unit

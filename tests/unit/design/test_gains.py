@@ -111,3 +111,23 @@ def test_any_valid_rig_gets_finite_gains_and_a_verdict_or_a_clear_error(
     assert found.ms_max >= 1.0
     assert found.accepted == (found.ms_max <= 1.6)
     assert all(member.stable == math.isfinite(member.ms) for member in found.margins)
+
+
+def test_gains_are_those_of_python_control(rig: Rig) -> None:
+    control = pytest.importorskip("control")
+    settings = rig()
+    model, weights, k = filter_model(settings), settings.design, settings.plant.stiffness_n_mm
+    found, _, _ = control.dlqr(
+        model.f[:2, :2],
+        model.b[:2],
+        np.diag([weights.stretch_weight / k**2, 0.0, weights.integral_weight / k**2]),
+        [[weights.command_weight]],
+        integral_action=np.array([[model.period_s, 0.0]]),
+        method="scipy",
+    )
+    gains = design(settings)
+    # The same solver on the same matrices: rounding alone.
+    assert [gains.k_tension, gains.k_speed, gains.k_integral] == pytest.approx(found[0], rel=1e-9)
+    h, r = np.eye(2, 3), np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
+    _, before, _ = control.dlqe(model.f, np.eye(3), h, model.q, r, method="scipy")
+    assert filter_gain(model) == pytest.approx(np.linalg.solve(h @ before @ h.T + r, h @ before).T, rel=1e-9)

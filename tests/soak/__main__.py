@@ -1,0 +1,61 @@
+"""``python -m tests.soak [--for 8h] [--seed N] [--json F] [--plot F]``: a day in service, judged.
+
+Exit code 0: every promise held; 1: one line for each that was broken; 2: wrong usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import pathlib
+import secrets
+import sys
+import tempfile
+
+from tests.soak import picture, plan
+from tests.soak.run import Soak
+
+
+def say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def main() -> int:
+    """Run the soak; returns the exit code."""
+    parser = argparse.ArgumentParser(description="A day in service on the simulated rig, judged by promises.")
+    parser.add_argument("--for", dest="duration", default="1h", metavar="TIME", help="e.g. 120s, 10m, 8h [1h]")
+    parser.add_argument("--seed", type=int, default=None, help="of everything random [another each time]")
+    parser.add_argument("--json", type=pathlib.Path, default=pathlib.Path("results/soak.json"), metavar="FILE")
+    parser.add_argument("--plot", type=pathlib.Path, default=pathlib.Path("results/soak.png"), metavar="FILE")
+    arguments = parser.parse_args()
+    try:
+        duration_s = plan.seconds(arguments.duration)
+    except ValueError as error:
+        sys.stderr.write(f"soak: --for: {error}\n")
+        return 2
+    seed = secrets.randbelow(10**6) if arguments.seed is None else arguments.seed
+    say(f"soak: {duration_s:.0f} s, seed {seed} (--seed {seed} plays the same again)")
+    with tempfile.TemporaryDirectory(prefix="rigctl-soak-") as folder:
+        results, slopes, processes = Soak(duration_s, seed, pathlib.Path(folder), say).run()
+    for file in (arguments.json, arguments.plot):
+        file.parent.mkdir(parents=True, exist_ok=True)
+    arguments.json.write_text(json.dumps(results, indent=2) + "\n")
+    picture.draw(results, processes, arguments.plot)
+    for fit in slopes:
+        say(
+            f"{fit.name:<10} {fit.minutes:6.1f} min  {fit.memory_mib:7.1f} MiB  grows {fit.memory_grows_mib:+6.2f} "
+            f"(allowed {fit.memory_allowed_mib:.2f})  {fit.handles:4.0f} handles  grow {fit.handles_grow:+.1f}"
+        )
+    for kind, figures in results["lateness"].items():
+        say(f"lateness {kind:<6} " + "  ".join(f"{name} {value:g}" for name, value in figures.items()))
+    say(f"{results['records']} records, lost: {results['lost']}")
+    say(f"commands {results['commands']}, clients {results['clients_came']}, page frames {results['page']['frames']}")
+    say(f"strikes {len(results['strikes'])}, trips {results['trips']['count']}")
+    for line in results["broken"]:
+        sys.stderr.write(f"soak: {line}\n")
+    return 1 if results["broken"] else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,83 @@
+"""The soak's judgement: a leak is found in noise, noise is no leak, and every trip needs its cause."""
+
+from __future__ import annotations
+
+import itertools
+import random
+
+import numpy as np
+import pytest
+
+from tests.soak import plan
+from tests.soak.judge import slope, unexplained
+from tests.soak.sampling import Life
+
+HOUR = np.arange(0.0, 3600.0, 2.0)
+
+
+def life(memory_mib: np.ndarray, handles: np.ndarray | float = 20.0) -> Life:
+    handles = np.broadcast_to(handles, HOUR.shape)
+    samples = [(t, m, int(h)) for t, m, h in zip(HOUR, memory_mib, handles, strict=True)]
+    return Life("gateway", 7, samples)
+
+
+def noisy(level: float, seed: int = 1) -> np.ndarray:
+    found: np.ndarray = level + np.random.default_rng(seed).normal(0.0, 0.5, len(HOUR))
+    return found
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_and_single_peaks_are_flat(seed: int) -> None:
+    memory = noisy(60.0, seed)
+    memory[:20] = np.linspace(20.0, 60.0, 20)  # imports
+    memory[500:520] += 40.0  # a flood of clients
+    fit = slope(life(memory))
+    assert fit is not None
+    assert list(fit.findings) == []
+
+
+@pytest.mark.parametrize("leak_mib_h", [3.0, 5.0])
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_a_slow_leak_is_found_in_noise(leak_mib_h: float, noise: float) -> None:
+    fit = slope(life(60.0 + noise * noisy(0.0) + HOUR / 3600.0 * leak_mib_h))
+    assert fit is not None
+    (line,) = fit.findings
+    assert line.startswith("gateway (process 7): memory grew by ")
+
+
+def test_a_file_handle_a_few_minutes_is_found() -> None:
+    fit = slope(life(noisy(60.0), 20 + np.floor(HOUR / 600.0)))
+    assert fit is not None
+    assert [line for line in fit.findings if "file handles grew" in line]
+
+
+def test_a_short_life_is_not_judged() -> None:
+    assert slope(Life("page", 1, [(float(t), 10.0 + t, 5) for t in range(100)])) is None
+
+
+def test_a_trip_needs_a_cause_in_the_log_and_a_reason_in_the_soak() -> None:
+    second = 10**9
+    trips = [{"t_ns": 10 * second, "text": "TRIP: OVERRUN"}, {"t_ns": 200 * second, "text": "TRIP: CELL_STALE"}]
+    assert unexplained(trips, [5 * second], []) == ["TRIP: CELL_STALE"]
+    assert unexplained(trips, [5 * second], [(200 * second, 400.0)]) == []
+    assert unexplained([{"t_ns": second, "text": "", "seq": 4}], [0], []) == ["event 4 without a text"]
+
+
+def test_a_seed_gives_one_plan_and_every_process_is_struck() -> None:
+    long = plan.strikes(3600.0, random.Random(5))
+    assert long == plan.strikes(3600.0, random.Random(5))
+    assert {strike.what for strike in long} == {*plan.VICTIMS, "disk"}
+    begin, end = plan.busy(3600.0)
+    assert all(begin < strike.at_s < end for strike in long)
+    assert all(b.at_s - a.at_s >= plan.SHORTEST_S for a, b in itertools.pairwise(long))
+
+
+@pytest.mark.parametrize(("text", "expected"), [("120s", 120.0), ("10m", 600.0), ("8h", 28800.0), ("1.5h", 5400.0)])
+def test_a_time_is_read_with_its_unit(text: str, expected: float) -> None:
+    assert plan.seconds(text) == expected
+
+
+@pytest.mark.parametrize("text", ["", "5s", "-1h", "1d", "h"])
+def test_what_is_no_time_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="expected a time of 30 s or more"):
+        plan.seconds(text)

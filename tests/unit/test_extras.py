@@ -1,0 +1,113 @@
+"""What each computer has to carry: the control process little, the rig's computer no compiler and no plots."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+
+import pytest
+
+from rigctl.config.extras import EXTRAS, extra_of
+from tests.builders.paths import ROOT
+
+BLOCK = """
+import sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {absent!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Absent())
+"""
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+RUN = "import runpy; sys.argv = {argv!r}; runpy.run_module({module!r}, run_name='__main__', alter_sys=True)"
+CONTROL_DISTRIBUTIONS = {
+    "rigctl", "numpy", "pydantic", "pydantic_core", "annotated-types", "typing-inspection", "typing_extensions",
+    "msgspec", "python-can", "wrapt", "canopen", "packaging",
+}  # fmt: skip
+
+
+def without(*extras: str, run: str) -> subprocess.CompletedProcess[str]:
+    """A Python program on a computer that lacks these extras."""
+    absent = set().union(*(EXTRAS[extra] for extra in extras))
+    return subprocess.run(
+        [sys.executable, "-c", BLOCK.format(absent=absent) + run],
+        cwd=ROOT, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+
+
+def named(requirements: list[str]) -> set[str]:
+    return {re.split(r"[><=\[]", requirement)[0].lower() for requirement in requirements}
+
+
+def test_every_extra_names_the_modules_it_brings() -> None:
+    brings = packages_distributions()
+    for extra, modules in EXTRAS.items():
+        distributions = {brings[module][0].lower() for module in modules}
+        assert named(PROJECT["optional-dependencies"][extra]) - {"rigctl"} == distributions
+        assert all(extra_of(f"{module}.sub") == extra for module in modules)
+
+
+def test_the_control_process_needs_no_extra_and_few_modules() -> None:
+    run = (
+        "import json, rigctl.control.control_process\n"
+        "print(json.dumps(sorted(sys.modules)))"
+    )  # fmt: skip
+    answer = without("rt", "ops", "sim", run=run)
+    assert answer.returncode == 0, answer.stderr
+    modules = json.loads(answer.stdout)
+    brings = packages_distributions()
+    found = {brings[top][0] for top in {name.partition(".")[0] for name in modules} if top in brings}
+    assert {name for name in found if not name.startswith("_")} <= CONTROL_DISTRIBUTIONS | {"setuptools"}
+    # 519 when this was written, 440 of them of the standard library, numpy and pydantic.
+    assert len(modules) < 600
+
+
+@pytest.mark.parametrize(
+    "module", ["supervisor.daemon", "control.control_process", "gateway.gateway_process", "hold.service",
+               "recorder.recorder_process", "page.serve", "cli.app", "design.gain_file", "commission.preflight"],
+)  # fmt: skip
+def test_the_rigs_computer_runs_without_plots_and_simulation(module: str) -> None:
+    answer = without("ops", "sim", run=f"import rigctl.{module}")
+    assert answer.returncode == 0, answer.stderr
+
+
+def test_gains_are_designed_without_plots_and_simulation() -> None:
+    run = (
+        "from rigctl.config import rig_file\n"
+        "from rigctl.design.gain_file import design_in_use\n"
+        "print(design_in_use(rig_file.load('config/rig.yaml')).accepted)"
+    )
+    answer = without("ops", "sim", run=run)
+    assert (answer.returncode, answer.stdout) == (0, "True\n"), answer.stderr
+
+
+@pytest.mark.parametrize(
+    ("extras", "module", "argv", "said"),
+    [
+        (("rt", "ops", "sim"), "rigctl", ["rigctl", "status"], "rigctl: needs the extra rt: found no typer"),
+        (("rt", "ops", "sim"), "hil", ["hil", "serve", "x"], "python -m hil: needs the extra rt: found no typer"),
+        (("sim",), "hil", ["hil", "serve", "x"], "python -m hil: needs the extra sim: found no numba"),
+        (("sim",), "rigctl", ["rigctl", "demo", "--lockstep"], "rigctl: needs the extra sim: found no numba"),
+        (
+            ("ops", "sim"),
+            "rigctl",
+            ["rigctl", "tune", "config/rig.yaml", "--plot", "{tmp}/plot.png"],
+            "rigctl: needs the extra ops: found no matplotlib",
+        ),
+    ],
+    ids=str,
+)
+def test_a_missing_extra_is_one_line(
+    extras: tuple[str, ...], module: str, argv: list[str], said: str, tmp_path: pathlib.Path
+) -> None:
+    arguments = [part.format(tmp=tmp_path) for part in argv]
+    answer = without(*extras, run=RUN.format(argv=arguments, module=module))
+    assert answer.returncode == 2, answer.stderr
+    lines = answer.stderr.splitlines()
+    assert lines[-1].startswith(said)
+    assert "Traceback" not in answer.stderr
