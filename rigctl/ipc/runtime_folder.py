@@ -213,9 +213,9 @@ class Runtime:
         """Links, pipes and folders that stood in place of files and were removed, for the operator."""
 
     @classmethod
-    def of(cls, rig: str, base: pathlib.Path = BASE) -> Runtime:
-        """The folder of the daemon of ``rig``; ``base``: see `rigctl.config.layout.run_base`."""
-        return cls(base / f"rigctl-{rig}")
+    def of(cls, rig: str, base: pathlib.Path | None = None) -> Runtime:
+        """The folder of the daemon of ``rig``; ``base``: see `rigctl.config.layout.run_base`, else ``BASE``."""
+        return cls((base or BASE) / f"rigctl-{rig}")
 
     @classmethod
     def entered(cls, directory: str | pathlib.Path) -> Runtime:

@@ -129,7 +129,7 @@ def test_a_link_out_of_the_rig_files_folder_is_not_copied(tmp_path: pathlib.Path
 
 @pytest.mark.parametrize("change", [
     {"can": {"channel": "can0\n[Service]\nExecStartPre=+/bin/sh"}},
-    {"telemetry": {"listen": "tcp/127.0.0.1:7447%n"}},
+    {"telemetry": {"listen": "unixsock-stream//run/x%n"}},
     {"recording": {"folder": "/data/a b\nExecStart="}},
 ])  # fmt: skip
 def test_a_rig_file_cannot_add_settings_to_a_unit(tmp_path: pathlib.Path, change: dict[str, object]) -> None:
@@ -145,7 +145,11 @@ def drop_in(settings: RigSettings) -> str:
 def test_the_daemon_reaches_only_what_its_rig_file_needs(tmp_path: pathlib.Path) -> None:
     assert "IPAddressAllow" not in drop_in(changed(tmp_path)[0])
     assert "ReadWritePaths" not in drop_in(changed(tmp_path)[0])
-    far = changed(tmp_path, telemetry={"listen": "tcp/0.0.0.0:7447"}, recording={"folder": "/data/rig"})[0]
+    far = changed(
+        tmp_path,
+        telemetry={"listen": "tcp/0.0.0.0:7447", "listen_waiver": "a closed network"},
+        recording={"folder": "/data/rig"},
+    )[0]
     assert "IPAddressAllow=any" in drop_in(far)
     assert "ReadWritePaths=/data/rig\n" in drop_in(far)
 

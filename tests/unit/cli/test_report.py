@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pathlib
+import resource
 import subprocess
 import sys
 from typing import Any
@@ -147,20 +148,16 @@ def test_it_never_writes_over_its_recording(tmp_path: pathlib.Path, in_process: 
     assert file.read_bytes() == whole
 
 
-def test_a_page_that_cannot_be_written_leaves_the_old_one(
-    tmp_path: pathlib.Path, in_process: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_that_cannot_be_written_leaves_the_old_one(tmp_path: pathlib.Path, in_process: Command) -> None:
     file, page = write(tmp_path / "full.mcap", compensating(small, 4.0)), tmp_path / "page.html"
     page.write_text("the old one")
-    real = pathlib.Path.write_text
-
-    def full(self: pathlib.Path, data: str, *more: Any, **options: Any) -> int:
-        real(self, data[:100], *more, **options)
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(pathlib.Path, "write_text", full)
-    done = in_process("rigctl", "report", file, "-o", page)
-    assert (done.returncode, done.stderr) == (2, f"rigctl: {page} cannot be written: No space left on device\n")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))  # as on a full disk, the file gets its first bytes only
+    try:
+        done = in_process("rigctl", "report", file, "-o", page)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (done.returncode, done.stderr) == (2, f"rigctl: {page} cannot be written: File too large\n")
     assert page.read_text() == "the old one"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["full.mcap", "page.html"]
 

@@ -24,7 +24,7 @@ from rigctl.control.trials import AVERAGED_S
 from rigctl.gateway.command_rate import ALL_BURST
 from rigctl.gateway.command_server import ANSWER_NS, WAIT_NS
 from rigctl.gateway.gateway_process import Gateway
-from rigctl.ipc import ledger
+from rigctl.ipc import ledger, runtime_folder
 from rigctl.ipc.notes import Note
 from rigctl.ipc.record import RECORD, REPLY
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
@@ -46,8 +46,8 @@ class Rig:
         self.settings: RigSettings = paper.model_copy(
             update={"telemetry": telemetry, "audit": kept, "directory": str(folder)}
         )
-        self.runtime = Runtime(folder / "run")
-        self.runtime.directory.mkdir()
+        self.runtime = Runtime.of(paper.rig)
+        self.runtime.directory.mkdir(mode=0o700)
         self.runtime.make_rings(self.settings)
         self.runtime.write_json(ACTIVE, {"settings": self.settings.model_dump(mode="json"), "run_id": "this"})
         names = [field.name for field in RECORD.fields]
@@ -111,6 +111,12 @@ def until(true: Callable[[], object]) -> None:
     while not true():
         assert time.monotonic() < end
         time.sleep(0.002)
+
+
+@pytest.fixture(autouse=True)
+def _shared_memory(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The client finds the keys of this run in a folder of shared memory, which is this test's own."""
+    monkeypatch.setattr(runtime_folder, "BASE", tmp_path)
 
 
 @pytest.fixture
