@@ -13,7 +13,7 @@ from typing import Any
 
 from rigctl.control.modes import Verb
 from rigctl.identity.access_file import Certified
-from rigctl.identity.roles import Role
+from rigctl.identity.roles import PEOPLE, Role
 from rigctl.wire.keys import ROOT, Keys
 from rigctl.wire.lease import ACTS
 
@@ -116,7 +116,7 @@ def access_control(rig: str, certificates: Sequence[Certified], now: datetime.da
         {"id": "anyone", "link_protocols": ["tls"]},
     ]
     for one in certificates:
-        if not one.is_valid(now) or one.role is Role.GATEWAY:
+        if not one.is_valid(now) or one.role not in PEOPLE:
             continue
         subject = one.common_name
         subjects.append({"id": subject, "cert_common_names": [subject], "link_protocols": ["tls"]})
