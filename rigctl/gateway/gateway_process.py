@@ -29,6 +29,7 @@ from rigctl.gateway.admission import Admission
 from rigctl.gateway.calibration_service import CalibrationService
 from rigctl.gateway.command_proofs import CommandProofs
 from rigctl.gateway.command_server import CommandServer
+from rigctl.gateway.foreign_messages import ForeignMessages
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.published_position import Cursor
 from rigctl.gateway.refused_access import RefusedAccess, ZenohLog
@@ -244,6 +245,9 @@ class Gateway:
         stream = self._cursor.stream
         _declare_queryables(self._session, keys, runtime, self._view, self._active, stream, signer)
         self._commands.open(self._command_session)
+        # With certificates the access list refuses all of it.
+        certified = settings.key_folder is not None
+        self._foreign = None if certified else ForeignMessages(keys, self._session, self._command_session)
         # On the session of the commands, after them: a client that sees the token finds every command.
         self._token = self._command_session.liveliness().declare_token(keys.daemon)
 
@@ -273,10 +277,11 @@ class Gateway:
         self._signer.publish(self._state, state)
 
     def _note_refused_access(self, now_ns: int) -> None:
-        if self._log is None:
-            return
-        for line in self._log.lines():
-            self._refused.take(line, now_ns)
+        if self._log is not None:
+            for line in self._log.lines():
+                self._refused.take(line, now_ns)
+        if self._foreign is not None:
+            self._foreign.poll(self._refused, now_ns)
         self._commands.note_refused_access(self._refused.due(now_ns))
 
     def _publish_active(self) -> None:

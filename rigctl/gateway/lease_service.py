@@ -109,8 +109,7 @@ class LeaseService:
     def note_refused_access(self, refusals: list[AccessRefusal], now_ns: int) -> None:
         """Note what the access list and TLS refused."""
         for one in refusals:
-            kind = Note.MESSAGE_REFUSED if one.other else Note.CONNECTION_REFUSED
-            self._note(now_ns, kind, one.who, one.other, one.words)
+            self._note(now_ns, one.note, one.who, one.other, one.words)
 
     def decide(self, request: LeaseRequest, now_ns: int) -> dict[str, Any]:
         """Take the lease or give it back; returns the answer."""

@@ -15,6 +15,7 @@ import zenoh
 
 from rigctl.config.one_line import on_one_line
 from rigctl.config.quantity import count
+from rigctl.ipc.notes import Note
 
 FILTER = (
     "off,zenoh_link_tls::unicast=warn,zenoh_transport::unicast::establishment::accept=debug,"
@@ -53,6 +54,7 @@ _HANDSHAKES = {
 class AccessRefusal:
     """Something refused, for a note. ``who``: name in the certificate, if there is one; ``other``: more about it."""
 
+    note: Note
     who: str
     other: str
     text: str
@@ -84,7 +86,7 @@ class RefusedAccess:
     _judged: dict[bytes, re.Match[bytes]] = field(default_factory=dict)  # thread: its last judgement
     _names: dict[bytes, str] = field(default_factory=dict)  # session: common name
     _peers: dict[bytes, str] = field(default_factory=dict)  # session: address
-    _groups: dict[tuple[str, str], _Group] = field(default_factory=dict)
+    _groups: dict[tuple[Note, str], _Group] = field(default_factory=dict)
 
     def take(self, line: bytes, now_ns: int) -> None:
         """Take one line."""
@@ -102,7 +104,7 @@ class RefusedAccess:
         elif failed := _HANDSHAKE.search(line):
             why = _HINT.sub("", failed[1].decode(errors="replace")).strip()
             known = next((text for part, text in _HANDSHAKES.items() if part in why), "")
-            self._add(("", known), ("", "", known or f"TLS failed: {on_one_line(why)}"), now_ns)
+            self.add(Note.CONNECTION_REFUSED, known, ("", "", known or f"TLS failed: {on_one_line(why)}"), now_ns)
 
     def _drop(self, message: re.Match[bytes], now_ns: int) -> None:
         """A message was judged and dropped; without the drop, Zenoh only looked ahead at what it would refuse."""
@@ -112,10 +114,12 @@ class RefusedAccess:
         peer = self._peers.get(session, "")
         other = ", ".join(filter(None, (f"certificate {certificate}" if certificate else LOCAL, peer)))
         key = on_one_line(message[5].decode(errors="replace").removesuffix("\n"))
-        self._add((certificate, what), (name, other, f"{what.lower()} of {key}"), now_ns)
+        self.add(Note.MESSAGE_REFUSED, f"{what} of {certificate}", (name, other, f"{what.lower()} of {key}"), now_ns)
 
-    def _add(self, kind: tuple[str, str], newest: tuple[str, str, str], now_ns: int) -> None:
-        kind = kind if kind in self._groups or len(self._groups) < GROUPS_MAX else ("", "others")
+    def add(self, note: Note, what: str, newest: tuple[str, str, str], now_ns: int) -> None:
+        """Take one of the kind ``what``; ``newest``: who, other and text of its note."""
+        kind = (note, what)
+        kind = kind if kind in self._groups or len(self._groups) < GROUPS_MAX else (note, "others")
         group = self._groups.setdefault(kind, _Group(now_ns))
         if not group.number:
             group.since_ns = now_ns
@@ -128,7 +132,7 @@ class RefusedAccess:
             if now_ns < group.next_ns:
                 continue
             if group.number:
-                found.append(AccessRefusal(*group.newest, group.number, now_ns - group.since_ns))
+                found.append(AccessRefusal(kind[0], *group.newest, group.number, now_ns - group.since_ns))
                 group.next_ns, group.number = now_ns + group.gap_ns, 0
                 group.gap_ns = min(2 * group.gap_ns, REPORT_MAX_NS)
             elif now_ns - group.next_ns > REPORT_MAX_NS:

@@ -80,6 +80,7 @@ NOTES: dict[Note, str] = {
     Note.MESSAGE_REFUSED: "the access list refused a message of operator's certificate; other: certificate and "
     "address, reason: message and key",
     Note.CONNECTION_REFUSED: "TLS refused a connection; reason: why",
+    Note.FOREIGN_MESSAGE: "somebody else puts messages on the rig's keys or answers its queries; reason: which",
     Note.LEASE_NOT_BELIEVED: "what was written down about a lease is none; nobody holds it",
 }
 

@@ -78,12 +78,19 @@ def test_each_finished_part_is_sealed_and_a_changed_one_is_told(tmp_path: pathli
     assert seals_in_words(found) == "sealed, intact"
     assert seal.key_file(tape.settings, "recording").stat().st_mode & 0o777 == 0o600
 
-    first.write_bytes(first.read_bytes().replace(b"paper_rig", b"paper_rag", 1))  # in its first metadata or document
+    first.write_bytes(_edited(first.read_bytes()))
     found = read(*tape.files())
     assert (seals(found)[first], seals(found)[second]) == (PartStanding.CHANGED, PartStanding.INTACT)
     assert seals_in_words(found).startswith("sealed, intact: ")
     assert seals_in_words(found).endswith(f"changed since it was sealed: {first.name}")
     assert figures(read(first))["files"][0]["seal"] == "changed since it was sealed"
+
+
+def _edited(content: bytes) -> bytes:
+    """A file whose metadata say something else."""
+    before = os.uname().release.encode()
+    assert before in content
+    return content.replace(before, b"?" + before[1:])
 
 
 @pytest.mark.parametrize("forged", ["new hash", "content after it", "cut off"])
@@ -96,7 +103,7 @@ def test_a_file_made_without_the_key_is_not_intact(tmp_path: pathlib.Path, forge
     assert sealed is not None
     at = content.rindex(b"seal", 0, content.index(sealed.seal.encode()))
     if forged == "new hash":  # edited, and the hash computed anew, under the old seal
-        edited = content.replace(b"paper_rig", b"other_rig")
+        edited = _edited(content)
         piece = edited.index(sealed.sha256.encode())
         start = next(one.offset for one in Scan(edited).pieces() if one.offset < piece < one.end)
         first.write_bytes(edited.replace(sealed.sha256.encode(), hashlib.sha256(edited[:start]).hexdigest().encode()))
