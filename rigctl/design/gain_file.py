@@ -198,7 +198,7 @@ def _checked_seal(settings: RigSettings, text: str, name: str) -> str:
             f"{name}: edited since it was sealed, or sealed on another computer: run `rigctl tune` again, or delete "
             "its last line if it is right"
         )
-    return verdict.value
+    return str(verdict.value)
 
 
 def parse(text: str, name: str) -> GainFile:

@@ -73,7 +73,12 @@ def test_its_commands_are_the_persons_whose_key_it_has(certified_daemon: Certifi
     assert (status, done["operator"]) == (200, "kim"), done
     assert secured.command("lease", {"act": "return"})[1]["accepted"]
     names: set[bytes] = set()
-    until(lambda: names.update(bytes(slot["operator"]) for slot in given.read()) or b"kim" in names, "the record")
+
+    def recorded() -> bool:
+        names.update(bytes(slot["operator"]) for slot in given.read())
+        return b"kim" in names
+
+    until(recorded, "the record")
     assert names == {b"kim"}
 
 

@@ -7,6 +7,8 @@ import dataclasses
 import datetime
 import json
 import pathlib
+import socket
+import ssl
 from collections.abc import Iterator
 from typing import Any
 
@@ -120,7 +122,16 @@ def test_each_connection_that_tls_refuses_is_one_line_with_the_reason(
             with pytest.raises(SessionError):
                 close(open_client(endpoint, owned))
         assert refused.line(why) == f"connection of an unknown client refused: {why}"
-    assert len(refused.read()) == len(attempts)
+    host, _, port = own.endpoint.removeprefix("tls/").rpartition(":")
+    anonymous = ssl.create_default_context(cafile=str(own.keys.folder.path / "authority.pem"))
+    with (
+        contextlib.suppress(OSError),
+        socket.create_connection((host, int(port)), LIMIT_S) as connection,
+        anonymous.wrap_socket(connection, server_hostname=host) as secure,
+    ):
+        secure.recv(1)
+    refused.line("it has no certificate")
+    assert len(refused.read()) == len(attempts) + 1
 
 
 def test_what_people_may_do_leaves_no_such_line(own: CertifiedDaemon) -> None:
