@@ -13,7 +13,7 @@ import typer
 from rigctl.cli.options import BAD, DONE, USAGE, Json, end, say, say_json
 from rigctl.identity.credentials import CredentialsError
 from rigctl.identity.key_folder import KeyFolder, KeyFolderError
-from rigctl.identity.roles import GATEWAY_NAME, PEOPLE, Role
+from rigctl.identity.roles import GATEWAY_NAME, Role
 
 if TYPE_CHECKING:
     from rigctl.identity.access_file import Certified
@@ -35,13 +35,14 @@ class KeysTask(Enum):
 
 What = Annotated[KeysTask, typer.Argument(metavar="init|add|revoke|list|renew", help="What to do.")]
 Name = Annotated[str | None, typer.Argument(metavar="NAME", help="Whose key; not with init and list.")]
-_ROLES = "|".join(role.value for role in PEOPLE)
+ROLES = [role.value for role in Role if role is not Role.GATEWAY]
+_ROLES = "|".join(ROLES)
 Of = Annotated[str | None, typer.Option("--role", metavar=_ROLES, help="With add: what they may do.")]
 Folder = Annotated[pathlib.Path, typer.Option("--dir", metavar="FOLDER", help="Key folder.")]
 Days = Annotated[int | None, typer.Option(min=1, max=3650, help="How long the key is good [365, a gateway's 825].")]
 Hosts = Annotated[
     list[str] | None,
-    typer.Option("--host", metavar="HOST", help="Name or address at which clients reach the gateway; several times."),
+    typer.Option("--host", metavar="HOST", help="Name or address of gateway or page; several times."),
 ]
 _NAMED = (KeysTask.ADD, KeysTask.REVOKE, KeysTask.RENEW)
 
@@ -59,16 +60,17 @@ def keys(
 
     init makes the authority and the gateway's key; add gives a person a key for a role; renew gives another before the
     old one expires; revoke refuses all keys of a name from now on. A daemon that runs takes changes over within a few
-    seconds. The rig file names the folder: telemetry.tls.keys.
+    seconds. The rig file names the folder: telemetry.tls.keys. With --role page it is no person's key, but the
+    certificate and key of a page's HTTPS.
     """
     if (name is not None) is not (task in _NAMED):
         end(USAGE, f"found {'a' if name is not None else 'no'} NAME, expected one with add, revoke and renew alone")
     if (role is not None) is not (task is KeysTask.ADD):
         end(USAGE, f"found {'a' if role is not None else 'no'} --role, expected one with add alone")
-    if role is not None and role not in [one.value for one in PEOPLE]:
-        end(USAGE, f"found --role {role[:40]!r}, expected {', '.join(one.value for one in PEOPLE)}")
-    if host and task is not KeysTask.INIT and (task, name) != (KeysTask.RENEW, GATEWAY_NAME):
-        end(USAGE, f"found --host, expected with init and renew {GATEWAY_NAME} alone")
+    if role is not None and role not in ROLES:
+        end(USAGE, f"found --role {role[:40]!r}, expected {', '.join(ROLES)}")
+    if host and task is not KeysTask.RENEW and task is not KeysTask.INIT and role != Role.PAGE.value:
+        end(USAGE, f"found --host, expected with init, with --role {Role.PAGE.value}, or with renew of such a key")
     try:
         if task is KeysTask.LIST:
             _list(KeyFolder(folder), json)
@@ -94,7 +96,7 @@ def _change(
         return
     acts: dict[KeysTask, Callable[[], Certified]] = {
         KeysTask.INIT: lambda: issuer.init(hosts, days or GATEWAY_DAYS),
-        KeysTask.ADD: lambda: issuer.add(name, role, days or PERSON_DAYS),
+        KeysTask.ADD: lambda: issuer.add(name, role, days or PERSON_DAYS, hosts),
         KeysTask.RENEW: lambda: issuer.renew(name, days, hosts),
     }
     made = acts[task]()
@@ -109,6 +111,8 @@ def _made(issuer: KeyIssuer, made: Certified) -> str:
     if made.name == GATEWAY_NAME:
         return f"{issuer.folder.gateway}: the gateway's key, {until}"
     file = issuer.folder.issued(made.name)
+    if made.role is Role.PAGE:
+        return f"{file}: certificate and key of HTTPS, {until}; it is both page.tls_cert and page.tls_key"
     return f"{file}: key of {made.name}, {made.role.value}, {until}; hand it over, then delete it here"
 
 

@@ -60,6 +60,8 @@ def page(
         end(USAGE, "found --remote-operator, expected with --operator NAME")
     tls = _https(tls_cert, tls_key)
     endpoint, known = _daemon(connect, rig)
+    if name is not None:
+        name = _person(endpoint) or name
     try:
         listening = address.listen()
     except CannotListenError as error:
@@ -122,6 +124,14 @@ def _checked(operator: str | None) -> str | None:
         return operator_of(operator)
     except RequestError as error:
         end(USAGE, f"--operator: {error}")
+
+
+def _person(endpoint: str) -> str:
+    """The name in this user's key file, by which a daemon with certificates knows the page; else empty."""
+    from rigctl.client.connection import credentials_of
+
+    owned = credentials_of(endpoint, None)
+    return owned.name if owned is not None else ""
 
 
 def _daemon(connect: str | None, rig: str | None) -> tuple[str, str]:

@@ -79,7 +79,7 @@ def _lines(found: dict[str, Any]) -> list[str]:
     row("run", f"{found['run']} on {own.get('host', '-')}, rigctl {own.get('version', '-')}")
     for file in found["files"]:
         note = f" - {file['note']}" if file["note"] else ""
-        row("file", f"{file['file']}, {file['bytes'] / 1e6:.1f} MB{note}")
+        row("file", f"{file['file']}, {file['bytes'] / 1e6:.1f} MB, {file['seal']}{note}")
     row("sha256", found["sha256"])
     rate = f" at {found['rate_hz']:g} Hz" if found["rate_hz"] else ""
     frames, commands = quantity.count(found["frames"], "frame"), quantity.count(found["commands"], "command")

@@ -62,6 +62,7 @@ def _read(file: pathlib.Path) -> tuple[Recording, list[ProcessSpan]]:
 
 def _again(file: pathlib.Path, recording: Recording, spans: list[ProcessSpan], *, json: bool) -> None:
     from rigctl.cli.progress import progress
+    from rigctl.recorder.contents import seals_in_words
     from rigctl.replay.compare import first_difference
     from rigctl.replay.play import play
 
@@ -78,12 +79,14 @@ def _again(file: pathlib.Path, recording: Recording, spans: list[ProcessSpan], *
             {"loop": number, "ticks": len(span.records), "same": same, "first_difference": shown,
              "cut_short": span.cut_short}
         )  # fmt: skip
+    sealed = seals_in_words(recording)
     passed_s = time.monotonic() - start
     recorded_s = sum(row["ticks"] for row in found) / spans[0].settings.loop.rate_hz
     times = recorded_s / passed_s if passed_s else 0.0
     if json:
-        say_json({"file": str(file), "loops": found, "identical": not bad, "times_real_time": times})
+        say_json({"file": str(file), "seal": sealed, "loops": found, "identical": not bad, "times_real_time": times})
     else:
+        say(f"seal: {sealed}")
         for row in found:
             _say_row(row, many=len(found) > 1)
         say(f"{recorded_s:.1f} s of loop replayed at {times:.1f} times real time")

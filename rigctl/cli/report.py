@@ -33,6 +33,8 @@ def report(
     json: Json = False,
 ) -> None:
     """Write a test report of a recording: verdict, charts, provenance. Exit code 1 if the verdict is not "passed"."""
+    from rigctl.recorder.contents import seals_in_words
+
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     page = output if output is not None or json else pathlib.Path(f"{file.stem}.html")
     if page is not None:
@@ -48,9 +50,10 @@ def report(
     if json:
         from rigctl.report.findings import as_dict
 
-        say_json(as_dict(found))
+        say_json({**as_dict(found), "seal": seals_in_words(recording)})
     else:
         _say(found)
+        say(f"seal: {seals_in_words(recording)}")
         say(f"written: {page}")
     end(DONE if found.verdict.passed else BAD, None if found.verdict.passed else f"{file}: {_complaint(found)}")
 

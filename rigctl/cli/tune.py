@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+import sys
 from collections.abc import Iterator
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -144,6 +145,7 @@ def _write(
     import msgspec
 
     from rigctl.design import gain_file
+    from rigctl.ipc.seal import SealError
 
     made = gain_file.provenance(settings, file, datetime.now(UTC))
     said = {"rig": settings.rig, **found.as_dict(), **advice, "provenance": made.model_dump()}
@@ -158,6 +160,10 @@ def _write(
                 margin_plot.draw(settings, found, plot)
         if gains is not None:
             with output_file.writing(gains):
-                gain_file.write(gains, found, made)
+                try:
+                    gain_file.write(gains, found, made, settings)
+                except SealError as error:
+                    sys.stderr.write(f"note: {gains} has no seal: {error}\n")
+                    gain_file.write(gains, found, made)
     if json == STANDARD_OUTPUT:
         say(text)

@@ -16,6 +16,7 @@ from rigctl.config.bounds import findings
 from rigctl.config.canopen import SIMULATOR_NODE, VELOCITY_ACTUAL, VELOCITY_ACTUAL_16
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
+from rigctl.config.page_address import is_address
 from rigctl.config.page_section import PageSettings
 from rigctl.config.plain import PlainMessage
 from rigctl.config.recording_section import RecordingSettings
@@ -354,6 +355,17 @@ class AuditSettings(Settings):
     file: str | None = Field(default=None, min_length=1, description="audit log; null = audit/RIG.jsonl")
     trips: str = Field(default="trips", min_length=1, description="folder of the trip dumps")
     trips_kept: int = Field(default=100, ge=1, le=10_000, description="trip dumps of this rig kept, the newest")
+    syslog: str | None = Field(
+        default=None, description="tcp/HOST:PORT or udp/HOST:PORT of a syslog collector that gets each head of the log"
+    )
+
+    @model_validator(mode="after")
+    def _syslog_is_an_endpoint(self) -> AuditSettings:
+        if self.syslog is not None:
+            protocol, _, where = self.syslog.partition("/")
+            good = protocol in ("tcp", "udp") and is_address(where)
+            require(good, "syslog", self.syslog, "tcp/HOST:PORT or udp/HOST:PORT")
+        return self
 
 
 class DemoSettings(Settings):

@@ -2,7 +2,7 @@
 
 ``rigctl tune RIG --gains FILE`` writes it; ``design.gains_file: FILE`` in the rig file makes the daemon use it. It
 fits as long as the rig file has the same inputs. Limit and waiver are not inputs: they belong to the verdict, which is
-made again at every use.
+made again at every use. Its last line is a seal over all before it, where the rig's key could be used.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import math
 import os
 import pathlib
 import platform
+import re
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
@@ -31,7 +32,8 @@ from rigctl.control.tension import Gains
 from rigctl.design.gains import DesignError, design
 from rigctl.design.margins import design_and_check, judge
 from rigctl.design.verdict import Design, GainSource
-from rigctl.ipc import output_file
+from rigctl.ipc import output_file, seal
+from rigctl.ipc.seal import SealError, SealVerdict
 
 # Keys that determine gains, margins and performance.
 INPUTS: dict[str, tuple[str, ...]] = {
@@ -51,6 +53,9 @@ _HEADING = """\
 # has written it anew. Margins are computed again at every start.
 # Units: k_tension mm/s per N, k_speed 1, k_integral mm/s per N s.
 """
+
+_SEALED = "gains"  # what the seal is about
+_SEAL = re.compile(r'^seal: "([0-9a-f]{64})"\n?\Z', re.MULTILINE)
 
 Inputs = dict[str, dict[str, float | None]]
 
@@ -93,6 +98,7 @@ class GainFile(Settings):
     gains: GainValues
     verdict: VerdictThen
     provenance: Provenance
+    seal: str | None = None  # of the text before it
 
 
 def inputs(settings: RigSettings) -> Inputs:
@@ -125,11 +131,14 @@ def provenance(settings: RigSettings, rig_file: pathlib.Path, now: datetime) -> 
     )
 
 
-def write(file: pathlib.Path, found: Design, made: Provenance) -> None:
+def write(file: pathlib.Path, found: Design, made: Provenance, sealed_for: RigSettings | None = None) -> None:
     """Write a gain file atomically: a reader sees the old file or the new one.
+
+    ``sealed_for``: settings of the rig whose key seals it; None: it has no seal.
 
     Raises:
         OSError: it cannot be written.
+        SealError: the rig's key cannot be used.
     """
     content = {
         "gains": asdict(found.gains),
@@ -141,13 +150,15 @@ def write(file: pathlib.Path, found: Design, made: Provenance) -> None:
         },
         "provenance": made.model_dump(),
     }
-    text = yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=10_000)
+    text = _HEADING + yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=10_000)
+    if sealed_for is not None:
+        text += f'seal: "{seal.seal(sealed_for, _SEALED, text.encode())}"\n'
     file = file.resolve()  # so that a link stays a link
     part = file.with_name(f".{file.name}.{os.getpid()}")
     try:
         part.unlink(missing_ok=True)
         with os.fdopen(os.open(part, output_file.NEW, 0o666), "w", encoding="utf-8") as written:
-            written.write(_HEADING + text)
+            written.write(text)
         part.replace(file)
     finally:
         part.unlink(missing_ok=True)
@@ -159,10 +170,35 @@ def read(file: pathlib.Path) -> GainFile:
     Raises:
         GainFileError: it cannot be read, is not a gain file, or its inputs do not match its hash.
     """
+    return parse(_text(file), str(file))
+
+
+def _text(file: pathlib.Path) -> str:
     try:
-        return _understood(strict_yaml.read(file), file)
+        return strict_yaml.text_of(file)
     except strict_yaml.FileError as error:
         raise GainFileError(str(error)) from None
+
+
+def _checked_seal(settings: RigSettings, text: str, name: str) -> str:
+    """What the seal of a gain file's text says, in words.
+
+    Raises:
+        GainFileError: it was edited since it was sealed, or the rig's key is not its owner's alone.
+    """
+    found = _SEAL.search(text)
+    if found is None:
+        return "no seal"
+    try:
+        verdict = seal.verdict(settings, _SEALED, text[: found.start()].encode(), found[1])
+    except SealError as error:
+        raise GainFileError(f"{name}: its seal cannot be verified: {error}") from None
+    if verdict is SealVerdict.BROKEN:
+        raise GainFileError(
+            f"{name}: edited since it was sealed, or sealed on another computer: run `rigctl tune` again, or delete "
+            "its last line if it is right"
+        )
+    return str(verdict.value)
 
 
 def parse(text: str, name: str) -> GainFile:
@@ -190,20 +226,21 @@ def _understood(document: strict_yaml.Document, file: pathlib.Path) -> GainFile:
     return found
 
 
-def read_for(settings: RigSettings) -> tuple[Gains, Provenance] | None:
-    """Gains and provenance of the gain file in the settings; None if they name none.
+def read_for(settings: RigSettings) -> tuple[Gains, Provenance, str] | None:
+    """Gains, provenance and seal in words of the gain file in the settings; None if they name none.
 
     Raises:
-        GainFileError: it cannot be read, or was made for other settings.
+        GainFileError: it cannot be read, was edited since it was sealed, or was made for other settings.
     """
     if settings.design.gains_file is None:
         return None
     file = settings.file(settings.design.gains_file)
-    found = read(file)
+    text = _text(file)
+    found, sealed = parse(text, str(file)), _checked_seal(settings, text, str(file))
     now, then = inputs(settings), found.provenance.inputs
     if sha256(now) != found.provenance.inputs_sha256:
         raise GainFileError(f"{file}: made for other settings ({_difference(then, now)}): run `rigctl tune` again")
-    return Gains(**found.gains.model_dump()), found.provenance
+    return Gains(**found.gains.model_dump()), found.provenance, sealed
 
 
 def design_in_use(settings: RigSettings) -> Design:
@@ -222,9 +259,10 @@ def design_while_running(settings: RigSettings, text: str, name: str) -> Design:
     """The design of a gain file's text on a rig that runs with ``settings``; only its weights may differ from them.
 
     Raises:
-        GainFileError: it is not a gain file, is for another rig, plant, rate or estimator, or has no margins.
+        GainFileError: it is not a gain file, was edited since it was sealed, is for another rig, plant, rate or
+            estimator, or has no margins.
     """
-    found = parse(text, name)
+    found, sealed = parse(text, name), _checked_seal(settings, text, name)
     then = found.provenance.inputs
     if found.provenance.rig != settings.rig:
         raise GainFileError(f"{name}: found gains of rig {found.provenance.rig!r}, expected {settings.rig!r}")
@@ -235,14 +273,14 @@ def design_while_running(settings: RigSettings, text: str, name: str) -> Design:
     if sha256(inputs(made_for)) != found.provenance.inputs_sha256:
         difference = _difference(then, inputs(made_for))
         raise GainFileError(f"{name}: made for other settings ({difference}): run `rigctl tune` on the file that runs")
-    return _judged(made_for, Gains(**found.gains.model_dump()), found.provenance, name)
+    return _judged(made_for, Gains(**found.gains.model_dump()), found.provenance, sealed, name)
 
 
-def _judged(settings: RigSettings, gains: Gains, made: Provenance, name: str) -> Design:
+def _judged(settings: RigSettings, gains: Gains, made: Provenance, sealed: str, name: str) -> Design:
     own = design(settings)
     edited = not all(math.isclose(asdict(gains)[k], g, rel_tol=SAME_GAIN) for k, g in asdict(own).items())
     try:
-        return judge(settings, gains, GainSource(name, made.model_dump(), edited))
+        return judge(settings, gains, GainSource(name, made.model_dump(), edited, sealed))
     except (ArithmeticError, ValueError) as error:  # numbers that no law has
         raise GainFileError(f"{settings.file(name)}: no margins for its gains: {error}") from None
 

@@ -41,6 +41,7 @@ class GainSource:
     file: str  # as the rig file names it
     provenance: dict[str, Any]  # as the file has it
     edited: bool  # the gains do not follow from its inputs
+    seal: str = "no seal"
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,8 @@ class Design:
         origin = ""
         if self.source:
             made = self.source.provenance
-            origin = f"; gains of {self.source.file}, {made['date_utc']}, inputs {made['inputs_sha256'][:12]}"
+            inputs = made["inputs_sha256"][:12]
+            origin = f"; gains of {self.source.file}, {made['date_utc']}, inputs {inputs}, {self.source.seal}"
         if not self.accepted:
             return f"design refused: {self.ms_in_words()}, expected at most {self.limit:g}{self._way_out()}{origin}"
         return f"{self.ms_in_words()} (limit {self.limit:g}{', waived' if self.waiver else ''}){origin}"

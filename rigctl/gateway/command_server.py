@@ -25,6 +25,7 @@ from rigctl.gateway.calibration_service import CalibrationService, Filed
 from rigctl.gateway.command_proofs import CommandProofs, ProofStanding, refusal_text
 from rigctl.gateway.command_rate import Flow
 from rigctl.gateway.lease_service import LeaseService
+from rigctl.gateway.refused_access import AccessRefusal
 from rigctl.gateway.signer import Signer, query_attachment
 from rigctl.ipc import ledger
 from rigctl.ipc.notes import RequestLog
@@ -145,6 +146,11 @@ class CommandServer:
         for rate in (self._rate, self._unproven_rate):
             if rate.due(now_ns):
                 self._work.put(partial(self._note_refused, rate))
+
+    def note_refused_access(self, refusals: list[AccessRefusal]) -> None:
+        """Have what the access list and TLS refused noted."""
+        if refusals:
+            self._work.put(lambda: self._leases.note_refused_access(refusals, time.monotonic_ns()))
 
     def _note_refused(self, rate: Flow) -> None:
         self._leases.note_refused(rate.report(), time.monotonic_ns())

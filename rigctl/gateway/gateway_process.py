@@ -29,8 +29,10 @@ from rigctl.gateway.admission import Admission
 from rigctl.gateway.calibration_service import CalibrationService
 from rigctl.gateway.command_proofs import CommandProofs
 from rigctl.gateway.command_server import CommandServer
+from rigctl.gateway.foreign_messages import ForeignMessages
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.published_position import Cursor
+from rigctl.gateway.refused_access import RefusedAccess, ZenohLog
 from rigctl.gateway.run_keys import run_keys
 from rigctl.gateway.signer import Signer
 from rigctl.gateway.streams import EventStream, FastStream, event_publishers, past_block, past_messages
@@ -183,14 +185,15 @@ def _declare_queryables(
 class Gateway:
     """Sessions, streams and command server of one rig."""
 
-    def __init__(self, runtime: Runtime, settings: RigSettings) -> None:
-        """Open everything.
+    def __init__(self, runtime: Runtime, settings: RigSettings, log: ZenohLog | None = None) -> None:
+        """Open everything. ``log``: Zenoh's, which shows what the access list refuses.
 
         Raises:
             SessionError: the endpoint is in use or not valid, or another daemon has this rig's name.
             KeyFolderError: the key folder cannot be used.
         """
         self._admission = Admission(settings)
+        self._log, self._refused = log, RefusedAccess()
         keys, now = self._admission.keys, time.monotonic_ns()
         self._active, self._active_sent = ActiveConfiguration(runtime), b""
         run_id, listen = str(self._active.written.get("run_id", "")), settings.telemetry.listen
@@ -242,6 +245,9 @@ class Gateway:
         stream = self._cursor.stream
         _declare_queryables(self._session, keys, runtime, self._view, self._active, stream, signer)
         self._commands.open(self._command_session)
+        # With certificates the access list refuses all of it.
+        certified = settings.key_folder is not None
+        self._foreign = None if certified else ForeignMessages(keys, self._session, self._command_session)
         # On the session of the commands, after them: a client that sees the token finds every command.
         self._token = self._command_session.liveliness().declare_token(keys.daemon)
 
@@ -259,6 +265,7 @@ class Gateway:
         verdict = self._preflight.verdict(now)
         self._send_host_checks(verdict, now)
         self._commands.check_lease_and_rate(now)
+        self._note_refused_access(now)
         if now >= self._read_ns:
             self._read_ns = now + _READ_NS
             self._publish_active()
@@ -268,6 +275,14 @@ class Gateway:
         self._view.newest = state  # before the events, see above
         self._events.publish()
         self._signer.publish(self._state, state)
+
+    def _note_refused_access(self, now_ns: int) -> None:
+        if self._log is not None:
+            for line in self._log.lines():
+                self._refused.take(line, now_ns)
+        if self._foreign is not None:
+            self._foreign.poll(self._refused, now_ns)
+        self._commands.note_refused_access(self._refused.due(now_ns))
 
     def _publish_active(self) -> None:
         if (found := self._active.read()) is not self._active_sent:
@@ -333,7 +348,7 @@ def main(arguments: list[str]) -> int:
     try:
         runtime = Runtime.entered(pathlib.Path(arguments[0]))
         settings = RigSettings.model_validate(runtime.read_json("active.json").get("settings"))
-        gateway = Gateway(runtime, settings)
+        gateway = Gateway(runtime, settings, ZenohLog() if settings.key_folder is not None else None)
     except (OSError, RingError, FolderError, SessionError, KeyFolderError, msgspec.MsgspecError) as error:
         sys.stderr.write(f"gateway: {error}\n")
         return 1

@@ -13,6 +13,7 @@ import msgspec
 
 from rigctl.config.quantity import count
 from rigctl.gateway.command_rate import RefusedCommands
+from rigctl.gateway.refused_access import AccessRefusal
 from rigctl.ipc.notes import Note
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.wire.command_request import Request, RequestError, operator_of, refused
@@ -104,6 +105,11 @@ class LeaseService:
         for one in worst:
             text = f"{count(one.count, 'command')} in {(now_ns - one.since_ns) / 1e9:.0f} s"
             self._note(now_ns, Note.TOO_MANY_COMMANDS, one.operator, reason=text)
+
+    def note_refused_access(self, refusals: list[AccessRefusal], now_ns: int) -> None:
+        """Note what the access list and TLS refused."""
+        for one in refusals:
+            self._note(now_ns, one.note, one.who, one.other, one.words)
 
     def decide(self, request: LeaseRequest, now_ns: int) -> dict[str, Any]:
         """Take the lease or give it back; returns the answer."""

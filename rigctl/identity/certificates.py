@@ -83,8 +83,9 @@ def issue(
 ) -> IssuedKey:
     """A new key with a certificate signed by ``issuer``.
 
-    ``serial``: hexadecimal. ``hosts``: names and addresses at which a gateway is reached; only a gateway's certificate
-    is good for a server, so that no person can stand in for the daemon.
+    ``serial``: hexadecimal. ``hosts``: names and addresses at which a gateway or page is reached; only their
+    certificates are good for a server, so that no person can stand in for the daemon. A page's is good for nothing
+    else: it opens no connection to the gateway.
 
     Raises:
         ValueError: ``issuer`` is not a key with its certificate.
@@ -94,8 +95,8 @@ def issue(
     if not isinstance(ca_key, ec.EllipticCurvePrivateKey) or ca_key.public_key() != ca.public_key():
         raise ValueError("key and certificate of the authority do not belong together")
     key = ec.generate_private_key(ec.SECP256R1())
-    server = role is Role.GATEWAY
-    usages = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if server else [])]
+    usages = [ExtendedKeyUsageOID.CLIENT_AUTH] if role is not Role.PAGE else []
+    usages += [ExtendedKeyUsageOID.SERVER_AUTH] if role.is_server else []
     subject = x509.Name([
         x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, role.value),
         x509.NameAttribute(NameOID.COMMON_NAME, common_name(name, serial)),
@@ -113,7 +114,7 @@ def issue(
         .add_extension(x509.ExtendedKeyUsage(usages), critical=True)
         .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(ca_key.public_key()), critical=False)
     )
-    if server:
+    if role.is_server:
         names = x509.SubjectAlternativeName([_host(host) for host in hosts])
         builder = builder.add_extension(names, critical=False)
     return _pem(key, builder.sign(ca_key, hashes.SHA256()))
@@ -125,7 +126,7 @@ def last_day(certificate: str) -> datetime.datetime:
 
 
 def hosts_of(certificate: str) -> list[str]:
-    """Names and addresses for which a gateway's certificate is good."""
+    """Names and addresses for which the certificate of a gateway or page is good."""
     found = x509.load_pem_x509_certificate(certificate.encode()).extensions
     names = found.get_extension_for_class(x509.SubjectAlternativeName).value
     addresses = [str(address) for address in names.get_values_for_type(x509.IPAddress)]

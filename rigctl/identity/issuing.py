@@ -16,7 +16,7 @@ import msgspec
 from rigctl.identity import access_file, certificates
 from rigctl.identity.access_file import Certified
 from rigctl.identity.certificates import BACKDATED, IssuedKey
-from rigctl.identity.credentials import Credentials, CredentialsError, read_private
+from rigctl.identity.credentials import Credentials, CredentialsError, read, read_private
 from rigctl.identity.key_folder import AUTHORITY, AUTHORITY_KEY, KeyFolder, KeyFolderError
 from rigctl.identity.roles import GATEWAY_NAME, NAME_ALLOWED, Role, is_name
 from rigctl.ipc import whole_file
@@ -92,8 +92,10 @@ class KeyIssuer:
             self._write(self.folder.access, access_file.encode([entry]))
         return entry
 
-    def add(self, name: str, role: Role, days: int = PERSON_DAYS) -> Certified:
-        """Issue the first key of a person's name.
+    def add(self, name: str, role: Role, days: int = PERSON_DAYS, hosts: Sequence[str] = ()) -> Certified:
+        """Issue the first key of a person's name, or of a page.
+
+        ``hosts``: names and addresses at which browsers reach a page, beside those of this computer.
 
         Raises:
             KeyFolderError: the name is not valid or has a valid key, or the folder cannot be used.
@@ -104,12 +106,12 @@ class KeyIssuer:
             entries = self.folder.certificates()
             if any(one.name == name and one.is_valid(self._now) for one in entries):
                 raise KeyFolderError(f"{name} has a valid key: rigctl keys renew {name}, or revoke it first")
-            return self._add(entries, name, role, days)
+            return self._add(entries, name, role, days, [*own_hosts(), *hosts] if role is Role.PAGE else ())
 
     def renew(self, name: str, days: int | None = None, hosts: Sequence[str] = ()) -> Certified:
         """Issue another key to a name, in its role; its earlier keys stay good until they expire or are revoked.
 
-        ``hosts``: of the gateway, in place of those of its certificate before.
+        ``hosts``: of the gateway or a page, in place of those of its certificate before.
 
         Raises:
             KeyFolderError: the name has no key or was revoked, or the folder cannot be used.
@@ -121,12 +123,24 @@ class KeyIssuer:
                 raise KeyFolderError(f"{name[:40]!r} has no key: rigctl keys add NAME --role ROLE")
             if newest.revoked is not None:
                 raise KeyFolderError(f"{name} was revoked: rigctl keys add {name} --role ROLE gives a new key")
-            if newest.role is not Role.GATEWAY:
-                return self._add(entries, name, newest.role, days or PERSON_DAYS)
-            known = certificates.hosts_of(self.folder.gateway_credentials().certificate)
-            return self._add(
-                entries, name, newest.role, days or GATEWAY_DAYS, [*own_hosts(), *hosts] if hosts else known
-            )
+            if hosts and not newest.role.is_server:
+                raise KeyFolderError(
+                    f"found --host for {name}, {newest.role.value}: expected for gateway and page alone"
+                )
+            usual = GATEWAY_DAYS if newest.role is Role.GATEWAY else PERSON_DAYS
+            named = [*own_hosts(), *hosts] if hosts else self._hosts_before(newest)
+            return self._add(entries, name, newest.role, days or usual, named)
+
+    def _hosts_before(self, newest: Certified) -> list[str]:
+        """Hosts in the certificate before, if it is one of a server and still here."""
+        if newest.role is Role.GATEWAY:
+            return certificates.hosts_of(self.folder.gateway_credentials().certificate)
+        if newest.role is not Role.PAGE:
+            return []
+        try:
+            return certificates.hosts_of(read(self.folder.issued(newest.name)).certificate)
+        except CredentialsError as error:
+            raise KeyFolderError(f"{error}; name the hosts of the page with --host") from None
 
     def _add(self, entries: list[Certified], name: str, role: Role, days: int, hosts: Sequence[str] = ()) -> Certified:
         owned, entry = self._issue(name, role, days, hosts)

@@ -18,14 +18,19 @@ class Role(Enum):
     OPERATOR = "operator"  # command
     MAINTAINER = "maintainer"  # calibrate, identify, exchange gains
     GATEWAY = "gateway"  # no person: answers for its rig
+    PAGE = "page"  # no person: a server of HTTPS, with no rights on the network of the rig
 
     def includes(self, other: Role) -> bool:
-        """Whether this role may do what ``other`` may; a gateway commands nothing."""
-        order = list(Role)
-        return Role.GATEWAY not in (self, other) and order.index(self) >= order.index(other)
+        """Whether this role may do what ``other`` may; gateway and page command nothing."""
+        return self in PEOPLE and other in PEOPLE and PEOPLE.index(self) >= PEOPLE.index(other)
+
+    @property
+    def is_server(self) -> bool:
+        """Whether its certificate is good for a server, at the names and addresses in it."""
+        return self not in PEOPLE
 
 
-PEOPLE = tuple(role for role in Role if role is not Role.GATEWAY)
+PEOPLE = (Role.VIEWER, Role.OPERATOR, Role.MAINTAINER)
 
 
 def is_name(text: str) -> bool:

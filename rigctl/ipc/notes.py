@@ -22,6 +22,9 @@ class Note(IntEnum):
     HOLD_WITHOUT_LEASE = 5  # other: the holder of the lease
     LEASE_NOT_BELIEVED = 6  # lease.json is invalid
     TOO_MANY_COMMANDS = 65  # reason: number of the operator's refused commands, and the time span
+    MESSAGE_REFUSED = 66  # operator: name in the certificate; other: certificate and address; reason: message and key
+    CONNECTION_REFUSED = 67  # reason: what TLS found
+    FOREIGN_MESSAGE = 68  # reason: what somebody else puts on the rig's keys, without certificates
 
 
 def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str]:
@@ -42,6 +45,15 @@ def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str
             return "info", f"HOLD given by {operator} without a lease; nobody holds it"
         case Note.TOO_MANY_COMMANDS:
             return "warning", f"{reason} from {operator or 'nobody'} refused: too many; HOLD is taken all the same"
+        case Note.MESSAGE_REFUSED:
+            return "warning", f"{reason} by {operator or 'nobody known'} ({other}) refused: not allowed"
+        case Note.CONNECTION_REFUSED:
+            return "warning", f"connection of {operator or 'an unknown client'} refused{why}"
+        case Note.FOREIGN_MESSAGE:
+            return (
+                "warning",
+                f"{reason} by {operator or 'somebody'} other than the daemon: not believed on this computer",
+            )
         case Note.LEASE_NOT_BELIEVED:
             return "warning", "lease.json holds no lease to be believed; nobody holds it"
 

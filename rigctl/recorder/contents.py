@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
+import pathlib
 from collections import Counter
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
+from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.recorder import audit_log
+from rigctl.ipc.runtime_folder import ACTIVE
+from rigctl.recorder import audit_log, part_seal
 from rigctl.recorder.enums import name_of
 from rigctl.recorder.file_reader import RECORDER
+from rigctl.recorder.mcap_file import SEAL
+from rigctl.recorder.part_seal import PartStanding
 from rigctl.recorder.recording import Recording
 
-_NOT_METADATA = ("versions",)
+_NOT_METADATA = ("versions", SEAL)
 
 
 def moment(recording: Recording, t_ns: int) -> str:
@@ -50,7 +57,7 @@ def modes(recording: Recording) -> list[dict[str, Any]]:
 def figures(recording: Recording) -> dict[str, Any]:
     """Everything ``rigctl info --json`` prints."""
     own = recording.metadata.get("rigctl", {})
-    records = recording.records
+    records, sealed = recording.records, seals(recording)
     seconds = (recording.end_ns - recording.start_ns) * 1e-9
     rate_hz = float(1e9 / np.median(np.diff(records["t_ns"]))) if len(records) > 1 else None
     return {
@@ -61,7 +68,7 @@ def figures(recording: Recording) -> dict[str, Any]:
         "sha256": recording.sha256,
         "files": [
             {"file": str(file.path), "bytes": file.size, "sha256": file.sha256, "complete": file.complete,
-             "note": file.note}
+             "note": file.note, "seal": sealed[file.path].value}
             for file in recording.files
         ],
         "start": moment(recording, recording.start_ns) if len(records) else None,
@@ -88,3 +95,25 @@ def figures(recording: Recording) -> dict[str, Any]:
         "metadata": {name: words for name, words in recording.metadata.items() if name not in _NOT_METADATA},
         "versions": recording.metadata.get("versions", {}),
     }  # fmt: skip
+
+
+def seals(recording: Recording) -> dict[pathlib.Path, PartStanding]:
+    """What the seal of each file says. The key is where the recorded settings have the rig's ledger."""
+    settings = None
+    with contextlib.suppress(ValidationError):
+        if found := (recording.table(ACTIVE, recording.end_ns) or {}).get("settings"):
+            settings = RigSettings.model_validate(found)
+    return {file.path: part_seal.standing(settings, file) for file in recording.files}
+
+
+def seals_in_words(recording: Recording) -> str:
+    """What the seals of a recording say, in one line."""
+    found = seals(recording)
+    kinds = {one: [path.name for path, standing in found.items() if standing is one] for one in PartStanding}
+    if len(found) == 1 or len(kinds[PartStanding.INTACT]) == len(found):
+        return max(found.values(), key=list(PartStanding).index).value
+    return "; ".join(
+        f"{one.value}: " + (names[0] if len(names) == 1 else f"{len(names)} parts")
+        for one, names in kinds.items()
+        if names
+    )

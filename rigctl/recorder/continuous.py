@@ -22,7 +22,7 @@ from rigctl import __version__
 from rigctl.config import input_file
 from rigctl.config.settings import RigSettings
 from rigctl.ipc.runtime_folder import Runtime
-from rigctl.recorder import parts
+from rigctl.recorder import part_seal, parts
 from rigctl.recorder.appender import Appender
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.chain import ChainError, read_line
@@ -198,7 +198,7 @@ class Continuous:
 
     def _finish(self, part: PartFile) -> None:
         """Close a part."""
-        part.finish()
+        part.finish(part_seal.sealer(self._settings))
         self._failed += part.disk.failures
         self._part = None
         self._places.clear()

@@ -8,7 +8,7 @@ import io
 import mmap
 import pathlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
@@ -19,7 +19,8 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
 from rigctl.ipc.record import COMMAND, FRAME, HOLD, RECORD, Slot
 from rigctl.recorder import frame_block
-from rigctl.recorder.mcap_scan import READ, DamageError, Scan, ScanError
+from rigctl.recorder.mcap_file import SEAL
+from rigctl.recorder.mcap_scan import READ, DamageError, Piece, Scan, ScanError
 from rigctl.recorder.protobuf import Decoding, LayoutError, numbers_of
 
 SLOTS: dict[str, Slot] = {"records": RECORD, "frames": FRAME, "commands": COMMAND, "holds": numbers_of(HOLD)}
@@ -33,14 +34,24 @@ class RecordingError(ValueError):
 
 
 @dataclass(frozen=True)
+class FoundSeal:
+    """The seal in a file: what it says of the SHA-256 before it, and what that is."""
+
+    sha256: str
+    seal: str
+    found_sha256: str
+
+
+@dataclass(frozen=True)
 class ReadFile:
-    """A file that was read. ``note``: why it is not ``complete``."""
+    """A file that was read. ``note``: why it is not ``complete``; ``seal``: None without one."""
 
     path: pathlib.Path
     size: int
     sha256: str
     complete: bool
     note: str
+    seal: FoundSeal | None = None
 
 
 class Said(msgspec.Struct):
@@ -90,9 +101,11 @@ class FileReader:
         self.slots = {name: _whole(decoded, SLOTS[name], path) for name, decoded in self._decoded.items()}
 
     def _read(self, data: mmap.mmap) -> ReadFile:
-        scan, damage = _scan(data, self.path), ""
+        scan, damage, seal = _scan(data, self.path), "", None
         for piece in scan.pieces():
             if piece.opcode in READ:
+                # What follows a seal is not sealed, so that it is none of this file any more.
+                seal = replace(seal, found_sha256="") if seal is not None else _seal(data, scan, piece)
                 try:
                     self._take(scan.content(piece))
                 except LayoutError as error:
@@ -101,7 +114,7 @@ class FileReader:
                     why = str(error) if isinstance(error, DamageError) else "a record is damaged"
                     damage = damage or f"at byte {piece.offset}: {why}"
         note = "; ".join(filter(None, (damage, scan.note)))
-        return ReadFile(self.path, len(data), hashlib.sha256(data).hexdigest(), not note, note)
+        return ReadFile(self.path, len(data), hashlib.sha256(data).hexdigest(), not note, note, seal)
 
     def _take(self, records: list[Any]) -> None:
         messages: dict[int, list[bytes]] = {}
@@ -198,6 +211,17 @@ def _scan(data: mmap.mmap, path: pathlib.Path) -> Scan:
         return Scan(data)
     except ScanError as error:
         raise RecordingError(f"{path}: {error}") from None
+
+
+def _seal(data: mmap.mmap, scan: Scan, piece: Piece) -> FoundSeal | None:
+    """The seal that a record is, None for any other record."""
+    if piece.opcode != Opcode.METADATA:
+        return None
+    with contextlib.suppress(DamageError, StopIteration):
+        found = next(one for one in scan.content(piece) if isinstance(one, Metadata) and one.name == SEAL)
+        sha256 = hashlib.sha256(memoryview(data)[: piece.offset]).hexdigest()
+        return FoundSeal(found.metadata.get("sha256", ""), found.metadata.get("seal", ""), sha256)
+    return None
 
 
 def progress_of(path: pathlib.Path) -> dict[str, int]:

@@ -6,8 +6,9 @@ Times are those of the wall clock; every message has CLOCK_MONOTONIC as ``t_ns``
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable
-from typing import IO, Any, NamedTuple
+import hashlib
+from collections.abc import Callable, Container, Iterable
+from typing import IO, Any, NamedTuple, cast
 
 import msgspec
 import numpy as np
@@ -59,13 +60,35 @@ def slot_readers(runtime: Runtime) -> dict[str, RingReader]:
     }
 
 
+SEAL = "seal"
+"""Name of the metadata with the seal of a file, see `rigctl.recorder.part_seal`."""
+
+
+class _Hashed:
+    """A stream that keeps the SHA-256 of what is written."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream, self.digest = stream, hashlib.sha256()
+
+    def write(self, data: bytes) -> int:
+        self.digest.update(data)
+        return self._stream.write(data)
+
+    def tell(self) -> int:
+        return self._stream.tell()
+
+    def flush(self) -> None:
+        self._stream.flush()
+
+
 class McapFile:
     """An MCAP file being written: channels for slots of the rings and for texts."""
 
     def __init__(self, stream: IO[bytes], wall_offset_ns: int, exact: Container[str] | None = None) -> None:
         """``wall_offset_ns``: wall clock less CLOCK_MONOTONIC, for the whole file; ``exact``: see `Encoding`."""
         self._offset_ns = wall_offset_ns
-        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._stream = _Hashed(stream)
+        self._writer = Writer(cast("IO[bytes]", self._stream), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library=f"rigctl {__version__}")
         self._encodings = {
             "records": Encoding(RECORD, exact), "commands": Encoding(COMMAND), "holds": Encoding(numbers_of(HOLD)),
@@ -129,8 +152,12 @@ class McapFile:
         """Close the chunk, so that everything written so far is in the stream and can be read."""
         self._writer.flush()  # type: ignore[no-untyped-call]
 
-    def finish(self) -> None:
-        """Write the index; the caller closes the stream."""
+    def finish(self, sealer: Callable[[str], str] | None = None) -> None:
+        """Write the seal and the index; the caller closes the stream. ``sealer``: seals a SHA-256, "" if it cannot."""
+        self.flush()
+        sha256 = self._stream.digest.hexdigest()
+        if sealer is not None and (seal := sealer(sha256)):
+            self.describe(SEAL, {"sha256": sha256, "seal": seal})
         self._writer.finish()  # type: ignore[no-untyped-call]
 
 

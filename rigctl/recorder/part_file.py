@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib import metadata
 from typing import IO, Any, cast
 
@@ -99,8 +99,8 @@ class PartFile:
         self._file.flush()
         self.disk.append(self._stream.take())
 
-    def finish(self) -> None:
-        """Write the index; the thread ends when all is written."""
-        self._file.finish()
+    def finish(self, sealer: Callable[[str], str] | None = None) -> None:
+        """Write the seal and the index; the thread ends when all is written."""
+        self._file.finish(sealer)
         self.disk.append(self._stream.take())
         self.disk.end()

@@ -30,8 +30,10 @@ from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, FolderError, Runtime
 from rigctl.ipc.seal import SealError
 from rigctl.ipc.supervision import OVER, Doing
 from rigctl.ipc.termination import Termination
-from rigctl.recorder import sealed_head
+from rigctl.recorder import audit_host, sealed_head
+from rigctl.recorder.audit_host import AuditHost
 from rigctl.recorder.audit_log import AuditError, AuditLog, Item
+from rigctl.recorder.chain import read_line
 from rigctl.recorder.continuous import Continuous
 from rigctl.recorder.sources import AuditedRings, sourced
 from rigctl.recorder.thinning import Thinning
@@ -42,6 +44,7 @@ RETRY_NS = 1_000_000_000
 PUBLISH_NS = 1_000_000_000
 KEEP_STROKE_NS = 1_000_000_000
 WAITING_MAX = 20_000  # entries kept while the disk fails; beyond it the rings hold the data
+HOST_LIMIT_S = 1.0  # for the last heads to leave
 LAST_ENTRY_S = 6.0  # after SIGTERM, limit for the wait for the supervisor's last entry
 _OVER = frozenset(doing.name.lower() for doing in OVER)
 
@@ -111,6 +114,7 @@ class Recorder:
         self._trips = Trips(runtime, settings, read.get("dumped", 0))
         self._trips.sweep()
         self._recording = Continuous(runtime, settings, self._run, wall_ns) if settings.recording.enabled else None
+        self._host = AuditHost(settings.audit.syslog) if settings.audit.syslog is not None else None
         self._records = runtime.records.reader()
         self._kept_mm, self._keep_ns = math.nan, 0  # the stroke last written, and when it may be next
         self._failures = 0  # of the recording, already reported
@@ -127,6 +131,7 @@ class Recorder:
         self._dump(now_ns, wall_ns, final=final)
         self._record(now_ns, wall_ns)
         self._keep_stroke(now_ns, wall_ns, final=final)
+        self._watch_host(now_ns, wall_ns)
         self._publish(now_ns)
 
     def close(self, now_ns: int, wall_ns: int) -> None:
@@ -138,6 +143,8 @@ class Recorder:
             self._recording.close(now_ns, wall_ns)
             if self._recording.why:
                 self.trouble.begins("recording", self._recording.why, now_ns)
+        if self._host is not None:
+            self._host.close(HOST_LIMIT_S)
         self._publish(now_ns, at_once=True)
         self.log.close()
 
@@ -183,6 +190,16 @@ class Recorder:
         if (gap := self.trouble.ends("last stroke", now_ns)) is not None:
             self._add(self._own(now_ns, wall_ns, "written_again", "the stroke could not be written before", gap))
 
+    def _watch_host(self, now_ns: int, wall_ns: int) -> None:
+        """Report when the audit log's host cannot be reached, and when it can again."""
+        if self._host is None:
+            return
+        if why := self._host.why:
+            if self.trouble.now.get("audit host") != why:
+                self.trouble.begins("audit host", why, now_ns)
+        elif (gap := self.trouble.ends("audit host", now_ns)) is not None:
+            self._add(self._own(now_ns, wall_ns, "written_again", "the log's host could not be reached before", gap))
+
     def _own(self, now_ns: int, wall_ns: int, what: str, text: str, details: dict[str, Any]) -> Item:
         return Item(now_ns, wall_ns, what, text, details=details)
 
@@ -222,6 +239,9 @@ class Recorder:
         self._waiting.clear()
         if self._recording is not None:
             self._recording.audit(lines)
+        if self._host is not None:
+            for line in lines:
+                self._host.send(audit_host.message(*read_line(line)))
         if (gap := self.trouble.ends("audit log", now_ns)) is not None:
             self._add(self._own(now_ns, wall_ns, "written_again", "the log could not be written before", gap))
 

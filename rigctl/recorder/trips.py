@@ -25,6 +25,7 @@ from rigctl.control.modes import Mode
 from rigctl.ipc import output_file, whole_file
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.recorder import part_seal
 from rigctl.recorder.audit_log import moment
 from rigctl.recorder.mcap_file import ATTACHED, McapFile, slot_readers
 from rigctl.recorder.sources import AuditedRings
@@ -187,7 +188,7 @@ class Trips:
             *file.said(said),
         ]
         file.add(sorted(messages, key=lambda message: message.wall_ns))
-        file.finish()
+        file.finish(part_seal.sealer(self._settings))
         return len(slots["records"]), len(slots["frames"])
 
     def names(self) -> list[str]:

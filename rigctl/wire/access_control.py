@@ -13,7 +13,7 @@ from typing import Any
 
 from rigctl.control.modes import Verb
 from rigctl.identity.access_file import Certified
-from rigctl.identity.roles import Role
+from rigctl.identity.roles import PEOPLE, Role
 from rigctl.wire.keys import ROOT, Keys
 from rigctl.wire.lease import ACTS
 
@@ -50,10 +50,10 @@ class _Rules:
         self.rules: list[dict[str, Any]] = []
         self._of: dict[str, list[str]] = {}
 
-    def allow(self, subject: str, flow: str, messages: Sequence[str], keys: list[str]) -> None:
+    def add(self, subject: str, flow: str, messages: Sequence[str], keys: list[str], permission: str = "allow") -> None:
         name = f"{subject}: {flow} {len(self.rules)}"
         self.rules.append(
-            {"id": name, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": keys}
+            {"id": name, "permission": permission, "flows": [flow], "messages": list(messages), "key_exprs": keys}
         )
         self._of.setdefault(subject, []).append(name)
 
@@ -65,27 +65,35 @@ class _Rules:
 def _reader(rules: _Rules, subject: str, rig: str) -> None:
     # A client finds the rig's name by asking for the token of any rig.
     read, live = _on(rig, READ_TAILS), _on(_ANY_RIG, [LIVE_TAIL])
-    rules.allow(subject, "ingress", ["declare_subscriber", "query"], read)
-    rules.allow(subject, "ingress", _LIVENESS, live)
-    rules.allow(subject, "egress", ["put", "reply"], read)
-    rules.allow(subject, "egress", ["liveliness_token"], live)
+    rules.add(subject, "ingress", ["declare_subscriber", "query"], read)
+    rules.add(subject, "ingress", _LIVENESS, live)
+    rules.add(subject, "egress", ["put", "reply"], read)
+    rules.add(subject, "egress", ["liveliness_token"], live)
 
 
 def _person(rules: _Rules, subject: str, keys: Keys, role: Role) -> None:
     """Reading, and commands under the person's own name."""
     _reader(rules, subject, keys.rig)
     if commands := [keys.command(name) for name in commands_of(role)]:
-        rules.allow(subject, "ingress", ["query"], commands)
-        rules.allow(subject, "egress", ["reply"], commands)
+        rules.add(subject, "ingress", ["query"], commands)
+        rules.add(subject, "egress", ["reply"], commands)
 
 
 def _own_commands(rules: _Rules, subject: str, keys: Keys) -> None:
     """The gateway's session for commands, on its socket in the run-time folder."""
     commands, live = [keys.command("*")], _on(keys.rig, [LIVE_TAIL])
-    rules.allow(subject, "ingress", ["declare_queryable", "reply"], commands)
-    rules.allow(subject, "ingress", ["liveliness_token", *_LIVENESS], live)
-    rules.allow(subject, "egress", ["query", "declare_queryable"], commands)
-    rules.allow(subject, "egress", ["liveliness_token"], live)
+    rules.add(subject, "ingress", ["declare_queryable", "reply"], commands)
+    rules.add(subject, "ingress", ["liveliness_token", *_LIVENESS], live)
+    rules.add(subject, "egress", ["query", "declare_queryable"], commands)
+    rules.add(subject, "egress", ["liveliness_token"], live)
+
+
+def _anyone(rules: _Rules, subject: str) -> None:
+    """Everyone with a certificate, known or not: gets nothing.
+
+    Zenoh names the certificate in its log of a refusal only if it belongs to some subject.
+    """
+    rules.add(subject, "ingress", ["put"], [f"{ROOT}/nothing"], "deny")
 
 
 def access_control(rig: str, certificates: Sequence[Certified], now: datetime.datetime, own_zid: str) -> dict[str, Any]:
@@ -101,12 +109,14 @@ def access_control(rig: str, certificates: Sequence[Certified], now: datetime.da
     _own_commands(rules, "own commands", Keys(rig, "*"))
     _reader(rules, "own processes", rig)
     socket = {"link_protocols": ["unixsock-stream"]}
+    _anyone(rules, "anyone")
     subjects: list[dict[str, Any]] = [
         {"id": "own commands", "zids": [own_zid]} | socket,
         {"id": "own processes"} | socket,
+        {"id": "anyone", "link_protocols": ["tls"]},
     ]
     for one in certificates:
-        if not one.is_valid(now) or one.role is Role.GATEWAY:
+        if not one.is_valid(now) or one.role not in PEOPLE:
             continue
         subject = one.common_name
         subjects.append({"id": subject, "cert_common_names": [subject], "link_protocols": ["tls"]})

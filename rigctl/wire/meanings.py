@@ -77,6 +77,10 @@ NOTES: dict[Note, str] = {
     Note.LEASE_LAPSED: "the lease of operator has lapsed",
     Note.HOLD_WITHOUT_LEASE: "operator gives HOLD without the lease, which other holds",
     Note.TOO_MANY_COMMANDS: "commands of an operator were refused because there were too many; reason: how many",
+    Note.MESSAGE_REFUSED: "the access list refused a message of operator's certificate; other: certificate and "
+    "address, reason: message and key",
+    Note.CONNECTION_REFUSED: "TLS refused a connection; reason: why",
+    Note.FOREIGN_MESSAGE: "somebody else puts messages on the rig's keys or answers its queries; reason: which",
     Note.LEASE_NOT_BELIEVED: "what was written down about a lease is none; nobody holds it",
 }
 

@@ -1,5 +1,7 @@
 """``python -m tests.bench.flood KIND ENDPOINT RIG SECONDS``: one peer's flood of a daemon, on loopback alone.
 
+At an endpoint ``tls/`` the peer has the key of ``RIGCTL_KEY``.
+
 It begins at once, prints one line of JSON when it is under way, ends by itself after SECONDS (at most ``SECONDS_MAX``)
 and prints its counts. Every kind is bounded in number too.
 """
@@ -9,9 +11,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import pathlib
 import selectors
 import signal
 import socket
+import ssl
 import subprocess
 import sys
 import threading
@@ -22,6 +26,7 @@ from typing import Any
 import msgspec
 import zenoh
 
+from rigctl.client.connection import credentials_of
 from rigctl.control.realtime import die_with_parent
 from rigctl.wire.keys import Keys
 from rigctl.wire.session import SessionError, close, open_client
@@ -39,11 +44,12 @@ class Flood:
     """A flood's target, end time and counts so far."""
 
     def __init__(self, endpoint: str, rig: str, seconds: float) -> None:
-        where = endpoint.removeprefix("tcp/")
+        where = endpoint.removeprefix("tcp/").removeprefix("tls/")
         host, _, port = where.rpartition(":")
         if host != "127.0.0.1":
             raise SystemExit(f"found the endpoint {endpoint}, expected one on 127.0.0.1")
-        self.endpoint, self.address, self.keys = endpoint, (host, int(port)), Keys(rig)
+        self.endpoint, self.address, self.owned = endpoint, (host, int(port)), credentials_of(endpoint, None)
+        self.keys = Keys(rig, self.owned.name if self.owned is not None else "")
         self.until = time.monotonic() + min(seconds, SECONDS_MAX)
         self.count = 0
         self._lock, self._said = threading.Lock(), False
@@ -99,7 +105,7 @@ def idle_sessions(flood: Flood) -> None:
         while not flood.over and flood.count < SESSIONS:
             flood.done()
             with contextlib.suppress(SessionError):
-                opened.append(open_client(flood.endpoint))
+                opened.append(open_client(flood.endpoint, flood.owned))
 
     threads = [threading.Thread(target=open_some) for _ in range(_OPENERS)]
     for thread in threads:
@@ -115,7 +121,7 @@ def idle_sessions(flood: Flood) -> None:
 
 @contextlib.contextmanager
 def _session(flood: Flood) -> Iterator[zenoh.Session]:
-    session = open_client(flood.endpoint)
+    session = open_client(flood.endpoint, flood.owned)
     try:
         yield session
     finally:
@@ -187,6 +193,41 @@ def payloads(flood: Flood) -> None:
     time.sleep(max(0.0, flood.until - time.monotonic()))
 
 
+def forged(flood: Flood) -> None:
+    """States put in the daemon's name; with certificates each is refused."""
+    with _session(flood) as session:
+        for number in range(QUERIES_MAX):
+            if flood.over:
+                return
+            session.put(flood.keys.state, b"forged", congestion_control=zenoh.CongestionControl.DROP)
+            flood.done()
+            if number >= OUTSTANDING_MAX:
+                flood.under_way()
+
+
+def handshakes(flood: Flood) -> None:
+    """TLS connections without a certificate, again and again: each costs the other end a signature."""
+    anyone = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    anyone.check_hostname, anyone.verify_mode = False, ssl.CERT_NONE
+
+    def open_some() -> None:
+        while not flood.over and flood.count < OPENINGS_MAX:
+            with (
+                contextlib.suppress(OSError),
+                socket.create_connection(flood.address, 1.0) as plain,
+                anyone.wrap_socket(plain, server_hostname="localhost") as secure,
+            ):
+                secure.recv(1)
+            flood.done()
+            flood.under_way()
+
+    threads = [threading.Thread(target=open_some) for _ in range(_OPENERS)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+
 def stalled(flood: Flood) -> None:
     """Subscribers to all keys that stop reading."""
     command = [sys.executable, "-m", "tests.bench.flood", "subscriber", flood.endpoint, flood.keys.rig, "120"]
@@ -224,23 +265,29 @@ KINDS = {
     "stalled": stalled,
     "lease_take": lease_take,
     "holds": holds,
+    "forged": forged,
 }
+TLS_KINDS = {**KINDS, "handshakes": handshakes}
+"""Floods of a daemon that listens with certificates."""
 
 
 def main(words: list[str]) -> int:
     kind, endpoint, rig, seconds = words
     flood = Flood(endpoint, rig, float(seconds))
-    (KINDS | {"subscriber": subscriber})[kind](flood)
+    (TLS_KINDS | {"subscriber": subscriber})[kind](flood)
     say({"done": flood.count})
     sys.stdout.flush()
     os._exit(0)  # Zenoh's own shutdown of hundreds of sessions is slow
 
 
 @contextlib.contextmanager
-def flooding(kind: str, endpoint: str, rig: str, seconds: float) -> Iterator[subprocess.Popen[str]]:
+def flooding(
+    kind: str, endpoint: str, rig: str, seconds: float, key: pathlib.Path | None = None
+) -> Iterator[subprocess.Popen[str]]:
     """A flood in a process of its own, under way when the block begins, ended with it."""
     command = [sys.executable, "-m", "tests.bench.flood", kind, endpoint, rig, str(seconds)]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as child:
+    given = {**os.environ, **({"RIGCTL_KEY": str(key)} if key is not None else {})}
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, env=given) as child:
         try:
             assert child.stdout is not None
             if not child.stdout.readline():

@@ -18,14 +18,15 @@ NAMES = dict(zip(("vera", "kim", "max"), PEOPLE, strict=True))
 class CertifiedDaemon(Daemon):
     """`Daemon` whose endpoint is ``tls/``; its key folder is in its run-time folder."""
 
-    def __init__(self) -> None:
+    def __init__(self, host: str = "127.0.0.1") -> None:
+        """``host``: address at which it listens."""
         super().__init__()
         folder = self.runtime.directory / "keys"
         self.keys = KeyIssuer(folder, datetime.datetime.now(datetime.UTC))
-        self.keys.init([])
+        self.keys.init([host])
         for name, role in NAMES.items():
             self.keys.add(name, role)
-        self.endpoint = f"tls/127.0.0.1:{free_port()}"
+        self.endpoint = f"tls/{host}:{free_port()}"
         telemetry = TelemetrySettings(listen=self.endpoint, tls=TlsSettings(keys=str(folder)))
         self.settings = self.settings.model_copy(update={"telemetry": telemetry})
         written = self.runtime.read_json("active.json")
@@ -57,8 +58,8 @@ class CertifiedDaemon(Daemon):
         self.start_gateway()
 
 
-def certified() -> Iterator[CertifiedDaemon]:
-    found = CertifiedDaemon()
+def certified(host: str = "127.0.0.1") -> Iterator[CertifiedDaemon]:
+    found = CertifiedDaemon(host)
     try:
         found.start_loop()
         found.start_gateway()

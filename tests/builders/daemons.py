@@ -12,10 +12,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from typing import Any
 
 import yaml
 
+from rigctl.identity.issuing import KeyIssuer
+from rigctl.identity.key_folder import KeyFolder
+from rigctl.identity.roles import Role
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.metrics.tension_error import IN_FLIGHT_TICKS
 from tests.builders.paths import ROOT
@@ -49,6 +53,23 @@ def rig_file(folder: pathlib.Path, changes: dict[str, dict[str, Any]] | None = N
     file = folder / "rig.yaml"
     file.write_text(yaml.safe_dump(data))
     return file
+
+
+def with_certificates(file: pathlib.Path) -> None:
+    """Have the daemon of a rig file listen with certificates: for kim and lee, operators, and vera, a viewer."""
+    keys = KeyIssuer(file.parent / "keys", datetime.now(UTC))
+    keys.init([])
+    for name, role in (("kim", Role.OPERATOR), ("lee", Role.OPERATOR), ("vera", Role.VIEWER)):
+        keys.add(name, role)
+    data = yaml.safe_load(file.read_text())
+    data["telemetry"] |= {"listen": data["telemetry"]["listen"].replace("tcp/", "tls/"), "tls": {"keys": "keys"}}
+    file.write_text(yaml.safe_dump(data))
+
+
+def key_of(name: str, file: pathlib.Path) -> pathlib.Path | None:
+    """The key file of a person, None without certificates."""
+    found = KeyFolder(file.parent.resolve() / "keys").issued(name)
+    return found if found.exists() else None
 
 
 def endpoint(file: pathlib.Path) -> str:
@@ -119,7 +140,11 @@ def daemon(file: pathlib.Path, log: pathlib.Path) -> Iterator[subprocess.Popen[b
 
 def environment(file: pathlib.Path | None) -> dict[str, str]:
     """Environment of an operator at one terminal: all commands share a lease."""
-    own = {"RIGCTL_OPERATOR": "kim"} | ({"XDG_RUNTIME_DIR": str(file.parent.resolve())} if file is not None else {})
+    own = {"RIGCTL_OPERATOR": "kim"}
+    if file is not None:
+        own["XDG_RUNTIME_DIR"] = str(file.parent.resolve())
+        if (key := key_of("kim", file)) is not None:
+            own["RIGCTL_KEY"] = str(key)
     return {**os.environ, **own}
 
 

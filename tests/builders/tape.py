@@ -32,9 +32,12 @@ class Tape:
         own = settings.recording.model_copy(update={"folder": str(folder / "recordings"), "free_mib": 1, **recording})
         kept = settings.audit.model_copy(update={"file": str(folder / "audit.jsonl"), "trips": str(folder / "trips")})
         preflight = settings.preflight.model_copy(update={"disk_free_mib": 1})
+        safety = settings.safety.model_copy(update={"waiver": "the small disk of a test"})
         self.settings: RigSettings = settings.model_copy(
-            update={"recording": own, "audit": kept, "preflight": preflight}
-        )
+            update={
+                "recording": own, "audit": kept, "preflight": preflight, "safety": safety, "directory": str(folder),
+            }
+        )  # fmt: skip
         self.folder = folder / "recordings"
         self.runtime = Runtime(folder / "runtime")
         self.runtime.directory.mkdir()

@@ -7,9 +7,17 @@ from collections.abc import Iterator
 import pytest
 
 from tests.builders.miniature import Daemon, running
+from tests.builders.namespace import cabled
 
 
 @pytest.fixture
 def own() -> Iterator[Daemon]:
     """A daemon for one test, in TENSIONING or COMPENSATING under the lease of anna once `tensioned` is called."""
     yield from running()
+
+
+@pytest.fixture
+def elsewhere() -> Iterator[tuple[str, ...]]:
+    """Words before a command that has it run in another network namespace, where this computer is ``HERE``."""
+    with cabled() as within:
+        yield within

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rigctl.client.connection import Client, NoDaemonError
+from rigctl.ipc.notes import note_message
 from tests.builders.intruder import FORGED, Intruder
 from tests.builders.miniature import PATIENCE_S, Daemon, until
 
@@ -79,8 +80,34 @@ def test_the_token_of_another_own_rig_does_not_hide_this_one(own: Daemon) -> Non
         other.close()
 
 
-def audit(daemon: Daemon) -> list[dict[str, str]]:
-    """Answers put on record for the audit log, oldest first."""
-    slots = daemon.runtime.requests.reader(from_start=True).read()
-    names = ("verb", "operator", "reason", "text")
-    return [{name: bytes(slot[name]).decode() for name in names} for slot in slots if slot["answered"]]
+def on_record(daemon: Daemon) -> list[str]:
+    """Texts of the gateway's notes about foreign messages, for the audit log."""
+    notes = [note_message(note, 0)[1] for note in daemon.runtime.notes.reader(from_start=True).read()]
+    return [note["text"] for note in notes if note["kind"] == "FOREIGN_MESSAGE"]
+
+
+def test_what_he_publishes_and_answers_is_on_record_in_one_line_of_a_kind(own: Daemon) -> None:
+    with compensating(own) as anna:
+        assert on_record(own) == []  # nothing that the daemon and its clients do
+        with (
+            Intruder(own.endpoint, "paper_rig", "publishes"),
+            Intruder(own.endpoint, "paper_rig", "answers"),
+        ):
+            until(lambda: len(on_record(own)) >= 5, "the notes")
+            states = anna.follow(anna.keys.state)
+            until(lambda: states.read(0.1) and anna.refusals.count > 300, "his messages")
+        found = on_record(own)
+    assert any(line.startswith("a message on rigctl/paper_rig/") for line in found)
+    for tail in ("cmd/*", "tele/state", "meta/schema", "cfg/active"):
+        (line,) = [one for one in found if one.startswith(f"answers to queries of rigctl/paper_rig/{tail} ")]
+        assert line.endswith("by somebody other than the daemon: not believed on this computer")
+    assert len(found) <= 6  # thousands of messages, one line now and one for the rest
+
+
+def test_what_is_put_from_the_clients_side_of_a_restart_is_not_foreign(own: Daemon) -> None:
+    with compensating(own):
+        own.kill_gateway()
+        own.start_gateway()
+        own.client().close()
+        assert own.cli("status").stdout.startswith("rig")
+        assert on_record(own) == []

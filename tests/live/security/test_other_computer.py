@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import pathlib
-import subprocess
 from collections.abc import Iterator
 
 import pytest
@@ -13,37 +10,10 @@ import pytest
 from rigctl.client.connection import Client
 from rigctl.wire.keys import Keys
 from tests.builders.intruder import FORGED, Intruder
-from tests.builders.miniature import Daemon, until
+from tests.builders.miniature import Daemon
+from tests.builders.namespace import HERE
 
 KEYS = Keys("paper_rig")
-HERE, THERE = "10.213.7.1", "10.213.7.2"
-
-
-def _run(*command: str) -> None:
-    subprocess.run(command, check=True, capture_output=True, text=True)
-
-
-@pytest.fixture
-def elsewhere() -> Iterator[tuple[str, ...]]:
-    """Words before a command that has it run in another network namespace, where this computer is ``HERE``."""
-    other = subprocess.Popen(["unshare", "-n", "sleep", "600"])
-    own, cable = pathlib.Path("/proc/self/ns/net").readlink(), f"rv{os.getpid()}"
-    try:
-        until(lambda: pathlib.Path(f"/proc/{other.pid}/ns/net").readlink() != own, "the namespace")
-        within = ("nsenter", "-t", str(other.pid), "-n")
-        try:
-            _run("ip", "link", "add", cable, "type", "veth", "peer", "name", "rv", "netns", str(other.pid))
-        except (OSError, subprocess.CalledProcessError):
-            pytest.skip("this computer allows no cable between network namespaces")
-        _run("ip", "addr", "add", f"{HERE}/30", "dev", cable)
-        _run("ip", "link", "set", cable, "up")
-        _run(*within, "ip", "addr", "add", f"{THERE}/30", "dev", "rv")
-        _run(*within, "ip", "link", "set", "rv", "up")
-        yield within
-    finally:
-        other.kill()
-        other.wait()
-        subprocess.run(["ip", "link", "del", cable], check=False, capture_output=True)
 
 
 @pytest.fixture
@@ -53,7 +23,7 @@ def open_daemon() -> Iterator[Daemon]:
     try:
         active = daemon.runtime.read_json("active.json")
         port = daemon.endpoint.rpartition(":")[2]
-        active["settings"]["telemetry"]["listen"] = f"tcp/0.0.0.0:{port}"
+        active["settings"]["telemetry"] |= {"listen": f"tcp/0.0.0.0:{port}", "listen_waiver": "to be attacked here"}
         daemon.runtime.write_json("active.json", active)
         daemon.start_loop()
         daemon.start_gateway()

@@ -13,7 +13,7 @@ import pytest
 from rigctl.client import local_hold
 from rigctl.control.modes import Mode
 from rigctl.ipc.runtime_folder import Runtime
-from tests.bench.flood import KINDS, flooding
+from tests.bench.flood import TLS_KINDS, flooding
 from tests.bench.holds import Subject, hung
 from tests.builders import daemons
 from tests.live.system.test_daemon import PATIENT
@@ -21,22 +21,24 @@ from tests.live.system.test_daemon import PATIENT
 HOLDS, FLOOD_S = 20, 60.0
 
 
-@pytest.fixture(scope="module")
-def file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[pathlib.Path]:
-    """A rig file whose daemon is armed."""
+@pytest.fixture(scope="module", params=["tcp", "tls"])
+def file(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Iterator[pathlib.Path]:
+    """A rig file whose daemon is armed; without certificates, and with them."""
     folder = tmp_path_factory.mktemp("flood")
     found = daemons.rig_file(folder, PATIENT)
+    if request.param == "tls":
+        daemons.with_certificates(found)
     with daemons.simulated_rig(found, folder / "rig.log"), daemons.daemon(found, folder / "daemon.log"):
         armed = daemons.rigctl("arm", file=found)
         assert armed.returncode == 0, armed.stderr
         yield found
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TLS_KINDS)
 def test_every_hold_is_answered_and_in_the_record(file: pathlib.Path, kind: str) -> None:
     rig = Subject(file)
     records = Runtime.of(rig.rig).records.reader(from_start=True)
-    with flooding(kind, rig.endpoint, rig.rig, FLOOD_S):
+    with flooding(kind, rig.endpoint, rig.rig, FLOOD_S, rig.floods_key):
         held = int(records.read()["hold_seq"][-1])
         for _ in range(HOLDS):
             answer = local_hold.hold(rig.endpoint, rig.rig, "kim")

@@ -78,7 +78,9 @@ def test_whoever_sees_the_token_can_give_a_command_however_slow_the_session_of_t
         alive.close()
         close(session)
 
-    monkeypatch.setattr(gateway_process, "open_client", lambda _socket: open_client(f"unixsock-stream/{slow}"))
+    monkeypatch.setattr(
+        gateway_process, "open_client", lambda _socket, **own: open_client(f"unixsock-stream/{slow}", **own)
+    )
     with slow_relay(slow, pathlib.Path(own.runtime.gateway_socket)):
         client = threading.Thread(target=take_lease)
         client.start()

@@ -17,6 +17,7 @@ from rigctl.config.settings_base import Settings
 from rigctl.design import gain_file
 from rigctl.design.gain_file import GainFileError, design_in_use, inputs, provenance, read, read_for, sha256, write
 from rigctl.design.margins import design_and_check
+from rigctl.ipc import seal
 
 Rig = Callable[..., RigSettings]
 NOON = datetime(2026, 11, 21, 13, 0, 0, tzinfo=timezone(timedelta(hours=1)))
@@ -209,3 +210,43 @@ def test_a_link_stays_a_link(rig: Rig, kept: pathlib.Path) -> None:
     write(link, design_and_check(rig()), provenance(rig(), kept, datetime.now(UTC)))
     assert link.is_symlink()
     assert not read(kept).provenance.date_utc.startswith("2026-11-21T12:00:00")
+
+
+@pytest.fixture
+def sealed(rig: Rig, kept: pathlib.Path) -> RigSettings:
+    """Settings that use a sealed gain file."""
+    settings = using(kept, rig())
+    write(kept, design_and_check(rig()), read(kept).provenance, settings)
+    return settings
+
+
+def test_a_sealed_file_is_told_intact_and_one_made_elsewhere_has_no_seal(
+    rig: Rig, kept: pathlib.Path, sealed: RigSettings
+) -> None:
+    assert ", sealed" in design_in_use(sealed).verdict()
+    assert ", sealed" in gain_file.design_while_running(sealed, kept.read_text(), "gains.yaml").verdict()
+    assert seal.key_file(sealed, "gains").stat().st_mode & 0o777 == 0o600
+    write(kept, design_and_check(rig()), read(kept).provenance)
+    assert ", no seal" in design_in_use(sealed).verdict()
+
+
+@pytest.mark.parametrize(
+    "edit_", [(r"k_tension: [\d.]+", "k_tension: 1.3"), (r"date_utc: .*", 'date_utc: "x"'), (r"# Units", "#")]
+)
+def test_a_file_edited_since_it_was_sealed_is_refused(
+    kept: pathlib.Path, sealed: RigSettings, edit_: tuple[str, str]
+) -> None:
+    edit(kept, *edit_)
+    with pytest.raises(GainFileError, match="edited since it was sealed, or sealed on another computer") as refused:
+        read_for(sealed)
+    assert "\n" not in str(refused.value)
+    with pytest.raises(GainFileError, match="edited since it was sealed"):
+        gain_file.design_while_running(sealed, kept.read_text(), "gains.yaml")
+    edit(kept, r'seal: "[0-9a-f]{64}"\n', "")
+    assert ", no seal" in design_in_use(sealed).verdict()  # judged as ever, and told
+
+
+def test_another_rigs_seal_or_a_lost_key_is_no_seal_of_this_rig(sealed: RigSettings) -> None:
+    seal.key_file(sealed, "gains").unlink()
+    with pytest.raises(GainFileError, match="edited since it was sealed"):
+        read_for(sealed)

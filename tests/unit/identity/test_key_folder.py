@@ -14,10 +14,12 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from rigctl.identity import credentials
+from rigctl.identity.certificates import hosts_of
 from rigctl.identity.credentials import CredentialsError
 from rigctl.identity.issuing import KeyIssuer
 from rigctl.identity.key_folder import KeyFolder, KeyFolderError
 from rigctl.identity.roles import PEOPLE, Role
+from rigctl.wire.access_control import access_control
 from tests.builders.paths import ROOT
 
 NOW = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
@@ -209,3 +211,26 @@ def test_wrong_usage_is_one_line(tmp_path: pathlib.Path, arguments: list[str], c
     done = keys(tmp_path / "none", *arguments)
     assert done.returncode == code and expected in done.stderr
     assert done.stderr.count("\n") == 1 and done.stdout == ""
+
+
+def test_a_pages_key_is_good_for_https_and_nothing_else(issuer: KeyIssuer) -> None:
+    made = issuer.add("page", Role.PAGE, hosts=["page-pc", "192.168.1.11"])
+    owned = credentials.read(issuer.folder.issued("page"))
+    found = certificate(owned.certificate).extensions
+    assert [*found.get_extension_for_class(x509.ExtendedKeyUsage).value] == [ExtendedKeyUsageOID.SERVER_AUTH]
+    names = found.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert {"localhost", "page-pc"} <= {*names.get_values_for_type(x509.DNSName)}
+    assert "192.168.1.11" in [str(one) for one in names.get_values_for_type(x509.IPAddress)]
+    assert made.common_name not in str(access_control("rig", issuer.folder.certificates(), NOW, "1a"))
+    issuer.renew("page")
+    again = credentials.read(issuer.folder.issued("page"))
+    assert sorted(hosts_of(again.certificate)) == sorted(hosts_of(owned.certificate))
+    issuer.folder.issued("page").unlink()
+    with pytest.raises(KeyFolderError, match="name the hosts of the page with --host"):
+        issuer.renew("page")
+    issuer.add("kim", Role.OPERATOR)
+    with pytest.raises(KeyFolderError, match="found --host for kim, operator"):
+        issuer.renew("kim", hosts=["here"])
+    for role in Role:
+        assert not role.includes(Role.PAGE)
+        assert not Role.PAGE.includes(role)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import pathlib
 import shutil
@@ -11,9 +12,14 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import pytest
+from mcap.opcode import Opcode
 
+from rigctl.ipc import seal
 from rigctl.recorder import parts, recording
 from rigctl.recorder.appender import Appender
+from rigctl.recorder.contents import figures, seals, seals_in_words
+from rigctl.recorder.mcap_scan import Scan
+from rigctl.recorder.part_seal import PartStanding
 from rigctl.recorder.recording import read
 from tests.builders.tape import OFFSET_NS, Tape, as_recorded, same
 
@@ -60,6 +66,66 @@ def test_parts_are_closed_by_size(tmp_path: pathlib.Path) -> None:
     assert len(found.files) >= 3
     assert all(1_000_000 <= file.size < 1_500_000 for file in found.files[:-1])
     assert len(found.records) == 8000
+
+
+def test_each_finished_part_is_sealed_and_a_changed_one_is_told(tmp_path: pathlib.Path) -> None:
+    tape = Tape(tmp_path, part_mb=1)
+    tape.run(8000)
+    tape.close()
+    first, second, *_ = tape.files()
+    found = read(*tape.files())
+    assert set(seals(found).values()) == {PartStanding.INTACT}
+    assert seals_in_words(found) == "sealed, intact"
+    assert seal.key_file(tape.settings, "recording").stat().st_mode & 0o777 == 0o600
+
+    first.write_bytes(_edited(first.read_bytes()))
+    found = read(*tape.files())
+    assert (seals(found)[first], seals(found)[second]) == (PartStanding.CHANGED, PartStanding.INTACT)
+    assert seals_in_words(found).startswith("sealed, intact: ")
+    assert seals_in_words(found).endswith(f"changed since it was sealed: {first.name}")
+    assert figures(read(first))["files"][0]["seal"] == "changed since it was sealed"
+
+
+def _edited(content: bytes) -> bytes:
+    """A file whose metadata say something else."""
+    before = os.uname().release.encode()
+    assert before in content
+    return content.replace(before, b"?" + before[1:])
+
+
+@pytest.mark.parametrize("forged", ["new hash", "content after it", "cut off"])
+def test_a_file_made_without_the_key_is_not_intact(tmp_path: pathlib.Path, forged: str) -> None:
+    tape = Tape(tmp_path, part_mb=1)
+    tape.run(8000)
+    tape.close()
+    first, *_ = tape.files()
+    sealed, content = read(first).files[0].seal, first.read_bytes()
+    assert sealed is not None
+    at = content.rindex(b"seal", 0, content.index(sealed.seal.encode()))
+    if forged == "new hash":  # edited, and the hash computed anew, under the old seal
+        edited = _edited(content)
+        piece = edited.index(sealed.sha256.encode())
+        start = next(one.offset for one in Scan(edited).pieces() if one.offset < piece < one.end)
+        first.write_bytes(edited.replace(sealed.sha256.encode(), hashlib.sha256(edited[:start]).hexdigest().encode()))
+    elif forged == "content after it":
+        end = next(one.end for one in Scan(content).pieces() if one.offset < at < one.end)
+        chunk = next(one for one in Scan(content).pieces() if one.opcode == Opcode.CHUNK)
+        first.write_bytes(content[:end] + content[chunk.offset : chunk.end] + content[end:])
+    else:
+        first.write_bytes(content[: at - 100])
+    said = seals_in_words(read(first))
+    assert said == ("no seal" if forged == "cut off" else "changed since it was sealed")
+
+
+def test_a_seal_on_another_computer_and_a_part_that_was_not_finished(tmp_path: pathlib.Path) -> None:
+    tape = Tape(tmp_path, part_mb=1)
+    tape.run(8000)
+    written(tape)
+    assert seals_in_words(read(tape.files()[-1])) == "no seal"
+    assert seals_in_words(read(tape.files()[0])) == "sealed, intact"
+    tape.close()
+    seal.key_file(tape.settings, "recording").unlink()
+    assert seals_in_words(read(tape.files()[0])) == "sealed, which cannot be verified here"
 
 
 def test_the_oldest_parts_of_this_rig_alone_are_deleted(tmp_path: pathlib.Path) -> None:
