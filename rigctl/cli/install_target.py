@@ -17,10 +17,13 @@ from rigctl.cli.install_files import (
     UNITS,
     Files,
     InstallError,
+    process_drop_in,
     rig_drop_in,
+    tmpfiles,
 )
 from rigctl.config import rig_file
 from rigctl.ipc import whole_file
+from rigctl.ipc.writers import WRITERS
 
 PACKAGED_UNIT = "usr/lib/systemd/system/rigctl@.service"
 UNSEEN = ("/home/", "/root/", "/run/user/", "/tmp/", "/var/tmp/")
@@ -165,7 +168,8 @@ class Target:
 
     def _of_rig(self, rig: str) -> list[pathlib.PurePosixPath]:
         """Files that `install` has written for a rig, apart from its settings."""
-        found = [rig_drop_in(rig), UNITS / f"rigctl-page@{rig}.service.d/rig.conf"]
+        found = [rig_drop_in(rig), UNITS / f"rigctl-page@{rig}.service.d/rig.conf", tmpfiles(rig)]
+        found += [process_drop_in(rig, name) for name in WRITERS]
         with contextlib.suppress(rig_file.ConfigError):
             channel = rig_file.load(self.at(SETTINGS) / f"{rig}.yaml").can.channel
             used = [other for other in self.rigs(apart=rig) if self._channel_of(other) == channel]
@@ -201,7 +205,12 @@ class Target:
         page = f"rigctl-page@{rig}.service"
         self.was_running = _succeeds("systemctl", "--quiet", "is-active", f"rigctl@{rig}.service")
         self._do("systemd-sysusers")
-        self._do("systemd-tmpfiles", "--create", "rigctl.conf")
+        self._do(
+            "systemd-tmpfiles",
+            "--create",
+            "rigctl.conf",
+            *([f"rigctl-{rig}.conf"] if self.at(tmpfiles(rig)).exists() else []),
+        )
         self.reload()
         if any("networkd" in unit for unit in units):
             self._do("udevadm", "control", "--reload")

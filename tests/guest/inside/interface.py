@@ -40,7 +40,7 @@ def shown(interface: str) -> dict[str, Any]:
 def test_the_interface_comes_up_with_the_rig_files_bit_rate(interface: str, tmp_path: pathlib.Path) -> None:
     assert "UP" not in shown(interface)["flags"]
     data = yaml.safe_load((ROOT / "config/rig.yaml").read_text())
-    data["can"] |= {"channel": interface, "bitrate_bit_s": 500000}
+    data["can"] |= {"channel": interface, "bitrate_bit_s": 800000}
     data["loop"]["cpu"] = None
     shutil.copytree(ROOT / "config/eds", tmp_path / "eds")
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(data))
@@ -61,5 +61,5 @@ def test_the_interface_comes_up_with_the_rig_files_bit_rate(interface: str, tmp_
         networkd.terminate()
         networkd.wait()
     controller = shown(interface)["linkinfo"]["info_data"]
-    assert controller["bittiming"]["bitrate"] == 500000
+    assert controller["bittiming"]["bitrate"] == 800000
     assert controller.get("restart_ms", 0) == 0
