@@ -102,6 +102,7 @@ def of_rig(settings: RigSettings, computer: Host, adapter: str | None) -> Files:
         InstallError: a name would have a meaning of its own in a unit.
     """
     _refuse_unit_syntax(settings, adapter)
+    _refuse_shared_folder(settings)
     found: Files = {rig_drop_in(settings.rig): _daemon(settings, computer)}
     found |= {process_drop_in(settings.rig, name): _process(name, settings, computer) for name in WRITERS}
     if lines := _kept_folders(settings):
@@ -234,6 +235,16 @@ def _written(settings: RigSettings) -> dict[str, list[pathlib.Path]]:
     recorder = [settings.audit_log.parent, settings.kept(settings.audit.trips)]
     recorder += [settings.kept(settings.recording.folder)]
     return {"recorder": recorder, "gateway": [settings.ledger.parent] if settings.ledger is not None else []}
+
+
+def _refuse_shared_folder(settings: RigSettings) -> None:
+    """Refuse data of two processes in one folder, which can belong to one user only."""
+    by_gateway = set(_written(settings).get("gateway", []))
+    for folder in _written(settings)["recorder"]:
+        if folder in by_gateway or folder == settings.kept(""):
+            raise InstallError(f"audit, recording: found the folder {folder}, expected one without the ledger in it")
+    if settings.kept("") in by_gateway:
+        raise InstallError(f"calibration.file: found {settings.ledger}, expected it in a folder of its own")
 
 
 def _is_kept_here(settings: RigSettings, folder: pathlib.Path) -> bool:

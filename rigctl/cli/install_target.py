@@ -205,12 +205,7 @@ class Target:
         page = f"rigctl-page@{rig}.service"
         self.was_running = _succeeds("systemctl", "--quiet", "is-active", f"rigctl@{rig}.service")
         self._do("systemd-sysusers")
-        self._do(
-            "systemd-tmpfiles",
-            "--create",
-            "rigctl.conf",
-            *([f"rigctl-{rig}.conf"] if self.at(tmpfiles(rig)).exists() else []),
-        )
+        self._do("systemd-tmpfiles", "--create", "rigctl.conf", *self._own_folders(rig))
         self.reload()
         if any("networkd" in unit for unit in units):
             self._do("udevadm", "control", "--reload")
@@ -222,6 +217,12 @@ class Target:
         self._do("systemctl", "enable", "--quiet", *units)
         if start:
             self._do("systemctl", "start", *units)
+
+    def _own_folders(self, rig: str) -> list[str]:
+        return [tmpfiles(rig).name] if self.at(tmpfiles(rig)).exists() else []
+
+    def _own_folders(self, rig: str) -> list[str]:
+        return [tmpfiles(rig).name] if self.at(tmpfiles(rig)).exists() else []
 
     def deactivate(self, rig: str) -> None:
         """Stop and disable a rig's units: the daemon ends with the stroke held."""

@@ -104,9 +104,7 @@ def run(
     ] = None,
     separate_users: Annotated[
         bool,
-        typer.Option(
-            "--separate-users", help="Recorder, hold service and gateway are the services of an installed rig."
-        ),
+        typer.Option("--separate-users", help="Recorder, hold service and gateway are services of their own."),
     ] = False,
 ) -> None:
     """Run the daemon until SIGTERM, SIGHUP or Ctrl-C; it ends with the stroke held."""

@@ -82,7 +82,7 @@ class HoldService:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._listener.setblocking(False)
         self._listener.bind(str(runtime.hold_socket))
-        # In the installed service this process is of the operators' group, and so is its socket: the kernel admits them.
+        # In the installed service process and socket are of the operators' group: the kernel admits its members.
         self._operators_too = runtime.is_shared and os.getegid() == group_id(OPERATORS)
         runtime.hold_socket.chmod(0o660 if self._operators_too else 0o600)
         self._listener.listen(CONNECTIONS_MAX)

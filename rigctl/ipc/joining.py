@@ -1,8 +1,8 @@
 """How a process joins the run that it belongs to, and when it has to end.
 
-A child of the supervisor gets the folder of its run, and a signal to end. In the installed service gateway, recorder and
-hold service are services of their own, which the supervisor can neither start nor signal, because they run as other
-users. Such a process (``--service DIR``) waits until a daemon runs in the folder, and ends when that daemon calls
+A child of the supervisor gets the folder of its run, and a signal to end. In the installed service gateway, recorder
+and hold service are services of their own, which the supervisor can neither start nor signal, because they run as
+other users. Such a process (``--service DIR``) waits until a daemon runs in the folder, and ends when that daemon calls
 `Runtime.end` for it or is gone; the service manager starts it again, and it waits for the next run.
 """
 

@@ -12,8 +12,8 @@ Anyone may make a folder of this name in ``/dev/shm``. A daemon uses only a fold
 to others (0700), follows no link in it, and makes its files anew (0600). Its processes open every file relative to a
 descriptor of the folder that each of them has checked (`Runtime.entered`).
 
-The installed service has its folders in ``/run/rigctl``, which belongs to the supervisor's user. There the folder may be
-entered but not listed (0751), its group reads rings and files (0640), everyone reads ``public_key.json``, and what
+The installed service has its folders in ``/run/rigctl``, which belongs to the supervisor's user. There the folder may
+be entered but not listed (0751), its group reads rings and files (0640), everyone reads ``public_key.json``, and what
 another process than supervisor and loop writes is in a folder or of a group of its own (`rigctl.ipc.writers`).
 
 A file that other processes read has a shape in ``SHAPES``; a file of another shape is not believed.

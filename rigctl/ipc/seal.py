@@ -41,7 +41,7 @@ class SealVerdict(Enum):
 
 
 def key_file(settings: RigSettings, name: str) -> pathlib.Path:
-    """The rig's key for what is called ``name``: beside the ledger, that for the audit log beside the last known stroke.
+    """The rig's key for what is called ``name``: beside the ledger, that of the audit log beside the last stroke.
 
     Each name has a key of its own: a file from before there were seals is believed until its own first seal.
     """

@@ -1,4 +1,4 @@
-"""Which process writes what in the run-time folder of the installed service, where each is a service and user of its own.
+"""Which process writes what in the run-time folder of the installed service, where each has a user of its own.
 
 The supervisor makes the folder. What another process writes has that process's group, which only its user and the
 supervisor's are members of, so that the kernel refuses everyone else. All of them are in the group of the supervisor's
