@@ -122,4 +122,4 @@ def test_it_ends_with_the_supervisors_last_entry_and_not_before_it_is_told_to(ov
 
 def test_without_a_folder_it_says_how_it_is_started(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([], cast("Any", SimpleNamespace(requested=True))) == 2
-    assert capsys.readouterr().err == "usage: python -m rigctl.recorder RUNTIME_DIR\n"
+    assert capsys.readouterr().err == "usage: python -m rigctl.recorder [--service] RUNTIME_DIR\n"
