@@ -23,7 +23,7 @@ from rigctl.cli.install_files import (
 )
 from rigctl.config import rig_file
 from rigctl.ipc import whole_file
-from rigctl.ipc.writers import WRITERS
+from rigctl.ipc.writers import OPERATORS, WRITERS
 
 PACKAGED_UNIT = "usr/lib/systemd/system/rigctl@.service"
 UNSEEN = ("/home/", "/root/", "/run/user/", "/tmp/", "/var/tmp/")
@@ -196,8 +196,10 @@ class Target:
         return self.remove(self._of_rig(rig))
 
     # -- services -------------------------------------------------------------------------------------------
-    def activate(self, rig: str, units: list[str], *, start: bool) -> None:
+    def activate(self, rig: str, units: list[str], *, start: bool, operator: str | None = None) -> None:
         """Make users and folders, load the units, enable and start them; a daemon that runs goes on as it is.
+
+        ``operator``: a user who joins the operators' group.
 
         Raises:
             ServiceError: a step failed; the files stay, and the command may be given again.
@@ -205,6 +207,8 @@ class Target:
         page = f"rigctl-page@{rig}.service"
         self.was_running = _succeeds("systemctl", "--quiet", "is-active", f"rigctl@{rig}.service")
         self._do("systemd-sysusers")
+        if operator is not None:
+            self._do("usermod", "--append", "--groups", OPERATORS, "--", operator)
         self._do("systemd-tmpfiles", "--create", "rigctl.conf", *self._own_folders(rig))
         self.reload()
         if any("networkd" in unit for unit in units):

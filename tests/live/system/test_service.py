@@ -76,8 +76,9 @@ def computer(package: pathlib.Path, tmp_path_factory: pytest.TempPathFactory) ->
             made.done(*shlex.split(command))
         assert mode(made) in ("HOLD", "FAULT")  # FAULT: a loop on a busy machine tripped since
         made.patient()
-        for user, groups in ((OPERATOR, ["--groups", "rigctl-operator"]), (STRANGER, [])):
-            made.done("useradd", *groups, user)
+        made.done("useradd", OPERATOR)
+        made.done("useradd", STRANGER)
+        made.done("rigctl", "install", f"/etc/rigctl/{NAME}.yaml", "--operator", OPERATOR)
         yield made
 
 
