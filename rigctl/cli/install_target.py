@@ -225,9 +225,6 @@ class Target:
     def _own_folders(self, rig: str) -> list[str]:
         return [tmpfiles(rig).name] if self.at(tmpfiles(rig)).exists() else []
 
-    def _own_folders(self, rig: str) -> list[str]:
-        return [tmpfiles(rig).name] if self.at(tmpfiles(rig)).exists() else []
-
     def deactivate(self, rig: str) -> None:
         """Stop and disable a rig's units: the daemon ends with the stroke held."""
         for unit in (f"rigctl-page@{rig}.service", f"rigctl@{rig}.service", f"rigctl-sim@{rig}.service"):

@@ -462,7 +462,7 @@ class Runtime:
             OSError: there is no such file.
         """
         found = self.place(name).stat()
-        marks = (found.st_ino, found.st_mtime_ns)
+        marks: tuple[int, ...] = (found.st_ino, found.st_mtime_ns)
         if name == ACTIVE:
             with contextlib.suppress(OSError):
                 design = self.place(DESIGN).stat()
