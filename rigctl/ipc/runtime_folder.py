@@ -53,6 +53,7 @@ _NOTES = 1024
 _SHORTEST_FRAME_BITS = 47  # 11-bit identifier, no data, no stuffing, the gap to the next frame
 _FASTEST_BIT_S = 1_000_000
 _LOCK = "lock"
+_DESCRIPTORS = pathlib.Path("/proc/self/fd")
 _END = "end."
 _WARM_UP = "warm-up-"
 _FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -251,11 +252,17 @@ class Runtime:
             os.close(fd)
             mode = stat.S_IMODE(found.st_mode)
             raise FolderError(f"{path}: found user {found.st_uid} and mode {mode:04o}, expected the daemon's folder")
-        return cls(f"/proc/self/fd/{fd}", shared=path.parent == layout.RUN)
+        return cls(_DESCRIPTORS / str(fd), shared=path.parent == layout.RUN)
+
+    @property
+    def descriptors(self) -> tuple[int, ...]:
+        """Descriptors that a child process needs to find the folder by the same name: that of a folder `entered`."""
+        return (int(self.directory.name),) if self.directory.parent == _DESCRIPTORS else ()
 
     def leave(self) -> None:
         """Close the descriptor of a folder that was `entered`."""
-        os.close(int(self.directory.name))
+        for fd in self.descriptors:
+            os.close(fd)
 
     def _ring(self, name: str, slot: record.Slot) -> RingFile:
         return RingFile(self.directory / writers.RINGS / name if self._shared else self.directory / name, slot)

@@ -112,7 +112,7 @@ def given_by(computer: ServiceComputer, user: str, *command: str) -> subprocess.
         status = computer.done("cat", f"/proc/{computer.value(unit, 'MainPID')}/status")
         fields = dict(line.split(":\t", 1) for line in status.splitlines() if ":\t" in line)
         groups = [f"--regid={fields['Gid'].split()[0]}", f"--groups={','.join(fields['Groups'].split())}"]
-    return computer.run("setpriv", f"--reuid={user}", *groups, *command)
+    return computer.run("setpriv", f"--reuid={user}", *groups, "env", f"USER={user}", *command)
 
 
 def audited(computer: ServiceComputer) -> list[dict[str, Any]]:
@@ -122,8 +122,7 @@ def audited(computer: ServiceComputer) -> list[dict[str, Any]]:
 
 def disarm(computer: ServiceComputer) -> None:
     """Bring the rig to DISARMED from wherever it is, with nobody's lease left."""
-    if mode(computer) != "DISARMED":
-        computer.done("systemctl", "restart", DAEMON)
+    computer.done("systemctl", "restart", DAEMON)
     computer.wait_for(lambda: mode(computer) == "DISARMED")
 
 
