@@ -166,3 +166,16 @@ def test_an_exchanged_design_counts_in_its_own_run(tmp_path: pathlib.Path) -> No
     assert runtime.read_json(ACTIVE)["design"] == {"name": "exchanged"}
     assert runtime.mark(ACTIVE) != mark
     os.close(lock)
+
+
+def test_a_child_process_finds_an_entered_folder_by_the_same_name(tmp_path: pathlib.Path) -> None:
+    runtime = Runtime.of("rig", tmp_path)
+    lock = runtime.claim()
+    runtime.write_json(ACTIVE, {"run_id": "two"})
+    entered = Runtime.entered(runtime.directory)
+    program = "import sys; from rigctl.ipc.runtime_folder import *; print(Runtime(sys.argv[1]).read_json(sys.argv[2]))"
+    words = [sys.executable, "-c", program, str(entered.directory), ACTIVE]
+    made = subprocess.run(words, pass_fds=entered.descriptors, capture_output=True, text=True, check=True)
+    assert made.stdout == "{'run_id': 'two'}\n"
+    entered.leave()
+    os.close(lock)
