@@ -115,7 +115,7 @@ class ServiceComputer:
         shutil.copytree(settings, there)
         (there / "paper_rig.yaml").write_text(yaml.safe_dump(data))
         self.done("rigctl", "install", "/var/cache/patient/paper_rig.yaml")
-        self.done("systemctl", "restart", "rigctl-sim@paper_rig", "rigctl@paper_rig")
+        self.insist("systemctl", "restart", "rigctl-sim@paper_rig", "rigctl@paper_rig")
 
     def lend_real_time(self, *templates: str) -> None:
         """Let services have real time where this computer's root may not raise limits."""
@@ -132,6 +132,14 @@ class ServiceComputer:
         said = f"{shlex.join(command)}: {result.stdout}{result.stderr}"
         assert result.returncode == 0, f"{said}\n{self.journal()[-3000:]}"
         return result.stdout
+
+    def insist(self, *command: str) -> None:
+        """As `done`, but given again while a busy machine keeps a loop from starting, which a quiet one does not."""
+        for _ in range(2):
+            if self.run(*command).returncode == 0:
+                return
+            self.run("systemctl", "reset-failed")
+        self.done(*command)
 
     def journal(self, unit: str = "") -> str:
         """Messages of a unit, or of all since it was switched on."""

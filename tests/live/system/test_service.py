@@ -73,7 +73,7 @@ def computer(package: pathlib.Path, tmp_path_factory: pytest.TempPathFactory) ->
         made.done("dpkg", "--install", made.put(package))
         made.lend_real_time("rigctl@.service", "rigctl-sim@.service", "rigctl-hold@.service")
         for command in others:
-            made.done(*shlex.split(command))
+            made.insist(*shlex.split(command))
         assert mode(made) in ("HOLD", "FAULT")  # FAULT: a loop on a busy machine tripped since
         made.patient()
         made.done("useradd", OPERATOR)
