@@ -29,6 +29,9 @@ def install(
         str | None,
         typer.Option(metavar="SERIAL", help="CAN adapter, by serial number or path of udev, that gets can.channel."),
     ] = None,
+    operator: Annotated[
+        str | None, typer.Option(metavar="USER", help="User of this computer who may command its rigs from now on.")
+    ] = None,
     start: Annotated[bool, typer.Option("--start/--no-start", help="Start the services too.")] = True,
 ) -> None:
     """Install a rig as services: settings to /etc/rigctl, units, CAN interface; data are kept. Repeat it to upgrade."""
@@ -53,7 +56,7 @@ def install(
     changed += target.drop_stale(settings.rig, own, cpus)
     if target.is_live:
         try:
-            target.activate(settings.rig, files.units(settings), start=start)
+            target.activate(settings.rig, files.units(settings), start=start, operator=operator)
         except ServiceError as error:
             end(BAD, str(error))
     _say_end(settings, target, changed, started=start)

@@ -14,11 +14,13 @@ from dataclasses import dataclass
 
 from rigctl.config import layout
 from rigctl.config.settings import RigSettings
+from rigctl.ipc.writers import WRITERS
 
 PYTHON_OF_PACKAGE = "/usr/lib/rigctl/bin/python3"
 """Interpreter that the units of ``deploy/`` name: the Debian package's."""
 UNITS = pathlib.PurePosixPath("etc/systemd/system")
 NETWORK = pathlib.PurePosixPath("etc/systemd/network")
+TMPFILES = pathlib.PurePosixPath("etc/tmpfiles.d")
 SETTINGS = pathlib.PurePosixPath(*layout.SETTINGS.parts[1:])
 OTHERS = {"init.scope": "Scope", "system.slice": "Slice", "user.slice": "Slice", "machine.slice": "Slice"}
 """Units that hold everything but the rig daemons, and the section of each that limits its processors."""
@@ -100,7 +102,11 @@ def of_rig(settings: RigSettings, computer: Host, adapter: str | None) -> Files:
         InstallError: a name would have a meaning of its own in a unit.
     """
     _refuse_unit_syntax(settings, adapter)
+    _refuse_shared_folder(settings)
     found: Files = {rig_drop_in(settings.rig): _daemon(settings, computer)}
+    found |= {process_drop_in(settings.rig, name): _process(name, settings, computer) for name in WRITERS}
+    if lines := _kept_folders(settings):
+        found[tmpfiles(settings.rig)] = _text("".join(f"{line}\n" for line in lines))
     if settings.page is not None:
         found[UNITS / f"rigctl-page@{settings.rig}.service.d/rig.conf"] = _page(settings)
     if settings.can.interface == "socketcan":
@@ -138,8 +144,18 @@ def rig_drop_in(rig: str) -> pathlib.PurePosixPath:
     return UNITS / f"rigctl@{rig}.service.d/rig.conf"
 
 
+def process_drop_in(rig: str, name: str) -> pathlib.PurePosixPath:
+    """The drop-in of a process of the daemon that is a service of its own."""
+    return UNITS / f"rigctl-{name}@{rig}.service.d/rig.conf"
+
+
+def tmpfiles(rig: str) -> pathlib.PurePosixPath:
+    """The file with the folders of a rig that keeps its data elsewhere than others do."""
+    return TMPFILES / f"rigctl-{rig}.conf"
+
+
 def units(settings: RigSettings) -> list[str]:
-    """Units to enable, in the order of their start."""
+    """Units to enable, in the order of their start; recorder, hold service and gateway come with the daemon."""
     simulated = [f"rigctl-sim@{settings.rig}.service"] if is_simulated(settings) else []
     network = ["systemd-networkd.service"] if settings.can.interface == "socketcan" else []
     page = [f"rigctl-page@{settings.rig}.service"] if settings.page is not None else []
@@ -193,15 +209,58 @@ def _daemon(settings: RigSettings, computer: Host) -> bytes:
         service.append(f"ExecStartPre=-{wait} --interface={channel}:carrier --timeout={CARRIER_S}")
     if before:
         unit += [f"Wants={' '.join(before)}", f"After={' '.join(before)}"]
-    if settings.loop.cpu is not None and (others := computer.cpus - {settings.loop.cpu}):
-        service += ["# Only the loop itself goes to its processor, see loop.cpu.", f"CPUAffinity={listed(others)}"]
-    if not is_loopback(settings.telemetry.listen):
-        service += ["# telemetry.listen is an address that other computers reach.", "IPAddressAllow=any"]
-    if folders := _folders_elsewhere(settings):
-        service.append(f"ReadWritePaths={' '.join(folders)}")
+    service += _affinity(settings, computer)
     sections = [f"[{name}]\n" + "\n".join(lines) + "\n" for name, lines in (("Unit", unit), ("Service", service))
                 if lines]  # fmt: skip
     return _text("\n".join(sections) or "[Service]\n")
+
+
+def _affinity(settings: RigSettings, computer: Host) -> list[str]:
+    if settings.loop.cpu is None or not (others := computer.cpus - {settings.loop.cpu}):
+        return []
+    return ["# Only the loop itself goes to its processor, see loop.cpu.", f"CPUAffinity={listed(others)}"]
+
+
+def _process(name: str, settings: RigSettings, computer: Host) -> bytes:
+    lines = _affinity(settings, computer)
+    if name == "gateway" and not is_loopback(settings.telemetry.listen):
+        lines += ["# telemetry.listen is an address that other computers reach.", "IPAddressAllow=any"]
+    if folders := [str(folder) for folder in _written(settings).get(name, []) if not _is_kept_here(settings, folder)]:
+        lines.append(f"ReadWritePaths={' '.join(sorted(set(folders)))}")
+    return _text("[Service]\n" + "".join(f"{line}\n" for line in lines))
+
+
+def _written(settings: RigSettings) -> dict[str, list[pathlib.Path]]:
+    """Folders of kept data, by the process that writes to them."""
+    recorder = [settings.audit_log.parent, settings.kept(settings.audit.trips)]
+    recorder += [settings.kept(settings.recording.folder)]
+    return {"recorder": recorder, "gateway": [settings.ledger.parent] if settings.ledger is not None else []}
+
+
+def _refuse_shared_folder(settings: RigSettings) -> None:
+    """Refuse data of two processes in one folder, which can belong to one user only."""
+    by_gateway = set(_written(settings).get("gateway", []))
+    for folder in _written(settings)["recorder"]:
+        if folder in by_gateway or folder == settings.kept(""):
+            raise InstallError(f"audit, recording: found the folder {folder}, expected one without the ledger in it")
+    if settings.kept("") in by_gateway:
+        raise InstallError(f"calibration.file: found {settings.ledger}, expected it in a folder of its own")
+
+
+def _is_kept_here(settings: RigSettings, folder: pathlib.Path) -> bool:
+    return folder.is_relative_to(settings.kept(""))
+
+
+def _kept_folders(settings: RigSettings) -> list[str]:
+    """Lines of tmpfiles.d(5) for a rig's folders below the service's, if they have other names than by default."""
+    known = {layout.STATE / name for name in ("calibration", "audit", "trips", "recordings")}
+    lines: dict[pathlib.Path, str] = {}
+    for name, folders in _written(settings).items():
+        for folder in folders:
+            place = layout.STATE / folder.relative_to(settings.kept("")) if _is_kept_here(settings, folder) else None
+            if place is not None and place not in (*known, layout.STATE):
+                lines[place] = f"d {place} 0750 {WRITERS[name].group} rigctl -"
+    return list(lines.values())
 
 
 def _folders_elsewhere(settings: RigSettings) -> list[str]:

@@ -17,10 +17,13 @@ from rigctl.cli.install_files import (
     UNITS,
     Files,
     InstallError,
+    process_drop_in,
     rig_drop_in,
+    tmpfiles,
 )
 from rigctl.config import rig_file
 from rigctl.ipc import whole_file
+from rigctl.ipc.writers import OPERATORS, WRITERS
 
 PACKAGED_UNIT = "usr/lib/systemd/system/rigctl@.service"
 UNSEEN = ("/home/", "/root/", "/run/user/", "/tmp/", "/var/tmp/")
@@ -165,7 +168,8 @@ class Target:
 
     def _of_rig(self, rig: str) -> list[pathlib.PurePosixPath]:
         """Files that `install` has written for a rig, apart from its settings."""
-        found = [rig_drop_in(rig), UNITS / f"rigctl-page@{rig}.service.d/rig.conf"]
+        found = [rig_drop_in(rig), UNITS / f"rigctl-page@{rig}.service.d/rig.conf", tmpfiles(rig)]
+        found += [process_drop_in(rig, name) for name in WRITERS]
         with contextlib.suppress(rig_file.ConfigError):
             channel = rig_file.load(self.at(SETTINGS) / f"{rig}.yaml").can.channel
             used = [other for other in self.rigs(apart=rig) if self._channel_of(other) == channel]
@@ -192,8 +196,10 @@ class Target:
         return self.remove(self._of_rig(rig))
 
     # -- services -------------------------------------------------------------------------------------------
-    def activate(self, rig: str, units: list[str], *, start: bool) -> None:
+    def activate(self, rig: str, units: list[str], *, start: bool, operator: str | None = None) -> None:
         """Make users and folders, load the units, enable and start them; a daemon that runs goes on as it is.
+
+        ``operator``: a user who joins the operators' group.
 
         Raises:
             ServiceError: a step failed; the files stay, and the command may be given again.
@@ -201,7 +207,9 @@ class Target:
         page = f"rigctl-page@{rig}.service"
         self.was_running = _succeeds("systemctl", "--quiet", "is-active", f"rigctl@{rig}.service")
         self._do("systemd-sysusers")
-        self._do("systemd-tmpfiles", "--create", "rigctl.conf")
+        if operator is not None:
+            self._do("usermod", "--append", "--groups", OPERATORS, "--", operator)
+        self._do("systemd-tmpfiles", "--create", "rigctl.conf", *self._own_folders(rig))
         self.reload()
         if any("networkd" in unit for unit in units):
             self._do("udevadm", "control", "--reload")
@@ -213,6 +221,9 @@ class Target:
         self._do("systemctl", "enable", "--quiet", *units)
         if start:
             self._do("systemctl", "start", *units)
+
+    def _own_folders(self, rig: str) -> list[str]:
+        return [tmpfiles(rig).name] if self.at(tmpfiles(rig)).exists() else []
 
     def deactivate(self, rig: str) -> None:
         """Stop and disable a rig's units: the daemon ends with the stroke held."""

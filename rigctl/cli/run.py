@@ -21,8 +21,11 @@ DEMO_RECORDINGS = pathlib.Path("recordings")
 File = Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.")]
 
 
-def _check_files(settings: RigSettings) -> None:
-    """End the command on an invalid EDS file, gain file, ledger, audit log or key folder, before anything starts."""
+def _check_files(settings: RigSettings, *, keys: bool = True) -> None:
+    """End the command on an invalid EDS file, gain file, ledger, audit log or key folder, before anything starts.
+
+    ``keys``: check the key folder, which a gateway of another user alone can read.
+    """
     from rigctl.ipc import ledger
     from rigctl.recorder import audit_log
 
@@ -40,7 +43,7 @@ def _check_files(settings: RigSettings) -> None:
     with wrong_usage(ledger.LedgerError, audit_log.AuditError):
         ledger.read(settings)
         audit_log.check(settings.audit_log, settings.rig)
-    if settings.key_folder is not None:
+    if keys and settings.key_folder is not None:
         from rigctl.identity.key_folder import KeyFolder, KeyFolderError
 
         with wrong_usage(KeyFolderError):
@@ -99,6 +102,10 @@ def run(
     page_listen: Annotated[
         str | None, typer.Option("--page-listen", metavar="HOST:PORT", help="The same, there [127.0.0.1:8080].")
     ] = None,
+    separate_users: Annotated[
+        bool,
+        typer.Option("--separate-users", help="Recorder, hold service and gateway are services of their own."),
+    ] = False,
 ) -> None:
     """Run the daemon until SIGTERM, SIGHUP or Ctrl-C; it ends with the stroke held."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -108,9 +115,10 @@ def run(
 
     if not accepted(settings):
         end(BAD, f"{file}: {verdict(settings)}")
-    _check_files(settings)
+    _check_files(settings, keys=not separate_users)
+    log = lambda text: say(f"{time.strftime('%H:%M:%S')} {text}")  # noqa: E731
     try:
-        code = Supervisor(settings, lambda text: say(f"{time.strftime('%H:%M:%S')} {text}")).run()
+        code = Supervisor(settings, log, separate_users=separate_users).run()
     except CannotRunError as error:
         end(BAD, str(error))
     raise typer.Exit(code)

@@ -1,4 +1,4 @@
-"""HOLD to a daemon of this computer and user, without the network: see `rigctl.hold.service`."""
+"""HOLD to a daemon of this computer that this user may command, without the network: see `rigctl.hold.service`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import msgspec
 
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime, daemon_pid
 from rigctl.ipc.trusted_folders import trusted_folders
+from rigctl.wire.run_keys import PUBLIC_KEY
 
 CONNECT_S = 0.5
 ANSWER_S = 2.5  # the service answers within 1.5 s, even when the loop does not reply
@@ -44,9 +45,17 @@ def socket_of(endpoint: str, rig: str | None) -> pathlib.Path | None:
             found = Runtime(folder)
             if rig not in (None, folder.name.removeprefix("rigctl-")):
                 continue
-            if same_endpoint(endpoint, str(found.read_json(ACTIVE)["settings"]["telemetry"]["listen"])):
+            if same_endpoint(endpoint, _listen(found)):
                 return found.hold_socket
     return None
+
+
+def _listen(folder: Runtime) -> str:
+    """The daemon's endpoint: from its settings, or, for operators of the installed service, from its public key."""
+    with contextlib.suppress(OSError, msgspec.MsgspecError):
+        if active := folder.read_json(ACTIVE):
+            return str(active["settings"]["telemetry"]["listen"])
+    return str(folder.read_json(PUBLIC_KEY)["listen"])
 
 
 def hold(endpoint: str, rig: str | None, operator: str) -> dict[str, Any] | None:

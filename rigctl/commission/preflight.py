@@ -18,6 +18,7 @@ from typing import Any
 
 import msgspec
 
+from rigctl.config import layout
 from rigctl.config.settings import RigSettings
 from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.ipc.ledger import CLOCKS_DIFFER, Standing, moment
@@ -91,13 +92,16 @@ def judge(
 def folders(settings: RigSettings) -> list[Folder]:
     """Folders the rig file has written to: one for each disk, and each folder this process may not write to."""
     ledger = settings.ledger
+    # In the installed service only the ledger is this process's to write; the recorder reports what it cannot.
+    apart = layout.is_installed(settings.directory)
     places = [*([ledger.parent] if ledger else []), settings.audit_log.parent, settings.kept(settings.audit.trips)]
     found: dict[int, Folder] = {}
     for place in places:
         there = next((path for path in (place, *place.parents) if path.is_dir()), pathlib.Path("/"))
         try:
             free = os.statvfs(there)
-            writable = os.access(there, os.W_OK | os.X_OK, effective_ids=True)
+            judged = not apart or (ledger is not None and place == ledger.parent)
+            writable = not judged or os.access(there, os.W_OK | os.X_OK, effective_ids=True)
             disk = there.stat().st_dev if writable else -len(found) - 1
             found.setdefault(disk, Folder(place, free.f_bavail * free.f_frsize // MIB, writable))
         except OSError:

@@ -527,7 +527,12 @@ class RigSettings(Settings):
 
     @property
     def last_stroke(self) -> pathlib.Path:
-        """File in which the recorder keeps the last known stroke, beside the ledger."""
+        """File in which the recorder keeps the last known stroke: beside the ledger.
+
+        In the installed service it is beside the audit log, because the ledger's folder belongs to another user.
+        """
+        if layout.is_installed(self.directory):
+            return self.audit_log.with_name(f"{self.rig}.stroke.json")
         return (self.ledger or self.kept(f"calibration/{self.rig}.json")).with_suffix(".stroke.json")
 
     @property

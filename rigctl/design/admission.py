@@ -31,7 +31,10 @@ def admit(runtime: Runtime, text: str, name: str) -> dict[str, Any]:
     """
     command = [sys.executable, "-m", "rigctl.design.admission", str(runtime.directory), name]
     try:
-        done = subprocess.run(command, input=text.encode(), stdout=subprocess.PIPE, timeout=LIMIT_S, check=True)
+        done = subprocess.run(
+            command, input=text.encode(), stdout=subprocess.PIPE, timeout=LIMIT_S, check=True,
+            pass_fds=runtime.descriptors,
+        )  # fmt: skip
         answer: dict[str, Any] = msgspec.json.decode(done.stdout)
     except subprocess.TimeoutExpired:
         raise NotAdmittedError(f"the gains were not judged within {LIMIT_S:g} s") from None

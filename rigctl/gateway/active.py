@@ -19,19 +19,18 @@ class ReplacedFile:
 
     def __init__(self, runtime: Runtime, name: str) -> None:
         self._runtime, self._name = runtime, name
-        self._mark: tuple[int, int] | None = None
+        self._mark: tuple[int, ...] | None = None
         self.value: dict[str, Any] = {}
 
     def read(self) -> bool:
         """Read the file if it was replaced; returns whether its value changed. An unreadable file counts as empty."""
         try:
-            found = (self._runtime.directory / self._name).stat()
-            mark = (found.st_ino, found.st_mtime_ns)
+            mark = self._runtime.mark(self._name)
             if mark == self._mark:
                 return False
             value = self._runtime.read_json(self._name)
         except (OSError, msgspec.MsgspecError):
-            mark, value = (0, 0), {}
+            mark, value = (), {}
         changed, self._mark, self.value = value != self.value, mark, value
         return changed
 

@@ -27,7 +27,7 @@ from rigctl.gateway.left_over import LeftOver
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import IN_FORCE, Entry, LedgerError, Standing, in_force
 from rigctl.ipc.ring import RingError
-from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.ipc.runtime_folder import ACTIVE, DESIGN, Runtime
 from rigctl.wire.command_request import Request
 
 READ_NS = 500_000_000  # between two readings of the standing in force
@@ -82,7 +82,7 @@ class CalibrationService:
     def put_in_force(self, filed: Filed) -> None:
         """Publish as in force a finding that the loop has taken."""
         if filed.design is not None and (active := self._runtime.known(ACTIVE)):
-            self._write(ACTIVE, {**active, "design": filed.design})
+            self._write(DESIGN, {"run_id": active.get("run_id", ""), "design": filed.design})
         if filed.standing is not None:
             self._show(filed.standing)
 

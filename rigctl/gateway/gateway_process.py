@@ -1,4 +1,4 @@
-"""``python -m rigctl.gateway.gateway_process RUNTIME_DIR``: rings in, Zenoh out; commands the other way.
+"""``python -m rigctl.gateway.gateway_process [--service] RUNTIME_DIR``: rings in, Zenoh out; commands the other way.
 
 It may be killed at any time: the loop does not notice, and the next gateway continues where this one stopped.
 """
@@ -6,7 +6,6 @@ It may be killed at any time: the loop does not notice, and the next gateway con
 from __future__ import annotations
 
 import contextlib
-import pathlib
 import signal
 import sys
 import time
@@ -37,6 +36,7 @@ from rigctl.gateway.run_keys import run_keys
 from rigctl.gateway.signer import Signer
 from rigctl.gateway.streams import EventStream, FastStream, event_publishers, past_block, past_messages
 from rigctl.identity.key_folder import KeyFolderError
+from rigctl.ipc.joining import UsageError, joined
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.ring import RingError
@@ -339,16 +339,19 @@ class Gateway:
 
 def main(arguments: list[str]) -> int:
     """Run the gateway of the runtime folder named; returns the exit code."""
-    if len(arguments) != 1:
-        sys.stderr.write("usage: python -m rigctl.gateway.gateway_process RUNTIME_DIR\n")
-        return 2
     stop = Termination(signal.SIGTERM, signal.SIGHUP)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
     try:
-        runtime = Runtime.entered(pathlib.Path(arguments[0]))
+        if (run := joined(arguments, "gateway", stop)) is None:
+            return 0
+        runtime = run.runtime
         settings = RigSettings.model_validate(runtime.read_json("active.json").get("settings"))
         gateway = Gateway(runtime, settings, ZenohLog() if settings.key_folder is not None else None)
+        run.show()
+    except UsageError as error:
+        sys.stderr.write(f"usage: python -m rigctl.gateway.gateway_process {error}\n")
+        return 2
     except (OSError, RingError, FolderError, SessionError, KeyFolderError, msgspec.MsgspecError) as error:
         sys.stderr.write(f"gateway: {error}\n")
         return 1

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import grp
-import os
 import secrets
 from dataclasses import dataclass
 
@@ -11,10 +9,9 @@ import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.ipc.writers import OPERATORS, group_id
 from rigctl.wire.proof import KEY_BYTES
 from rigctl.wire.run_keys import GATEWAY_KEY, OPERATOR_KEY, PUBLIC_KEY, KeyFile
-
-OPERATORS = "rigctl-operator"
 
 
 @dataclass(frozen=True)
@@ -37,15 +34,6 @@ def _kept(runtime: Runtime, name: str, like: KeyFile, mode: int = 0o600, group: 
     return like
 
 
-def _operators_group() -> int:
-    """The group whose members may command the installed service; -1 without one that this process may give files to."""
-    try:
-        found = grp.getgrnam(OPERATORS).gr_gid
-    except KeyError:
-        return -1
-    return found if os.geteuid() == 0 or found in (os.getegid(), *os.getgroups()) else -1
-
-
 def run_keys(runtime: Runtime, rig: str, listen: str, run_id: str) -> RunKeys:
     """The keys of this run, with every file written.
 
@@ -57,7 +45,7 @@ def run_keys(runtime: Runtime, rig: str, listen: str, run_id: str) -> RunKeys:
         return KeyFile(rig, listen, run_id, secrets.token_hex(KEY_BYTES))
 
     private = Ed25519PrivateKey.from_private_bytes(_kept(runtime, GATEWAY_KEY, new()).secret)
-    group = _operators_group() if runtime.file_mode & 0o040 else -1
+    group = group_id(OPERATORS) if runtime.file_mode & 0o040 else -1
     operator = _kept(runtime, OPERATOR_KEY, new(), 0o640 if group >= 0 else 0o600, group).secret
     public = private.public_key().public_bytes_raw().hex()
     runtime.write_json(PUBLIC_KEY, KeyFile(rig, listen, run_id, public), runtime.public_mode)

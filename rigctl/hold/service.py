@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pathlib
 import selectors
 import signal
 import socket
@@ -24,10 +23,12 @@ import msgspec
 
 from rigctl.control.modes import Mode, Verb
 from rigctl.control.realtime import die_with_parent
+from rigctl.ipc.joining import UsageError, joined
 from rigctl.ipc.record import COMMAND_LIFETIME_NS, HOLD_ID
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import FolderError, Runtime
 from rigctl.ipc.termination import Termination
+from rigctl.ipc.writers import OPERATORS, group_id
 from rigctl.wire.command_request import Request, RequestError, answer, newest_record, parse, refused, silent
 
 PRIORITY = 1  # SCHED_FIFO: below every loop, above a flooded gateway
@@ -81,7 +82,9 @@ class HoldService:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._listener.setblocking(False)
         self._listener.bind(str(runtime.hold_socket))
-        runtime.hold_socket.chmod(0o600)
+        # In the installed service process and socket are of the operators' group: the kernel admits its members.
+        self._operators_too = runtime.is_shared and os.getegid() == group_id(OPERATORS)
+        runtime.hold_socket.chmod(0o660 if self._operators_too else 0o600)
         self._listener.listen(CONNECTIONS_MAX)
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
@@ -138,7 +141,7 @@ class HoldService:
                 self._drop(peer)
             return
         try:
-            if peer.uid not in (os.geteuid(), 0):
+            if not self._operators_too and peer.uid not in (os.geteuid(), 0):
                 raise RequestError(f"found a process of uid {peer.uid}, expected one of the daemon's user")
             if len(payload) > REQUEST_BYTES:
                 raise RequestError(f"found more than {REQUEST_BYTES} bytes, expected a hold")
@@ -206,13 +209,16 @@ class HoldService:
 
 def main(arguments: Sequence[str], stop: Termination) -> int:
     """Run the hold service of the runtime folder named until ``stop``; returns the exit code."""
-    if len(arguments) != 1:
-        sys.stderr.write("usage: python -m rigctl.hold RUNTIME_DIR\n")
-        return 2
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
     try:
-        service = HoldService(Runtime.entered(pathlib.Path(arguments[0])))
+        if (run := joined(arguments, "hold", stop)) is None:
+            return 0
+        service = HoldService(run.runtime)
+        run.show()
+    except UsageError as error:
+        sys.stderr.write(f"usage: python -m rigctl.hold {error}\n")
+        return 2
     except (OSError, RingError, FolderError) as error:
         sys.stderr.write(f"hold: no socket for HOLD: {error}\n")
         return 1

@@ -25,7 +25,7 @@ from rigctl.ipc.correction import SCALE_BOUND, Correction, tare_limit_n
 from rigctl.ipc.runtime_folder import Runtime
 
 IN_FORCE = "calibration.json"  # in the runtime folder
-_SEALED = "ledger"  # what the seal is about
+_SEALED = seal.LEDGER  # what the seal is about
 _LARGEST_BYTES = 64 << 20  # a hundred years of a tare an hour
 CLOCKS_DIFFER = timedelta(days=1)  # at most, between the wall clocks of two starts
 

@@ -31,12 +31,18 @@ class RingError(ValueError):
 
 
 def create(
-    path: pathlib.Path, dtype: np.dtype[Any], capacity: int, *, reserve: bool = False, mode: int = 0o600
+    path: pathlib.Path,
+    dtype: np.dtype[Any],
+    capacity: int,
+    *,
+    reserve: bool = False,
+    mode: int = 0o600,
+    group: int = -1,
 ) -> None:
     """Make an empty ring of ``capacity`` slots of ``dtype``, whose first field is ``seq`` (u64).
 
     ``reserve``: allocate its memory now. Without it pages are allocated as they are written, and a memory-backed disk
-    that is full by then ends the writer with SIGBUS.
+    that is full by then ends the writer with SIGBUS. ``group``: of the file, else this process's.
 
     Raises:
         OSError: there is no room, or the folder is gone.
@@ -48,6 +54,8 @@ def create(
     part.unlink(missing_ok=True)
     fd = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     with open(fd, "wb") as file:  # noqa: PTH123 - a descriptor
+        if group >= 0:
+            os.fchown(fd, -1, group)
         os.fchmod(fd, mode)
         file.truncate(size)
         if reserve:

@@ -3,16 +3,18 @@
 ``/dev/shm/rigctl-<rig>/``: ``records events frames commands holds replies notes desk supervision`` (rings),
 ``hold.sock`` (takes HOLD from this computer's operators), ``active.json`` (settings, version and design of the run),
 ``recorder.json`` (files written by the recorder), ``control.json`` (settings read back by the control process),
-``calibration.json`` (the cell's zero, scale and due date in force), ``stroke.json`` (the last known stroke at the start
-of the control process), ``lease.json`` (holder of the lease), ``gateway.*`` (the gateway's own), ``lock`` (held by the
-supervisor, with its pid in it).
+``calibration.json`` (the cell's zero, scale and due date in force), ``design.json`` (gains exchanged during the run, in
+place of the design in ``active.json``), ``stroke.json`` (the last known stroke at the start of the control process),
+``lease.json`` (holder of the lease), ``gateway.*`` (the gateway's own), ``lock`` (held by the supervisor, with its pid
+in it), ``end.*`` (a process that is a service of its own is to end).
 
 Anyone may make a folder of this name in ``/dev/shm``. A daemon uses only a folder that its user owns and that is closed
 to others (0700), follows no link in it, and makes its files anew (0600). Its processes open every file relative to a
 descriptor of the folder that each of them has checked (`Runtime.entered`).
 
-The installed service has its folders in ``/run/rigctl``, which belongs to the service's user. There the folder may be
-entered but not listed (0751), its group reads rings and files (0640), and everyone reads ``public_key.json``.
+The installed service has its folders in ``/run/rigctl``, which belongs to the supervisor's user. There the folder may
+be entered but not listed (0751), its group reads rings and files (0640), everyone reads ``public_key.json``, and what
+another process than supervisor and loop writes is in a folder or of a group of its own (`rigctl.ipc.writers`).
 
 A file that other processes read has a shape in ``SHAPES``; a file of another shape is not believed.
 """
@@ -34,7 +36,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 
 from rigctl.config import input_file, layout
-from rigctl.ipc import record
+from rigctl.ipc import record, writers
 from rigctl.ipc.ring import RingReader, RingWriter, create, identity
 
 if TYPE_CHECKING:
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
 
 ACTIVE = "active.json"
 RECORDED = "recorder.json"
+DESIGN = "design.json"
 BASE = layout.SHARED_MEMORY
 """Parent of the folders of the daemons that users start on this computer; anyone may make a folder there."""
 _LONGEST_LOCK, _LARGEST_PID = 20, 1 << 22
@@ -50,6 +53,8 @@ _NOTES = 1024
 _SHORTEST_FRAME_BITS = 47  # 11-bit identifier, no data, no stuffing, the gap to the next frame
 _FASTEST_BIT_S = 1_000_000
 _LOCK = "lock"
+_DESCRIPTORS = pathlib.Path("/proc/self/fd")
+_END = "end."
 _WARM_UP = "warm-up-"
 _FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 _Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
@@ -107,7 +112,17 @@ class _RecorderFile(msgspec.Struct):
     t_ns: _Count = 0
 
 
-SHAPES: dict[str, Any] = {ACTIVE: _ActiveFile, "control.json": _ControlFile, RECORDED: _RecorderFile}
+class _DesignFile(msgspec.Struct):
+    run_id: str
+    design: _Object
+
+
+SHAPES: dict[str, Any] = {
+    ACTIVE: _ActiveFile,
+    DESIGN: _DesignFile,
+    "control.json": _ControlFile,
+    RECORDED: _RecorderFile,
+}
 """Shapes of the files that the daemon's processes share; the readers of other files check these themselves."""
 
 
@@ -195,19 +210,20 @@ class RingFile:
 class Runtime:
     """Paths of one rig's rings and files; every process of the daemon opens what it needs."""
 
-    def __init__(self, directory: str | pathlib.Path) -> None:
+    def __init__(self, directory: str | pathlib.Path, *, shared: bool | None = None) -> None:
+        """``shared``: whether it is the installed service's, which its place shows otherwise."""
         self.directory = folder = pathlib.Path(directory)
-        self.records = RingFile(folder / "records", record.RECORD)
-        self.frames = RingFile(folder / "frames", record.FRAME)
-        self.events = RingFile(folder / "events", record.EVENT)
-        self.replies = RingFile(folder / "replies", record.REPLY)
-        self.commands = RingFile(folder / "commands", record.COMMAND)
-        self.notes = RingFile(folder / "notes", record.NOTE)
-        self.requests = RingFile(folder / "desk", record.REQUEST)
-        self.holds = RingFile(folder / "holds", record.HOLD)
-        self.supervision = RingFile(folder / "supervision", record.NOTE)
+        self._shared = folder.parent == layout.RUN if shared is None else shared
+        self.records = self._ring("records", record.RECORD)
+        self.frames = self._ring("frames", record.FRAME)
+        self.events = self._ring("events", record.EVENT)
+        self.replies = self._ring("replies", record.REPLY)
+        self.commands = self._ring("commands", record.COMMAND)
+        self.notes = self._ring("notes", record.NOTE)
+        self.requests = self._ring("desk", record.REQUEST)
+        self.holds = self._ring("holds", record.HOLD)
+        self.supervision = self._ring("supervision", record.NOTE)
         self._claimed = -1  # descriptor of the folder
-        self._shared = folder.parent == layout.RUN
         self._rings: dict[pathlib.Path, tuple[int, bytes]] = {}  # inode and header of each
         self.cleared: list[str] = []
         """Links, pipes and folders that stood in place of files and were removed, for the operator."""
@@ -236,9 +252,25 @@ class Runtime:
             os.close(fd)
             mode = stat.S_IMODE(found.st_mode)
             raise FolderError(f"{path}: found user {found.st_uid} and mode {mode:04o}, expected the daemon's folder")
-        entered = cls(f"/proc/self/fd/{fd}")
-        entered._shared = path.parent == layout.RUN
-        return entered
+        return cls(_DESCRIPTORS / str(fd), shared=path.parent == layout.RUN)
+
+    @property
+    def descriptors(self) -> tuple[int, ...]:
+        """Descriptors that a child process needs to find the folder by the same name: that of a folder `entered`."""
+        return (int(self.directory.name),) if self.directory.parent == _DESCRIPTORS else ()
+
+    def leave(self) -> None:
+        """Close the descriptor of a folder that was `entered`."""
+        for fd in self.descriptors:
+            os.close(fd)
+
+    def _ring(self, name: str, slot: record.Slot) -> RingFile:
+        return RingFile(self.directory / writers.RINGS / name if self._shared else self.directory / name, slot)
+
+    def place(self, name: str) -> pathlib.Path:
+        """Where a file of this name is: in the folder, or in that of the process that writes it."""
+        folder = writers.FOLDER_OF.get(name) if self._shared else None
+        return self.directory / name if folder is None else self.directory / folder / name
 
     def claim(self) -> int:
         """Become the only daemon of this rig; returns the lock's file descriptor, held until the process ends.
@@ -262,6 +294,7 @@ class Runtime:
             raise AlreadyRunningError(f"another daemon (process {pid}) already runs this rig") from None
         try:
             self._sweep(folder)
+            self._make_folders()
             os.ftruncate(fd, 0)
             os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
         except OSError as error:
@@ -270,6 +303,11 @@ class Runtime:
             raise FolderError(f"{self.directory} cannot be used: {error.strerror}") from None
         self._claimed = folder
         return fd
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether it is the installed service's, whose processes are of several users."""
+        return self._shared
 
     @property
     def _folder_mode(self) -> int:
@@ -318,15 +356,38 @@ class Runtime:
         with contextlib.suppress(FileNotFoundError):
             if not stat.S_ISREG(os.stat(_LOCK, dir_fd=folder, follow_symlinks=False).st_mode):
                 self._clear(folder, _LOCK)
-        return os.open(_LOCK, flags, 0o600, dir_fd=folder)
+        fd = os.open(_LOCK, flags, 0o600, dir_fd=folder)
+        os.fchmod(fd, self.public_mode)  # clients and services find the daemon by the process number in it
+        return fd
 
     def _sweep(self, folder: int) -> None:
         """Remove what is neither a file nor a socket of this user: links, pipes, folders. Files are made anew later."""
         for name in [entry.name for entry in os.scandir(folder)]:
             found = os.stat(name, dir_fd=folder, follow_symlinks=False)
+            if name.startswith(_END) and stat.S_ISREG(found.st_mode):
+                os.unlink(name, dir_fd=folder)
+                continue
+            if self._shared and name in (writers.RINGS, *writers.WRITERS) and stat.S_ISDIR(found.st_mode):
+                shutil.rmtree(name, dir_fd=folder)
+                continue
             plain = stat.S_ISSOCK(found.st_mode) or (stat.S_ISREG(found.st_mode) and found.st_nlink == 1)
             if found.st_uid != os.geteuid() or not plain:
                 self._clear(folder, name)
+
+    def _make_folders(self) -> None:
+        """Make the folders of the processes that are services of their own."""
+        if not self._shared:
+            return
+        (self.directory / writers.RINGS).mkdir()
+        (self.directory / writers.RINGS).chmod(0o750)
+        for name, writer in writers.WRITERS.items():
+            folder, group = self.directory / name, writers.group_id(writer.group)
+            folder.mkdir()
+            fd = os.open(folder, _FOLDER_FLAGS)
+            if group >= 0:
+                os.fchown(fd, -1, group)
+            os.fchmod(fd, 0o751 if group < 0 else 0o771)
+            os.close(fd)
 
     def _clear(self, folder: int, name: str) -> None:
         if not name.startswith(_WARM_UP):
@@ -374,7 +435,10 @@ class Runtime:
             self.notes: _NOTES, self.requests: _NOTES, self.supervision: _NOTES, self.frames: frames_held(settings),
         }  # fmt: skip
         for ring, capacity in capacities.items():
-            create(ring.path, ring.slot.dtype, capacity, reserve=reserve, mode=self.file_mode)
+            group = writers.group_id(writers.GROUP_OF.get(ring.path.name, "")) if self._shared else -1
+            # Everyone who may enter the folder of the rings may read, and besides the supervisor only the group writes.
+            mode = self.file_mode if group < 0 else 0o664
+            create(ring.path, ring.slot.dtype, capacity, reserve=reserve, mode=mode, group=group)
         self._rings = {ring.path: identity(ring.path) for ring in capacities}
 
     def remove(self) -> None:
@@ -398,20 +462,47 @@ class Runtime:
         os.close(folder)
         self._claimed = -1
 
+    def mark(self, name: str) -> tuple[int, ...]:
+        """Changes whenever `read_json` of ``name`` may give something else.
+
+        Raises:
+            OSError: there is no such file.
+        """
+        found = self.place(name).stat()
+        marks: tuple[int, ...] = (found.st_ino, found.st_mtime_ns)
+        if name == ACTIVE:
+            with contextlib.suppress(OSError):
+                design = self.place(DESIGN).stat()
+                marks += (design.st_ino, design.st_mtime_ns)
+        return marks
+
+    def end(self, process: str) -> None:
+        """Have a process that is a service of its own end: see `rigctl.ipc.joining`.
+
+        Raises:
+            OSError: there is no room, or the folder is gone.
+        """
+        path = self.directory / f"{_END}{process}"
+        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644))
+
+    def is_to_end(self, process: str) -> bool:
+        """Whether `end` was called for it in this run."""
+        return (self.directory / f"{_END}{process}").exists()
+
     @property
     def hold_socket(self) -> pathlib.Path:
         """Socket on which the hold service takes HOLD from processes of this computer."""
-        return self.directory / "hold.sock"
+        return self.place("hold.sock")
 
     @property
     def gateway_cursor(self) -> pathlib.Path:
         """Position up to which the gateway has published, for the next gateway."""
-        return self.directory / "gateway.cursor"
+        return self.place("gateway.cursor")
 
     @property
     def gateway_socket(self) -> pathlib.Path:
         """Socket between the gateway's command session and its router."""
-        return self.directory / "gateway.sock"
+        return self.place("gateway.sock")
 
     def write_json(self, name: str, value: Any, mode: int | None = None, group: int = -1) -> None:
         """Replace ``name`` at once, so that a reader sees the old file or the new one; a second line is its SHA-256.
@@ -421,16 +512,17 @@ class Runtime:
         Raises:
             OSError: there is no room, or the folder is gone.
         """
-        part = self.directory / f".{name}.{threading.get_native_id()}"
+        place = self.place(name)
+        part = place.with_name(f".{name}.{threading.get_native_id()}")
         part.unlink(missing_ok=True)
         try:
             fd = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
             with open(fd, "wb") as file:  # noqa: PTH123 - a descriptor
-                os.fchown(fd, -1, group)
+                if group >= 0:
+                    os.fchown(fd, -1, group)
                 os.fchmod(fd, self.file_mode if mode is None else mode)
                 data = msgspec.json.encode(value)
                 file.write(data + b"\n" + _digest(data) + b"\n")
-            place = self.directory / name
             try:
                 part.rename(place)
             except IsADirectoryError:
@@ -442,14 +534,14 @@ class Runtime:
             raise
 
     def read_json(self, name: str) -> dict[str, Any]:
-        """``name``, or an empty dict while it is not there.
+        """``name``, or an empty dict while it is not there; the active configuration has the design in force in it.
 
         Raises:
             OSError: it cannot be read, or is no file.
             msgspec.MsgspecError: its checksum is wrong, it is no JSON object, or has another shape than in ``SHAPES``.
         """
         try:
-            data, _, seal = input_file.read(self.directory / name).rstrip(b"\n").rpartition(b"\n")
+            data, _, seal = input_file.read(self.place(name)).rstrip(b"\n").rpartition(b"\n")
         except FileNotFoundError:
             return {}
         if seal != _digest(data):
@@ -457,6 +549,8 @@ class Runtime:
         value: dict[str, Any] = input_file.decoded(data, dict[str, Any])
         if (shape := SHAPES.get(name)) is not None:
             msgspec.convert(value, shape)
+        if name == ACTIVE and (exchanged := self.read_json(DESIGN)) and exchanged["run_id"] == value.get("run_id"):
+            value["design"] = exchanged["design"]
         return value
 
     def known(self, name: str) -> dict[str, Any]:

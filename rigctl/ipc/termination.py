@@ -26,12 +26,19 @@ def on_signals(handler: Callable[[int, FrameType | None], object], *numbers: sig
 
 
 class Termination:
-    """Whether a signal to end has come."""
+    """Whether a signal to end has come, or there is another reason to end."""
 
     def __init__(self, *numbers: signal.Signals) -> None:
         """``numbers``: signals that end the process."""
-        self.requested = False
+        self._signalled = False
+        self.also: Callable[[], bool] = lambda: False
+        """A further reason to end."""
         on_signals(self._on_signal, *numbers)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
-        self.requested = True
+        self._signalled = True
+
+    @property
+    def requested(self) -> bool:
+        """Whether to end."""
+        return self._signalled or self.also()

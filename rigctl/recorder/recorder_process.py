@@ -9,11 +9,10 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import pathlib
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -25,6 +24,7 @@ from rigctl.control import last_stroke
 from rigctl.control.modes import Mode
 from rigctl.control.realtime import die_with_parent
 from rigctl.ipc import ledger
+from rigctl.ipc.joining import UsageError, joined
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, FolderError, Runtime
 from rigctl.ipc.seal import SealError
@@ -311,31 +311,33 @@ def _settings(runtime: Runtime) -> RigSettings:
     return RigSettings.model_validate(runtime.read_json(ACTIVE).get("settings"))
 
 
-def _serve(recorder: Recorder, stop: Termination) -> None:
+def _serve(recorder: Recorder, stop: Termination, is_gone: Callable[[], bool]) -> None:
     """Poll until ``stop``, and then until the supervisor has written its last entry or is gone."""
-    parent, until = os.getppid(), None
+    until = None
     while True:
         recorder.poll(time.monotonic_ns(), time.time_ns())
         if until is None and stop.requested:
             until = time.monotonic() + LAST_ENTRY_S
-        if until is not None and (recorder.over or os.getppid() != parent or time.monotonic() > until):
+        if until is not None and (recorder.over or is_gone() or time.monotonic() > until):
             return
         time.sleep(POLL_S)
 
 
 def main(arguments: Sequence[str], stop: Termination) -> int:
     """Run the recorder of the runtime folder named until ``stop``; returns the exit code."""
-    if len(arguments) != 1:
-        sys.stderr.write("usage: python -m rigctl.recorder RUNTIME_DIR\n")
-        return 2
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
     try:
-        runtime = Runtime.entered(pathlib.Path(arguments[0]))
-        recorder = Recorder(runtime, _settings(runtime), time.monotonic_ns(), time.time_ns())
+        if (run := joined(arguments, "recorder", stop)) is None:
+            return 0
+        recorder = Recorder(run.runtime, _settings(run.runtime), time.monotonic_ns(), time.time_ns())
+        run.show()
+    except UsageError as error:
+        sys.stderr.write(f"usage: python -m rigctl.recorder {error}\n")
+        return 2
     except (OSError, ValidationError, msgspec.MsgspecError, RingError, AuditError, FolderError) as error:
         _say("active.json holds no valid settings" if isinstance(error, ValidationError) else str(error))
         return 1
-    _serve(recorder, stop)
+    _serve(recorder, stop, run.is_gone)
     recorder.close(time.monotonic_ns(), time.time_ns())
     return 0

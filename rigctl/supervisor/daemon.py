@@ -36,11 +36,13 @@ from rigctl.devices.objects import DriveState, drive_state
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.ring import RingReader
-from rigctl.ipc.runtime_folder import ACTIVE, AlreadyRunningError, FolderError, Runtime
+from rigctl.ipc.runtime_folder import ACTIVE, DESIGN, AlreadyRunningError, FolderError, Runtime
 from rigctl.ipc.service_manager import notify
 from rigctl.ipc.supervision import Doing, Supervision
 from rigctl.ipc.termination import ENDING, on_signals
+from rigctl.ipc.writers import WRITERS
 from rigctl.supervisor import memory
+from rigctl.supervisor.service_process import ServiceProcess
 
 POLL_S = 0.02  # delay until a signal or a lost folder ends the daemon; a ramp goes on meanwhile, 0.2 mm at 10 mm/s
 START_LIMIT_S = 20.0
@@ -81,8 +83,11 @@ class Child:
 class Supervisor:
     """One rig's daemon: its runtime folder and its processes."""
 
-    def __init__(self, settings: RigSettings, say: Callable[[str], None]) -> None:
-        """``say`` takes the lines of the daemon's log."""
+    def __init__(self, settings: RigSettings, say: Callable[[str], None], *, separate_users: bool = False) -> None:
+        """``say`` takes the lines of the daemon's log.
+
+        ``separate_users``: recorder, hold service and gateway are services of their own, as of an installed rig.
+        """
         self.settings = settings
         self._say = say
         self._runtime = Runtime.of(settings.rig, layout.run_base(settings.directory))
@@ -90,8 +95,12 @@ class Supervisor:
         self._feed_at_ns = 0
         self._supervision: Supervision | None = None
         self._folder_lost = ""
-        self._modules = PROCESSES | (PAGE if settings.page is not None else {})
+        apart = WRITERS if separate_users else {}
+        wanted = PROCESSES | (PAGE if settings.page is not None else {})
+        self._modules = {name: module for name, module in wanted.items() if name not in apart}
         self._children: dict[str, Child] = {}
+        self._apart = tuple(apart)
+        self._services: dict[str, ServiceProcess] = {}
         self._active: dict[str, Any] = {}
 
     def run(self) -> int:
@@ -148,6 +157,8 @@ class Supervisor:
             "run_id": secrets.token_hex(8),
             "bus_load": busload.bus_load(settings),
         }
+        run_id = self._active["run_id"]
+        self._services = {name: ServiceProcess(self._runtime, name, run_id) for name in self._apart}
         self._put_active()
         self._note(Doing.DAEMON_STARTED, reason=f"rigctl {__version__}")
         self._say_calibration()
@@ -171,7 +182,9 @@ class Supervisor:
                     raise CannotRunError(f"{settings.rig}: {child.name} could not start (see above)")
             if time.monotonic() > until:
                 raise CannotRunError(f"{settings.rig}: the loop did not start within {limit_s:.0f} s")
+            self._watch_services(time.monotonic())
             time.sleep(0.005)
+        self._wait_for_services()
         self._say_real_time()
         channel = f"{settings.can.interface}:{settings.can.channel}"
         self._say(
@@ -179,6 +192,30 @@ class Supervisor:
             f"{settings.telemetry.listen}"
         )
         notify("READY=1")
+
+    def _wait_for_services(self) -> None:
+        """Wait for the services that an operator needs; the daemon goes on without them after a time."""
+        until = time.monotonic() + START_LIMIT_S
+        needed = [service for name, service in self._services.items() if name not in _NOT_NEEDED]
+        while not self._stopping and not all(service.pid for service in needed):
+            self._watch_services(now := time.monotonic())
+            if now > until:
+                missing = ", ".join(
+                    f"rigctl-{service.name}@{self.settings.rig}" for service in needed if not service.pid
+                )
+                self._say(f"WARNING: not up within {START_LIMIT_S:.0f} s: {missing}; see journalctl -u {missing}")
+                return
+            time.sleep(POLL_S)
+
+    def _watch_services(self, now: float) -> None:
+        for service in self._services.values():
+            happened = service.look(now)
+            if happened is Doing.PROCESS_STARTED:
+                self._note(happened, service.name, str(service.pid))
+            elif happened is Doing.PROCESS_ENDED:
+                how = "ended; the service manager starts it again, the loop is unaffected"
+                self._note(happened, service.name, how)
+                self._say(f"WARNING: {service.name} process {how}")
 
     def _say_real_time(self) -> None:
         try:
@@ -310,10 +347,13 @@ class Supervisor:
         except (OSError, msgspec.MsgspecError, KeyError, TypeError) as error:
             why = " ".join(str(error).split())
         self._say(f"WARNING: {ACTIVE} in the runtime folder was damaged ({why}); it is written anew")
+        with contextlib.suppress(OSError):
+            self._runtime.place(DESIGN).unlink(missing_ok=True)  # of it and the file one is damaged
         self._write_or_warn(ACTIVE, self._active, "")
 
     def _watch(self) -> None:
         now = time.monotonic()
+        self._watch_services(now)
         for child in list(self._children.values()):
             code = child.process.poll()
             if code is None:
@@ -381,6 +421,8 @@ class Supervisor:
         return code
 
     def _end(self, name: str) -> bool:
+        if (service := self._services.get(name)) is not None:
+            return service.end(STOP_LIMIT_S)
         process = self._children[name].process
         with contextlib.suppress(ProcessLookupError):
             process.send_signal(signal.SIGTERM)
@@ -393,6 +435,8 @@ class Supervisor:
         for child in self._children.values():
             if child.process.poll() is None:
                 child.process.terminate()
+        for service in self._services.values():
+            service.end(STOP_LIMIT_S)
         for child in self._children.values():
             try:
                 child.process.wait(STOP_LIMIT_S)

@@ -14,7 +14,7 @@ import pytest
 from rigctl.config import layout
 from rigctl.config import rig_file as config
 from rigctl.control.modes import Verb, command_slot
-from rigctl.ipc import output_file, runtime_folder
+from rigctl.ipc import output_file, runtime_folder, writers
 from rigctl.ipc.runtime_folder import BASE, FolderError, Runtime
 from rigctl.ipc.trusted_folders import trusted_folders
 from rigctl.recorder.audit_log import AuditLog
@@ -146,6 +146,7 @@ def service(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> Runtime:
     for folder in (tmp_path, *tmp_path.parents[:2]):
         folder.chmod(0o755)
     monkeypatch.setattr(layout, "RUN", base)
+    monkeypatch.setattr(writers, "group_id", lambda _name: -1)  # the service may be installed on this computer
     runtime = Runtime.of("paper_rig", base)
     runtime.claim()
     runtime.make_rings(SETTINGS)
@@ -159,7 +160,7 @@ def test_the_services_folder_lets_its_group_read_and_everyone_verify(service: Ru
     assert stat.S_IMODE(service.directory.stat().st_mode) == 0o751
     assert service.lost() == ""
     folder = service.directory
-    for path in folder.iterdir():
+    for path in folder.rglob("*"):
         os.chown(path, -1, 4321)
     os.chown(folder, -1, 4321)
 
@@ -167,12 +168,13 @@ def test_the_services_folder_lets_its_group_read_and_everyone_verify(service: Ru
         become = ("setpriv", f"--reuid={NOBODY}", f"--regid={group}", "--clear-groups")
         return subprocess.run([*become, "test", f"-{access}", str(path)], check=False).returncode == 0
 
-    for name in ("records", "frames", "events", "commands", "active.json"):
-        assert may("r", folder / name, 4321)  # recorder
-        assert not may("w", folder / name, 4321)
-        assert not may("r", folder / name, NOBODY)
-    assert may("r", folder / PUBLIC_KEY, NOBODY)
-    assert not may("r", folder / OPERATOR_KEY, 4321)
+    rings = [ring.path for ring in (service.records, service.frames, service.events, service.commands)]
+    for path in (*rings, service.place("active.json")):
+        assert may("r", path, 4321)  # recorder
+        assert not may("w", path, 4321)
+        assert not may("r", path, NOBODY)
+    assert may("r", service.place(PUBLIC_KEY), NOBODY)
+    assert not may("r", service.place(OPERATOR_KEY), 4321)
     assert not may("r", folder, NOBODY)
     assert not may("w", folder, 4321)
 

@@ -143,15 +143,28 @@ def drop_in(settings: RigSettings) -> str:
 
 
 def test_the_daemon_reaches_only_what_its_rig_file_needs(tmp_path: pathlib.Path) -> None:
-    assert "IPAddressAllow" not in drop_in(changed(tmp_path)[0])
-    assert "ReadWritePaths" not in drop_in(changed(tmp_path)[0])
-    far = changed(
-        tmp_path,
-        telemetry={"listen": "tcp/0.0.0.0:7447", "listen_waiver": "a closed network"},
-        recording={"folder": "/data/rig"},
-    )[0]
-    assert "IPAddressAllow=any" in drop_in(far)
-    assert "ReadWritePaths=/data/rig\n" in drop_in(far)
+    def drop_ins(settings: RigSettings) -> dict[str, str]:
+        found = of_rig(settings, FOUR, None)
+        names = {name: install_files.process_drop_in(settings.rig, name) for name in ("gateway", "recorder", "hold")}
+        return {name: found[path].decode() for name, path in names.items()} | {"daemon": drop_in(settings)}
+
+    near = drop_ins(changed(tmp_path)[0])
+    assert not [name for name, text in near.items() if "IPAddressAllow" in text or "ReadWritePaths" in text]
+    assert all("CPUAffinity" in text for text in near.values())
+    listen = {"listen": "tcp/0.0.0.0:7447", "listen_waiver": "a network of its own"}
+    far = drop_ins(changed(tmp_path, telemetry=listen, recording={"folder": "/data/rig"})[0])
+    assert [name for name, text in far.items() if "IPAddressAllow=any" in text] == ["gateway"]
+    assert [name for name, text in far.items() if "ReadWritePaths=/data/rig\n" in text] == ["recorder"]
+
+
+def test_folders_of_other_names_are_made_for_the_process_that_writes_them(tmp_path: pathlib.Path) -> None:
+    assert install_files.tmpfiles("rig") not in of_rig(changed(tmp_path)[0], FOUR, None)
+    settings = changed(tmp_path, recording={"folder": "tapes"})[0]
+    made = of_rig(settings, FOUR, None)[install_files.tmpfiles(settings.rig)].decode()
+    assert "d /var/lib/rigctl/tapes 0750 rigctl-recorder rigctl -\n" in made
+    for section, change in (("audit", {"file": "calibration/rig.jsonl"}), ("recording", {"folder": "."})):
+        with pytest.raises(InstallError, match="expected one without the ledger in it"):
+            of_rig(changed(tmp_path, **{section: change})[0], FOUR, None)
 
 
 def test_the_bus_comes_up_with_bit_rate_queue_and_no_restart(tmp_path: pathlib.Path) -> None:

@@ -107,7 +107,9 @@ def test_it_ends_with_the_supervisors_last_entry_and_not_before_it_is_told_to(ov
     polls: list[int] = []
     recorder = SimpleNamespace(over=over, poll=lambda *_: polls.append(1))
     stop = SimpleNamespace(requested=False)
-    serving = threading.Thread(target=_serve, args=(cast("Any", recorder), cast("Any", stop)), daemon=True)
+    serving = threading.Thread(
+        target=_serve, args=(cast("Any", recorder), cast("Any", stop), lambda: False), daemon=True
+    )
     serving.start()
     until = time.monotonic() + LIMIT_S
     while len(polls) < 2 and time.monotonic() < until:
@@ -120,4 +122,4 @@ def test_it_ends_with_the_supervisors_last_entry_and_not_before_it_is_told_to(ov
 
 def test_without_a_folder_it_says_how_it_is_started(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([], cast("Any", SimpleNamespace(requested=True))) == 2
-    assert capsys.readouterr().err == "usage: python -m rigctl.recorder RUNTIME_DIR\n"
+    assert capsys.readouterr().err == "usage: python -m rigctl.recorder [--service] RUNTIME_DIR\n"
