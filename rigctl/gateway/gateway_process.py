@@ -35,6 +35,7 @@ from rigctl.gateway.run_keys import run_keys
 from rigctl.gateway.signer import Signer
 from rigctl.gateway.streams import EventStream, FastStream, event_publishers, past_block, past_messages
 from rigctl.identity.key_folder import KeyFolderError
+from rigctl.ipc import heap
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.ring import RingError
@@ -330,6 +331,7 @@ def main(arguments: list[str]) -> int:
     stop = Termination(signal.SIGTERM, signal.SIGHUP)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
+    heap.limit()
     try:
         runtime = Runtime.entered(pathlib.Path(arguments[0]))
         settings = RigSettings.model_validate(runtime.read_json("active.json").get("settings"))
