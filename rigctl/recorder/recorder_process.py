@@ -24,7 +24,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke
 from rigctl.control.modes import Mode
 from rigctl.control.realtime import die_with_parent
-from rigctl.ipc import ledger
+from rigctl.ipc import heap, ledger
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, FolderError, Runtime
 from rigctl.ipc.seal import SealError
@@ -310,6 +310,7 @@ def main(arguments: Sequence[str], stop: Termination) -> int:
         return 2
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
+    heap.limit()
     try:
         runtime = Runtime.entered(pathlib.Path(arguments[0]))
         recorder = Recorder(runtime, _settings(runtime), time.monotonic_ns(), time.time_ns())
