@@ -51,7 +51,11 @@ def main() -> int:
         say(f"lateness {kind:<6} " + "  ".join(f"{name} {value:g}" for name, value in figures.items()))
     say(f"{results['records']} records, lost: {results['lost']}")
     say(f"commands {results['commands']}, clients {results['clients_came']}, page frames {results['page']['frames']}")
-    say(f"strikes {len(results['strikes'])}, trips {results['trips']['count']}")
+    pauses = results["pauses"]
+    say(f"pauses of the computer: {pauses['count']}, the longest {pauses['longest_ms']:.0f} ms")
+    say(f"strikes {len(results['strikes'])}, trips {len(results['trips'])}")
+    for trip in results["trips"]:
+        say(f"  {trip['text'].partition(':')[0]}: {trip['cause'] or 'NO CAUSE'}")
     for line in results["broken"]:
         sys.stderr.write(f"soak: {line}\n")
     return 1 if results["broken"] else 0

@@ -21,13 +21,20 @@ from rigctl.recorder import parts, recording
 from tests.bench.recorder import PATIENT
 from tests.builders import daemons
 from tests.soak import judge, plan
-from tests.soak.load import Commander, Listener, PageReader, Pauses, Visitors, filled, small_disk
-from tests.soak.sampling import Lateness, Processes, children
+from tests.soak.load import Commander, Listener, Onlooker, PageReader, Visitors, filled, small_disk
+from tests.soak.pauses import Pauses
+from tests.soak.sampling import Lateness, Life, Processes, children
 
 PARTS_MB, KEEP_MB, FREE_MIB, DISK_MIB = 16, 64, 16, 160
 BACK_S = 30.0
 POLL_S = 0.25
 SAMPLES = 2000  # of each process, at most
+RIG = "simulated rig"
+
+
+def _loop_of(daemon: int) -> dict[str, int]:
+    pid = children(daemon).get("control")
+    return {"the loop": pid} if pid is not None else {}
 
 
 class Soak:
@@ -56,25 +63,29 @@ class Soak:
         }
         file, log = daemons.rig_file(self._folder, changes), self._folder / "daemon.log"
         name, endpoint = daemons.name_of(file), daemons.endpoint(file)
-        with daemons.simulated_rig(file, self._folder / "rig.log"), daemons.daemon(file, log) as daemon:
+        with daemons.simulated_rig(file, self._folder / "rig.log") as rig, daemons.daemon(file, log) as daemon:
             runtime = Runtime.of(name)
-            processes, lateness = Processes(daemon.pid), Lateness(runtime.records.reader())
+            processes, lateness = Processes(daemon.pid, {RIG: rig.pid}), Lateness(runtime.records.reader())
             commander = Commander(endpoint, name, random.Random(self._seed + 1))
             visitors = Visitors(endpoint, name, random.Random(self._seed + 2))
-            listener, reader, pauses = Listener(endpoint, name), PageReader(page), Pauses()
-            load = (commander, visitors, listener, reader)
-            for worker in (*load, pauses):
+            listener, reader, onlooker = Listener(endpoint, name), PageReader(page), Onlooker(page)
+            load = (commander, visitors, listener, reader, onlooker)
+            for worker in load:
                 worker.start()
-            pauses.active.set()
+            pauses, start = Pauses(lambda: {RIG: rig.pid, **_loop_of(daemon.pid)}), time.monotonic()
             recorded = self._play(daemon.pid, runtime, disk, processes, lateness, load)
-            for worker in (*load, pauses):
+            for worker in load:
                 worker.end()
+            pauses.end()
             self._take_events(endpoint, name)
             daemon.send_signal(signal.SIGTERM)
             code = daemon.wait(60.0)
         whole = self._recording(disk if disk is not None else self._folder / "recordings")
         trips = [event for event in self._events.values() if event.get("kind") == Kind.TRIP.name]
         control_ns = [strike["t_ns"] for strike in self._struck if strike["what"] == "control"]
+        if onlooker.memory:
+            seen = [(at - start, mib, 0) for at, mib in onlooker.memory]
+            processes.lives.append(Life("scripts", 0, seen))
         results: dict[str, Any] = {
             "duration_s": self._duration_s,
             "seed": self._seed,
@@ -95,15 +106,12 @@ class Soak:
                 "records_missing_in_the_recording": whole["missing"],
             },
             "recording_read_s": whole["read_s"],
-            "trips": {
-                "count": len(trips),
-                "texts": [trip.get("text", "") for trip in trips],
-                "unexplained": judge.unexplained(trips, control_ns, pauses.seen),
-            },
-            "pauses": {"count": len(pauses.seen), "longest_ms": max((ms for _, ms in pauses.seen), default=0.0)},
+            "trips": judge.explained(trips, control_ns, pauses.seen),
+            "pauses": {"count": len(pauses.seen), "longest_ms": max((one.ms for one in pauses.seen), default=0.0)},
+            "browser": {"there": onlooker.there, "draws": onlooker.draws, "errors": sorted(onlooker.errors)},
             "lateness": lateness.figures(),
             "disk_filled": disk is not None,
-            "workers": {worker.name: worker.error for worker in (*load, pauses) if worker.error},
+            "workers": {worker.name: worker.error for worker in load if worker.error},
         }
         slopes = [fit for fit in map(judge.slope, processes.lives) if fit is not None]
         results["processes"] = [asdict(fit) for fit in slopes]

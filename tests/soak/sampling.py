@@ -46,14 +46,15 @@ def children(pid: int) -> dict[str, int]:
 class Processes:
     """Samples of a daemon's processes; shared memory, which the rings fill by design, is not counted."""
 
-    def __init__(self, supervisor: int) -> None:
-        self._supervisor = supervisor
+    def __init__(self, supervisor: int, others: dict[str, int]) -> None:
+        """``others``: processes that are not the daemon's, by name."""
+        self._supervisor, self._others = supervisor, others
         self.lives: list[Life] = []
         self._now: dict[str, Life] = {}
 
     def sample(self, at_s: float) -> dict[str, int]:
         """Take a sample of every process; returns the pids."""
-        pids = {"supervisor": self._supervisor, **children(self._supervisor)}
+        pids = {"supervisor": self._supervisor, **children(self._supervisor), **self._others}
         for name, pid in pids.items():
             life = self._now.get(name)
             if life is None or life.pid != pid:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import itertools
+import os
 import random
+import signal
+import time
 
 import numpy as np
 import pytest
 
+from tests.builders.miniature import stop
 from tests.soak import plan
-from tests.soak.judge import slope, unexplained
+from tests.soak.judge import explained, slope
+from tests.soak.pauses import LATE_MS, Pause, Pauses
 from tests.soak.sampling import Life
 
 HOUR = np.arange(0.0, 3600.0, 2.0)
@@ -57,16 +62,37 @@ def test_a_short_life_is_not_judged() -> None:
 
 def test_a_trip_needs_a_cause_in_the_log_and_a_reason_in_the_soak() -> None:
     second = 10**9
-    trips = [{"t_ns": 10 * second, "text": "TRIP: OVERRUN"}, {"t_ns": 200 * second, "text": "TRIP: CELL_STALE"}]
-    assert unexplained(trips, [5 * second], []) == ["TRIP: CELL_STALE"]
-    assert unexplained(trips, [5 * second], [(200 * second, 400.0)]) == []
-    assert unexplained([{"t_ns": second, "text": "", "seq": 4}], [0], []) == ["event 4 without a text"]
+    killed = {"t_ns": 10 * second, "text": "trip OVERRUN: late"}
+    silent = {"t_ns": 200 * second, "text": "trip BUS_SILENT: no frame"}
+    assert [one["cause"] for one in explained([killed, silent], [5 * second], [])] == [
+        "control was killed 5.0 s before",
+        "",
+    ]
+    pause = Pause(200 * second - second // 10, 120.0, "processor 1 paused")
+    assert explained([silent], [], [pause])[0]["cause"] == "processor 1 paused for 120 ms"
+    assert explained([silent], [], [Pause(190 * second, 500.0, "processor 1 paused")])[0]["cause"] == ""
+    assert explained([{"t_ns": second, "text": "", "seq": 4}], [0], []) == [
+        {"text": "event 4 without a text", "cause": ""}
+    ]
+
+
+def test_a_pause_of_a_processor_is_seen() -> None:
+    pauses = Pauses(dict)
+    for sleeper in pauses.sleepers:
+        stop(sleeper)
+    time.sleep(3 * LATE_MS / 1000.0)  # the pause itself
+    for sleeper in pauses.sleepers:
+        sleeper.send_signal(signal.SIGCONT)
+    pauses.end()
+    assert {one.what for one in pauses.seen} == {f"processor {cpu} paused" for cpu in os.sched_getaffinity(0)}
+    assert all(one.ms >= LATE_MS for one in pauses.seen)
 
 
 def test_a_seed_gives_one_plan_and_every_process_is_struck() -> None:
     long = plan.strikes(3600.0, random.Random(5))
     assert long == plan.strikes(3600.0, random.Random(5))
     assert {strike.what for strike in long} == {*plan.VICTIMS, "disk"}
+    assert {strike.what for strike in plan.strikes(600.0, random.Random(5))} == {*plan.VICTIMS, "disk"}
     begin, end = plan.busy(3600.0)
     assert all(begin < strike.at_s < end for strike in long)
     assert all(b.at_s - a.at_s >= plan.SHORTEST_S for a, b in itertools.pairwise(long))
