@@ -21,7 +21,7 @@ from tests.builders.paths import ROOT
 
 LATE_MS = 50.0
 _SLEEP_S = 0.01
-_LOOK_S = 0.05
+_LOOK_S, _FIND_S = 0.05, 1.0
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,11 @@ class Pauses:
 
     def _watch(self) -> None:
         waited: dict[int, int] = {}
+        pids, found_at = self._pids(), time.monotonic()
         while not self._over.wait(_LOOK_S):
-            for name, pid in self._pids().items():
+            if time.monotonic() - found_at >= _FIND_S:
+                pids, found_at = self._pids(), time.monotonic()
+            for name, pid in pids.items():
                 with contextlib.suppress(OSError, IndexError, ValueError):
                     now = int(pathlib.Path(f"/proc/{pid}/schedstat").read_text().split()[1])
                     ms = (now - waited.get(pid, now)) / 1e6

@@ -63,7 +63,7 @@ def _lateness(axes: Axes, figures: dict[str, dict[str, float]]) -> None:
     axes.set_xscale("log")
     axes.margins(x=0.12)
     axes.set_xlabel("lateness of the loop's ticks, us")
-    axes.legend(fontsize=8, loc="lower right", frameon=False)
+    axes.legend(fontsize=8, loc="upper right", frameon=False)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
 
@@ -86,7 +86,8 @@ def draw(results: dict[str, Any], processes: Processes, file: pathlib.Path) -> N
     figure.legend(handles=lines, ncols=5, fontsize=8.5, loc="outside upper center", frameon=False)
     trips = results["trips"]
     memory.set_title(
-        f"{results['duration_s'] / 60:.0f} min of service: {results['records']:,} records, "
+        f"{results['duration_s'] / _scale(results)[0]:.0f} {_scale(results)[1]} of service: "
+        f"{results['records']:,} records, "
         f"{sum(results['lost'].values())} lost; {len(trips)} trips, {sum(not trip['cause'] for trip in trips)} without "
         f"a cause; {results['clients_came']} clients came and went",
         fontsize=9.5,
