@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -13,9 +14,9 @@ from scipy.stats import theilslopes
 from tests.soak.pauses import Pause
 from tests.soak.sampling import Life
 
-WARM_UP_S = 60.0  # of a process: imports, first clients, rings once around
+WARM_UP_S = 60.0  # of a process, and again of the load: imports, first clients, rings once around
 JUDGED_S = 120.0  # a shorter life shows no slope
-GROWTH_MIB = 1.0  # within a life; an allocator's arenas are larger than a leak that matters in an hour
+GROWTH_MIB = 2.0  # within a life: a gateway keeps what the most clients at once took, until the same number comes again
 GROWTH_SHARE = 0.03
 HANDLES = 4.0  # a client more, and a runtime of Zenoh, which opens three at the first end of a link
 EXPLAINED_S = 30.0
@@ -66,18 +67,20 @@ def _growth(t_s: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> tuple[f
     return float(low) * float(t_s[-1] - t_s[0]), 1.4826 * float(np.median(np.abs(residuals)))
 
 
-def slope(life: Life) -> Slope | None:
-    """The fit of one life; None if it was too short."""
+def slope(life: Life, busy: tuple[float, float] = (0.0, math.inf)) -> Slope | None:
+    """The fit of one life under the load, which begins and ends at ``busy`` (s); None if it was too short."""
     table = life.table
-    if not len(table) or table[-1, 0] - table[0, 0] < WARM_UP_S + JUDGED_S:
+    if not len(table):
         return None
-    table = table[table[:, 0] >= table[0, 0] + WARM_UP_S]
+    table = table[(table[:, 0] >= max(table[0, 0], busy[0]) + WARM_UP_S) & (table[:, 0] <= busy[1])]
+    if not len(table) or table[-1, 0] - table[0, 0] < JUDGED_S:
+        return None
     t_s, memory, handles = table.T
     grows, noise = _growth(t_s, memory)
     level = float(np.median(memory[: max(3, len(memory) // 10)]))
     return Slope(
         life.name, life.pid, float(t_s[-1] - t_s[0]) / 60.0, level, grows,
-        max(GROWTH_MIB, GROWTH_SHARE * level, min(3.0 * noise, 4.0 * GROWTH_MIB)),
+        max(GROWTH_MIB, GROWTH_SHARE * level, min(3.0 * noise, 2.0 * GROWTH_MIB)),
         float(np.median(handles[: max(3, len(handles) // 10)])), _growth(t_s, handles)[0],
     )  # fmt: skip
 

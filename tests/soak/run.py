@@ -93,7 +93,8 @@ class Soak:
             "disk_filled": subject.disk is not None,
             "workers": {worker.name: worker.error for worker in load if worker.error},
         }
-        slopes = [fit for fit in map(judge.slope, processes.lives) if fit is not None]
+        busy = plan.busy(self._duration_s)
+        slopes = [fit for life in processes.lives if (fit := judge.slope(life, busy)) is not None]
         results["processes"] = [asdict(fit) for fit in slopes]
         results["samples"] = [
             {"name": one.name, "pid": one.pid, "s_mib_handles": one.table.round(2).tolist()} for one in processes.lives

@@ -56,6 +56,14 @@ def test_a_file_handle_a_few_minutes_is_found() -> None:
     assert [line for line in fit.findings if "file handles grew" in line]
 
 
+def test_what_the_load_itself_takes_is_no_growth() -> None:
+    memory = np.where(HOUR < 360.0, 60.0, 66.0)  # with clients, from the load's beginning on
+    fit = slope(life(memory), (360.0, 3240.0))
+    assert fit is not None
+    assert list(fit.findings) == []
+    assert fit.minutes == pytest.approx(47.0, abs=0.1)
+
+
 def test_a_short_life_is_not_judged() -> None:
     assert slope(Life("page", 1, [(float(t), 10.0 + t, 5) for t in range(100)])) is None
 
