@@ -16,6 +16,7 @@ from tests.soak import plan
 from tests.soak.judge import explained, slope
 from tests.soak.pauses import LATE_MS, Pause, Pauses
 from tests.soak.sampling import Life
+from tests.soak.subject import SubjectError, installed
 
 HOUR = np.arange(0.0, 3600.0, 2.0)
 
@@ -115,3 +116,11 @@ def test_a_time_is_read_with_its_unit(text: str, expected: float) -> None:
 def test_what_is_no_time_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="expected a time of 30 s or more"):
         plan.seconds(text)
+
+
+def test_a_rig_that_is_not_installed_is_refused_in_one_line() -> None:
+    with (
+        pytest.raises(SubjectError, match=r"found no /etc/rigctl/nosuch\.yaml, expected an installed rig"),
+        installed("nosuch"),
+    ):
+        pass
