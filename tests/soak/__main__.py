@@ -60,6 +60,8 @@ def main() -> int:
     for kind, figures in results["lateness"].items():
         say(f"lateness {kind:<6} " + "  ".join(f"{name} {value:g}" for name, value in figures.items()))
     say(f"{results['records']} records, lost: {results['lost']}")
+    if results["overwritten"]:
+        say(f"{results['overwritten']} more were overwritten in the ring before a killed gateway was back")
     say(f"commands {results['commands']}, clients {results['clients_came']}, page frames {results['page']['frames']}")
     pauses = results["pauses"]
     say(f"pauses of the computer: {pauses['count']}, the longest {pauses['longest_ms']:.0f} ms")

@@ -21,6 +21,9 @@ GROWTH_SHARE = 0.03
 HANDLES = 4.0  # a client more, and a runtime of Zenoh, which opens three at the first end of a link
 EXPLAINED_S = 30.0
 """Time after a strike against control within which its drive's own stop may trip the next loop."""
+GATEWAY = "the gateway"
+WAITED_S = 5.0
+"""A gateway that waited so long for a processor may come back after the ring of 16 s has been written over."""
 PAUSED_BEFORE_S = 1.0
 """A pause that ended so long before a trip explains it: the drive follows half a second after the bus."""
 
@@ -97,8 +100,18 @@ def cause_of(trip: dict[str, Any], struck_ns: list[int], pauses: list[Pause]) ->
     for at in struck_ns:
         if 0 <= t_ns - at <= EXPLAINED_S * 1e9:
             return f"control was killed {(t_ns - at) / 1e9:.1f} s before"
-    near = [one for one in pauses if -PAUSED_BEFORE_S * 1e9 <= one.t_ns - t_ns <= one.ms * 1e6 + 1e8]
+    near = [
+        one
+        for one in pauses
+        if not one.what.startswith(GATEWAY) and -PAUSED_BEFORE_S * 1e9 <= one.t_ns - t_ns <= one.ms * 1e6 + 1e8
+    ]
     return str(max(near, key=lambda one: one.ms)) if near else ""
+
+
+def lost(listener: int, overwritten: int, pauses: list[Pause]) -> int:
+    """Records that a client lost, less those overwritten while a killed gateway's successor waited for a processor."""
+    waited_s = sum(one.ms for one in pauses if one.what.startswith(GATEWAY)) / 1000.0
+    return max(0, listener - overwritten) if waited_s >= WAITED_S else listener
 
 
 def explained(trips: list[dict[str, Any]], struck_ns: list[int], pauses: list[Pause]) -> list[dict[str, str]]:

@@ -29,8 +29,9 @@ SAMPLES = 2000  # of each process, at most
 
 
 def _timely(pids: dict[str, int]) -> dict[str, int]:
-    """The processes whose pause makes the rig trip."""
-    return {words: pids[name] for name, words in ((RIG, f"the {RIG}"), ("control", "the loop")) if name in pids}
+    """The processes whose pause makes the rig trip, and the gateway, which has to be back before the ring is full."""
+    watched = ((RIG, f"the {RIG}"), ("control", "the loop"), ("gateway", judge.GATEWAY))
+    return {words: pids[name] for name, words in watched if name in pids}
 
 
 class Soak:
@@ -42,6 +43,7 @@ class Soak:
         self._struck: list[dict[str, Any]] = []
         self._not_back: list[str] = []
         self._events: dict[tuple[int, str], dict[str, Any]] = {}
+        self._overwritten = 0  # records that the ring no longer held when a gateway was back
 
     def run(self, subject: Subject) -> tuple[dict[str, Any], list[judge.Slope], Processes]:
         """Play it; returns figures, fits and samples. The daemon is ended."""
@@ -81,11 +83,12 @@ class Soak:
             "lost": {
                 "records_lost_by_the_recorder": recorded["records"],
                 "frames_lost_by_the_recorder": recorded["frames"],
-                "records_lost_by_a_listener": listener.lost,
+                "records_lost_by_a_listener": judge.lost(listener.lost, self._overwritten, pauses.seen),
                 "records_missed_in_the_ring": lateness.gaps,
                 "records_missing_in_the_recording": whole["missing"],
             },
             "recording_read_s": whole["read_s"],
+            "overwritten": self._overwritten,
             "trips": judge.explained(trips, control_ns, pauses.seen),
             "pauses": {"count": len(pauses.seen), "longest_ms": max((one.ms for one in pauses.seen), default=0.0)},
             "browser": {"there": onlooker.there, "draws": onlooker.draws, "errors": sorted(onlooker.errors)},
@@ -155,6 +158,7 @@ class Soak:
         with contextlib.suppress(NoDaemonError), Client(endpoint, name) as client:
             for event in client.past_events():
                 self._events[int(event.get("t_ns", 0)), str(event.get("text"))] = dict(event)
+            self._overwritten = int(client.state().get("samples_lost", 0))
 
     def _recording(self, folder: pathlib.Path) -> dict[str, float]:
         """Records missing in the recording as it was kept, and the time it covers."""

@@ -13,7 +13,7 @@ import pytest
 
 from tests.builders.miniature import stop
 from tests.soak import plan
-from tests.soak.judge import explained, slope
+from tests.soak.judge import explained, lost, slope
 from tests.soak.pauses import LATE_MS, Pause, Pauses
 from tests.soak.sampling import Life
 from tests.soak.subject import SubjectError, installed
@@ -83,6 +83,13 @@ def test_a_trip_needs_a_cause_in_the_log_and_a_reason_in_the_soak() -> None:
     assert explained([{"t_ns": second, "text": "", "seq": 4}], [0], []) == [
         {"text": "event 4 without a text", "cause": ""}
     ]
+
+
+def test_a_loss_is_excused_where_the_gateway_got_no_processor() -> None:
+    waited = [Pause(second * 10**9, 600.0, "the gateway waited for a processor") for second in range(10)]
+    assert lost(9000, 9000, waited) == 0
+    assert lost(9000, 8000, waited) == 1000
+    assert lost(9000, 9000, waited[:3]) == 9000
 
 
 def test_a_pause_of_a_processor_is_seen() -> None:
