@@ -36,6 +36,7 @@ from rigctl.gateway.run_keys import run_keys
 from rigctl.gateway.signer import Signer
 from rigctl.gateway.streams import EventStream, FastStream, event_publishers, past_block, past_messages
 from rigctl.identity.key_folder import KeyFolderError
+from rigctl.ipc import heap
 from rigctl.ipc.joining import UsageError, joined
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.notes import RequestLog
@@ -342,6 +343,7 @@ def main(arguments: list[str]) -> int:
     stop = Termination(signal.SIGTERM, signal.SIGHUP)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
+    heap.limit()
     try:
         if (run := joined(arguments, "gateway", stop)) is None:
             return 0

@@ -15,6 +15,7 @@ from typing import NoReturn
 
 import uvicorn
 
+from rigctl.ipc import heap
 from rigctl.ipc.termination import ENDING, heeded
 from rigctl.page.browser_connection import BACKLOG, HEADER_BYTES, protocol
 from rigctl.page.guard import Guard
@@ -55,6 +56,7 @@ def serve(
         tls: for HTTPS.
         links: place of the socket that makes further one-time links; without one there are no others.
     """
+    heap.limit()
     picture, stop = Picture(endpoint), threading.Event()
     reader = RigReader(picture, rig, stop)
     commands = PageCommands(guard.operator, rig, picture) if guard.operator is not None else None

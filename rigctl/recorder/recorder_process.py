@@ -23,7 +23,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke
 from rigctl.control.modes import Mode
 from rigctl.control.realtime import die_with_parent
-from rigctl.ipc import ledger
+from rigctl.ipc import heap, ledger
 from rigctl.ipc.joining import UsageError, joined
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, FolderError, Runtime
@@ -327,6 +327,7 @@ def main(arguments: Sequence[str], stop: Termination) -> int:
     """Run the recorder of the runtime folder named until ``stop``; returns the exit code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
+    heap.limit()
     try:
         if (run := joined(arguments, "recorder", stop)) is None:
             return 0

@@ -1,4 +1,4 @@
-"""``python -m tests.soak [--for 8h] [--seed N] [--json F] [--plot F]``: a day in service, judged.
+"""``python -m tests.soak [--for 8h] [--seed N] [--service RIG] [--json F] [--plot F]``: a day in service, judged.
 
 Exit code 0: every promise held; 1: one line for each that was broken; 2: wrong usage.
 """
@@ -12,7 +12,7 @@ import secrets
 import sys
 import tempfile
 
-from tests.soak import picture, plan
+from tests.soak import picture, plan, subject
 from tests.soak.run import Soak
 
 
@@ -28,6 +28,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=None, help="of everything random [another each time]")
     parser.add_argument("--json", type=pathlib.Path, default=pathlib.Path("results/soak.json"), metavar="FILE")
     parser.add_argument("--plot", type=pathlib.Path, default=pathlib.Path("results/soak.png"), metavar="FILE")
+    parser.add_argument(
+        "--service", metavar="RIG", help="soak the services of this installed rig, as root, and stop them"
+    )
     arguments = parser.parse_args()
     try:
         duration_s = plan.seconds(arguments.duration)
@@ -37,7 +40,14 @@ def main() -> int:
     seed = secrets.randbelow(10**6) if arguments.seed is None else arguments.seed
     say(f"soak: {duration_s:.0f} s, seed {seed} (--seed {seed} plays the same again)")
     with tempfile.TemporaryDirectory(prefix="rigctl-soak-") as folder:
-        results, slopes, processes = Soak(duration_s, seed, pathlib.Path(folder), say).run()
+        try:
+            with (
+                subject.installed(arguments.service) if arguments.service else subject.own(pathlib.Path(folder)) as one
+            ):
+                results, slopes, processes = Soak(duration_s, seed, say).run(one)
+        except subject.SubjectError as error:
+            sys.stderr.write(f"soak: --service: {error}\n")
+            return 2
     for file in (arguments.json, arguments.plot):
         file.parent.mkdir(parents=True, exist_ok=True)
     arguments.json.write_text(json.dumps(results, indent=2) + "\n")
@@ -50,8 +60,14 @@ def main() -> int:
     for kind, figures in results["lateness"].items():
         say(f"lateness {kind:<6} " + "  ".join(f"{name} {value:g}" for name, value in figures.items()))
     say(f"{results['records']} records, lost: {results['lost']}")
+    if results["overwritten"]:
+        say(f"{results['overwritten']} more were overwritten in the ring before a killed gateway was back")
     say(f"commands {results['commands']}, clients {results['clients_came']}, page frames {results['page']['frames']}")
-    say(f"strikes {len(results['strikes'])}, trips {results['trips']['count']}")
+    pauses = results["pauses"]
+    say(f"pauses of the computer: {pauses['count']}, the longest {pauses['longest_ms']:.0f} ms")
+    say(f"strikes {len(results['strikes'])}, trips {len(results['trips'])}")
+    for trip in results["trips"]:
+        say(f"  {trip['text'].partition(':')[0]}: {trip['cause'] or 'NO CAUSE'}")
     for line in results["broken"]:
         sys.stderr.write(f"soak: {line}\n")
     return 1 if results["broken"] else 0

@@ -7,6 +7,7 @@ import errno
 import os
 import pathlib
 import random
+import re
 import threading
 import time
 from collections import Counter
@@ -20,11 +21,15 @@ from websockets.typing import Origin
 from rigctl.client import Rig, connect
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.wire.lease import Denial
+from tests.builders import pages
 from tests.soak import plan
 
 OPERATOR = "soak"
 BETWEEN_S = (0.1, 1.5)
-PAUSE_NS = 50_000_000
+NICENESS = 10  # of the browser: the rig's computer has none
+MEASURE_S = 10.0
+_KILLED = "ERR_CONNECTION_(REFUSED|RESET|CLOSED)|ERR_EMPTY_RESPONSE"
+"""What a browser reports of a page server that was killed."""
 
 
 class Worker(threading.Thread):
@@ -174,22 +179,35 @@ class PageReader(Worker):
             self.wait(0.5)
 
 
-class Pauses(Worker):
-    """Pauses of the computer, as a thread of this process sees them: instants (monotonic ns) and milliseconds."""
+class Onlooker(Worker):
+    """The page in a real browser, left open; its memory is what its own scripts use, after a collection."""
 
-    def __init__(self) -> None:
-        super().__init__("pauses")
-        self.seen: list[tuple[int, float]] = []
+    def __init__(self, address: str) -> None:
+        super().__init__("browser")
+        self._address = address
+        self.there = pathlib.Path(pages.CHROMIUM).exists()
+        self.draws = 0
+        self.memory: list[tuple[float, float]] = []  # time.monotonic() and MiB
+        self.errors: Counter[str] = Counter()
 
     def work(self) -> None:
         """See `Worker`."""
-        before = time.monotonic_ns()
-        while self.going:
-            time.sleep(0.01)
-            now = time.monotonic_ns()
-            if now - before > PAUSE_NS:
-                self.seen.append((now, (now - before) / 1e6))
-            before = now
+        if not self.there:
+            self.wait(1.0)
+            return
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)  # the browser inherits it
+        with pages.browser() as chromium:
+            seen = pages.look(chromium, f"http://{self._address}/")
+            scripts = seen.page.context.new_cdp_session(seen.page)
+            measured = 0.0
+            while self.going:
+                seen.page.wait_for_timeout(500)
+                if (now := time.monotonic()) - measured >= MEASURE_S:
+                    measured = now
+                    scripts.send("HeapProfiler.collectGarbage")
+                    self.memory.append((now, scripts.send("Runtime.getHeapUsage")["usedSize"] / 2**20))
+                    self.draws = max(self.draws, seen.run("window.rigctl ? rigctl.draws : 0"))
+            self.errors.update(error for error in seen.errors if not re.search(_KILLED, error))
 
 
 @contextlib.contextmanager

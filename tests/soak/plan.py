@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 VICTIMS = ("gateway", "recorder", "hold", "page", "control")
-KILLS_EACH = 3  # in a long soak; processes live long enough in between for the slope of their memory
+LONG_S = 1800.0
+KILLS_LONG, KILLS_SHORT = 3, 1  # of each process: it lives long enough in between for the slope of its memory
 SHORTEST_S = 8.0  # between two strikes: the processes are back, the recorder has caught up
 ALONE_SHARE = 0.2
 """Share of the time without clients or strikes, at the beginning and at the end, for the lateness without them."""
@@ -42,9 +43,10 @@ def busy(duration_s: float) -> tuple[float, float]:
 
 
 def strikes(duration_s: float, chance: random.Random) -> list[Strike]:
-    """Every process killed ``KILLS_EACH`` times and the disk filled as often, or as many as there is time for."""
+    """Every process killed and the disk filled some times each, or as many as there is time for."""
     begin, end = busy(duration_s)
-    what = [name for _ in range(KILLS_EACH) for name in chance.sample((*VICTIMS, "disk"), len(VICTIMS) + 1)]
+    each = KILLS_LONG if duration_s >= LONG_S else KILLS_SHORT
+    what = [name for _ in range(each) for name in chance.sample((*VICTIMS, "disk"), len(VICTIMS) + 1)]
     what = what[: max(1, int((end - begin) / SHORTEST_S) - 1)]
     every = (end - begin) / (len(what) + 1)
     spread = max(0.0, every - SHORTEST_S) / 2

@@ -1,4 +1,4 @@
-"""One soak: a daemon on the simulated rig in processes of its own, with everything at once, and the figures of it."""
+"""One soak: everything at once on a daemon with the simulated rig, and the figures of it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import os
 import pathlib
 import random
 import signal
-import subprocess
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -16,65 +15,59 @@ from typing import Any
 
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.control.events import Kind
-from rigctl.ipc.runtime_folder import RECORDED, Runtime
+from rigctl.ipc.runtime_folder import RECORDED
 from rigctl.recorder import parts, recording
-from tests.bench.recorder import PATIENT
-from tests.builders import daemons
 from tests.soak import judge, plan
-from tests.soak.load import Commander, Listener, PageReader, Pauses, Visitors, filled, small_disk
-from tests.soak.sampling import Lateness, Processes, children
+from tests.soak.load import Commander, Listener, Onlooker, PageReader, Visitors, Worker, filled
+from tests.soak.pauses import Pauses
+from tests.soak.sampling import Lateness, Life, Processes
+from tests.soak.subject import RIG, Subject
 
-PARTS_MB, KEEP_MB, FREE_MIB, DISK_MIB = 16, 64, 16, 160
 BACK_S = 30.0
 POLL_S = 0.25
 SAMPLES = 2000  # of each process, at most
 
 
+def _timely(pids: dict[str, int]) -> dict[str, int]:
+    """The processes whose pause makes the rig trip, and the gateway, which has to be back before the ring is full."""
+    watched = ((RIG, f"the {RIG}"), ("control", "the loop"), ("gateway", judge.GATEWAY))
+    return {words: pids[name] for name, words in watched if name in pids}
+
+
 class Soak:
     """A running soak."""
 
-    def __init__(self, duration_s: float, seed: int, folder: pathlib.Path, say: Callable[[str], None]) -> None:
-        self._duration_s, self._seed, self._folder, self._say = duration_s, seed, folder, say
+    def __init__(self, duration_s: float, seed: int, say: Callable[[str], None]) -> None:
+        self._duration_s, self._seed, self._say = duration_s, seed, say
         self._chance = random.Random(seed)
         self._struck: list[dict[str, Any]] = []
         self._not_back: list[str] = []
         self._events: dict[tuple[int, str], dict[str, Any]] = {}
+        self._overwritten = 0  # records that the ring no longer held when a gateway was back
 
-    def run(self) -> tuple[dict[str, Any], list[judge.Slope], Processes]:
-        """Play it; returns figures, fits and samples."""
-        with small_disk(self._folder / "disk", DISK_MIB, subprocess.run) as disk:
-            return self._on(disk)
-
-    def _on(self, disk: pathlib.Path | None) -> tuple[dict[str, Any], list[judge.Slope], Processes]:
-        page = f"localhost:{daemons.free_port()}"  # an address in numbers would need quotes in the rig file
-        kept: dict[str, Any] = {"part_mb": PARTS_MB, "keep_mb": KEEP_MB, "free_mib": FREE_MIB}
-        changes: dict[str, dict[str, Any]] = {
-            **PATIENT,
-            "preflight": {"disk_free_mib": 1},
-            "recording": kept | ({"folder": str(disk)} if disk is not None else {}),
-            "page": {"listen": page},
-        }
-        file, log = daemons.rig_file(self._folder, changes), self._folder / "daemon.log"
-        name, endpoint = daemons.name_of(file), daemons.endpoint(file)
-        with daemons.simulated_rig(file, self._folder / "rig.log"), daemons.daemon(file, log) as daemon:
-            runtime = Runtime.of(name)
-            processes, lateness = Processes(daemon.pid), Lateness(runtime.records.reader())
-            commander = Commander(endpoint, name, random.Random(self._seed + 1))
-            visitors = Visitors(endpoint, name, random.Random(self._seed + 2))
-            listener, reader, pauses = Listener(endpoint, name), PageReader(page), Pauses()
-            load = (commander, visitors, listener, reader)
-            for worker in (*load, pauses):
-                worker.start()
-            pauses.active.set()
-            recorded = self._play(daemon.pid, runtime, disk, processes, lateness, load)
-            for worker in (*load, pauses):
-                worker.end()
-            self._take_events(endpoint, name)
-            daemon.send_signal(signal.SIGTERM)
-            code = daemon.wait(60.0)
-        whole = self._recording(disk if disk is not None else self._folder / "recordings")
+    def run(self, subject: Subject) -> tuple[dict[str, Any], list[judge.Slope], Processes]:
+        """Play it; returns figures, fits and samples. The daemon is ended."""
+        name, endpoint, page = subject.rig, subject.endpoint, subject.page
+        processes, lateness = Processes(subject.pids), Lateness(subject.runtime.records.reader())
+        commander = Commander(endpoint, name, random.Random(self._seed + 1))
+        visitors = Visitors(endpoint, name, random.Random(self._seed + 2))
+        listener, reader, onlooker = Listener(endpoint, name), PageReader(page), Onlooker(page)
+        load = (commander, visitors, listener, reader, onlooker)
+        for worker in load:
+            worker.start()
+        pauses, start = Pauses(lambda: _timely(subject.pids())), time.monotonic()
+        recorded = self._play(subject, processes, lateness, load)
+        for worker in load:
+            worker.end()
+        pauses.end()
+        self._take_events(endpoint, name)
+        code = subject.end()
+        whole = self._recording(subject.recordings)
         trips = [event for event in self._events.values() if event.get("kind") == Kind.TRIP.name]
         control_ns = [strike["t_ns"] for strike in self._struck if strike["what"] == "control"]
+        if onlooker.memory:
+            seen = [(at - start, mib, 0) for at, mib in onlooker.memory]
+            processes.lives.append(Life("scripts", 0, seen))
         results: dict[str, Any] = {
             "duration_s": self._duration_s,
             "seed": self._seed,
@@ -90,22 +83,21 @@ class Soak:
             "lost": {
                 "records_lost_by_the_recorder": recorded["records"],
                 "frames_lost_by_the_recorder": recorded["frames"],
-                "records_lost_by_a_listener": listener.lost,
+                "records_lost_by_a_listener": judge.lost(listener.lost, self._overwritten, pauses.seen),
                 "records_missed_in_the_ring": lateness.gaps,
                 "records_missing_in_the_recording": whole["missing"],
             },
             "recording_read_s": whole["read_s"],
-            "trips": {
-                "count": len(trips),
-                "texts": [trip.get("text", "") for trip in trips],
-                "unexplained": judge.unexplained(trips, control_ns, pauses.seen),
-            },
-            "pauses": {"count": len(pauses.seen), "longest_ms": max((ms for _, ms in pauses.seen), default=0.0)},
+            "overwritten": self._overwritten,
+            "trips": judge.explained(trips, control_ns, pauses.seen),
+            "pauses": {"count": len(pauses.seen), "longest_ms": max((one.ms for one in pauses.seen), default=0.0)},
+            "browser": {"there": onlooker.there, "draws": onlooker.draws, "errors": sorted(onlooker.errors)},
             "lateness": lateness.figures(),
-            "disk_filled": disk is not None,
-            "workers": {worker.name: worker.error for worker in (*load, pauses) if worker.error},
+            "disk_filled": subject.disk is not None,
+            "workers": {worker.name: worker.error for worker in load if worker.error},
         }
-        slopes = [fit for fit in map(judge.slope, processes.lives) if fit is not None]
+        busy = plan.busy(self._duration_s)
+        slopes = [fit for life in processes.lives if (fit := judge.slope(life, busy)) is not None]
         results["processes"] = [asdict(fit) for fit in slopes]
         results["samples"] = [
             {"name": one.name, "pid": one.pid, "s_mib_handles": one.table.round(2).tolist()} for one in processes.lives
@@ -114,9 +106,8 @@ class Soak:
         return results, slopes, processes
 
     def _play(
-        self, supervisor: int, runtime: Runtime, disk: pathlib.Path | None,
-        processes: Processes, lateness: Lateness, load: tuple[Any, ...],
-    ) -> Counter[str]:  # fmt: skip
+        self, subject: Subject, processes: Processes, lateness: Lateness, load: tuple[Worker, ...]
+    ) -> Counter[str]:
         begin, end = plan.busy(self._duration_s)
         due = plan.strikes(self._duration_s, self._chance)
         every = max(POLL_S, self._duration_s / SAMPLES)
@@ -127,35 +118,35 @@ class Soak:
             for worker in load:
                 (worker.active.set if busy else worker.active.clear)()
             if busy and due and now >= due[0].at_s:
-                self._strike(due.pop(0), supervisor, disk, now)
+                self._strike(due.pop(0), subject, now)
             if now - sampled >= every:
                 sampled = now
                 processes.sample(now)
-                written = runtime.known(RECORDED)
+                written = subject.runtime.known(RECORDED)
                 told = written.get("recording") or {}
                 losses[int(written.get("pid", 0))] = (told.get("records_lost", 0), told.get("frames_lost", 0))
             if busy and now - said >= min(60.0, self._duration_s / 6):
                 said = now
-                self._take_events(str(load[0]._endpoint), str(load[0]._rig))
+                self._take_events(subject.endpoint, subject.rig)
                 self._say(f"{now:.0f} s: {lateness.records} records, {len(self._struck)} strikes")
             lateness.follow("busy" if busy else "alone")
             time.sleep(POLL_S)
         until = time.monotonic() + BACK_S
-        while (gone := {*plan.VICTIMS} - children(supervisor).keys()) and time.monotonic() < until:
+        while (gone := {*plan.VICTIMS} - subject.pids().keys()) and time.monotonic() < until:
             time.sleep(POLL_S)
         self._not_back += sorted(gone)
         return Counter(
             records=sum(records for records, _ in losses.values()), frames=sum(frames for _, frames in losses.values())
         )
 
-    def _strike(self, strike: plan.Strike, supervisor: int, disk: pathlib.Path | None, now: float) -> None:
+    def _strike(self, strike: plan.Strike, subject: Subject, now: float) -> None:
         self._struck.append({"what": strike.what, "at_s": round(now, 1), "t_ns": time.monotonic_ns()})
         if strike.what == "disk":
-            if disk is not None:
-                with filled(disk):
+            if subject.disk is not None:
+                with filled(subject.disk):
                     time.sleep(plan.DISK_FULL_S)
             return
-        pid = children(supervisor).get(strike.what)
+        pid = subject.pids().get(strike.what)
         if pid is None:
             self._not_back.append(strike.what)
             return
@@ -167,6 +158,7 @@ class Soak:
         with contextlib.suppress(NoDaemonError), Client(endpoint, name) as client:
             for event in client.past_events():
                 self._events[int(event.get("t_ns", 0)), str(event.get("text"))] = dict(event)
+            self._overwritten = int(client.state().get("samples_lost", 0))
 
     def _recording(self, folder: pathlib.Path) -> dict[str, float]:
         """Records missing in the recording as it was kept, and the time it covers."""

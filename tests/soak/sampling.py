@@ -5,15 +5,13 @@ from __future__ import annotations
 import contextlib
 import pathlib
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from rigctl.ipc.ring import RingReader
-from rigctl.supervisor.daemon import PAGE, PROCESSES
-
-_NAMES = {module: name for name, module in (PROCESSES | PAGE).items()}
 
 
 @dataclass
@@ -30,30 +28,18 @@ class Life:
         return np.array(self.samples, float).reshape(-1, 3)
 
 
-def children(pid: int) -> dict[str, int]:
-    """Names and pids of a daemon's processes."""
-    found = {}
-    with contextlib.suppress(OSError):
-        for child in pathlib.Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
-            with contextlib.suppress(OSError):
-                words = pathlib.Path(f"/proc/{child}/cmdline").read_bytes().decode(errors="replace").split("\0")
-                name = next((_NAMES[word] for word in words if word in _NAMES), None)
-                if name is not None:
-                    found[name] = int(child)
-    return found
-
-
 class Processes:
     """Samples of a daemon's processes; shared memory, which the rings fill by design, is not counted."""
 
-    def __init__(self, supervisor: int) -> None:
-        self._supervisor = supervisor
+    def __init__(self, pids: Callable[[], dict[str, int]]) -> None:
+        """``pids``: the processes that run now, by name."""
+        self._pids = pids
         self.lives: list[Life] = []
         self._now: dict[str, Life] = {}
 
-    def sample(self, at_s: float) -> dict[str, int]:
-        """Take a sample of every process; returns the pids."""
-        pids = {"supervisor": self._supervisor, **children(self._supervisor)}
+    def sample(self, at_s: float) -> None:
+        """Take a sample of every process."""
+        pids = self._pids()
         for name, pid in pids.items():
             life = self._now.get(name)
             if life is None or life.pid != pid:
@@ -65,7 +51,6 @@ class Processes:
                 count = len(list(pathlib.Path(f"/proc/{pid}/fd").iterdir()))
                 if private is not None:
                     life.samples.append((at_s, int(private[1]) / 1024.0, count))
-        return pids
 
 
 class Lateness:

@@ -21,6 +21,7 @@ export class Link {
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       this.connected = true;
+      this.heard = performance.now(); // opening may have taken long, as while the server starts
       this.opened++;
       this.waitMs = FIRST_MS;
       this.choose(this.window);
