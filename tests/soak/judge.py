@@ -139,6 +139,6 @@ def broken(results: dict[str, Any], slopes: list[Slope]) -> list[str]:
         found.append("no command was accepted")
     if not results["page"]["frames"]:
         found.append("the page sent no frame")
-    if results["browser"]["there"] and not results["browser"]["draws"]:
-        found.append("the browser drew nothing")
+    if results["browser"]["open_s"] > JUDGED_S and not results["browser"]["draws"]:
+        found.append(f"the browser drew nothing in {results['browser']['open_s']:.0f} s")
     return found

@@ -187,6 +187,7 @@ class Onlooker(Worker):
         self._address = address
         self.there = pathlib.Path(pages.CHROMIUM).exists()
         self.draws = 0
+        self.open_s = 0.0
         self.memory: list[tuple[float, float]] = []  # time.monotonic() and MiB
         self.errors: Counter[str] = Counter()
 
@@ -199,7 +200,7 @@ class Onlooker(Worker):
         with pages.browser() as chromium:
             seen = pages.look(chromium, f"http://{self._address}/")
             scripts = seen.page.context.new_cdp_session(seen.page)
-            measured = 0.0
+            opened, measured = time.monotonic(), 0.0
             while self.going:
                 seen.page.wait_for_timeout(500)
                 if (now := time.monotonic()) - measured >= MEASURE_S:
@@ -207,6 +208,7 @@ class Onlooker(Worker):
                     scripts.send("HeapProfiler.collectGarbage")
                     self.memory.append((now, scripts.send("Runtime.getHeapUsage")["usedSize"] / 2**20))
                     self.draws = max(self.draws, seen.run("window.rigctl ? rigctl.draws : 0"))
+                self.open_s = now - opened
             self.errors.update(error for error in seen.errors if not re.search(_KILLED, error))
 
 

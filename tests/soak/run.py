@@ -91,7 +91,12 @@ class Soak:
             "overwritten": self._overwritten,
             "trips": judge.explained(trips, control_ns, pauses.seen),
             "pauses": {"count": len(pauses.seen), "longest_ms": max((one.ms for one in pauses.seen), default=0.0)},
-            "browser": {"there": onlooker.there, "draws": onlooker.draws, "errors": sorted(onlooker.errors)},
+            "browser": {
+                "there": onlooker.there,
+                "open_s": round(onlooker.open_s, 1),
+                "draws": onlooker.draws,
+                "errors": sorted(onlooker.errors),
+            },
             "lateness": lateness.figures(),
             "disk_filled": subject.disk is not None,
             "workers": {worker.name: worker.error for worker in load if worker.error},
