@@ -85,13 +85,14 @@ class Pauses:
 def _sleep_on(cpu: int) -> None:
     os.sched_setaffinity(0, {cpu})
     lines: list[str] = []
+    before = time.monotonic_ns()
     sys.stdout.write("sleeping\n")
     sys.stdout.flush()
-    while not select.select([sys.stdin], [], [], 0.0)[0]:
-        before = time.monotonic_ns()
-        time.sleep(_SLEEP_S)
+    ended = False
+    while not ended:  # from one wake-up to the next, so that no pause falls between two measurements
+        ended = bool(select.select([sys.stdin], [], [], _SLEEP_S)[0])
         now = time.monotonic_ns()
-        late_ms = (now - before) / 1e6 - 1000.0 * _SLEEP_S
+        late_ms, before = (now - before) / 1e6 - 1000.0 * _SLEEP_S, now
         if late_ms >= LATE_MS:
             lines.append(f"{cpu} {now} {late_ms:.1f}\n")
     sys.stdout.writelines(lines)
