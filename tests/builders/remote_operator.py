@@ -24,7 +24,7 @@ import msgspec
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.client.shapes import refusal
 from rigctl.wire.proof import unsealed
-from tests.builders.intruder import NOBODY, PATIENCE_S
+from tests.builders.intruder import NOBODY, PATIENCE_S, become_nobody
 
 OTHER_CLOCK_NS = 10**15  # another computer's monotonic clock has another origin
 
@@ -41,8 +41,7 @@ class RemoteOperator:
         shutil.copy(key, own)
         os.chown(own, NOBODY, NOBODY)
         own.chmod(0o600)
-        become = ("setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups")
-        command = [*namespace, *become, sys.executable, __file__, endpoint, rig, str(own)]
+        command = [*namespace, sys.executable, __file__, endpoint, rig, str(own)]
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd="/", bufsize=1
         )
@@ -103,6 +102,7 @@ def _opened(endpoint: str, rig: str, key: str) -> _Remembering:
 
 
 def main(endpoint: str, rig: str, key: str) -> None:
+    become_nobody()
     client = _opened(endpoint, rig, key)
     client.trust._clock_ns = OTHER_CLOCK_NS
     sys.stdout.write("ready\n")

@@ -14,6 +14,7 @@ import pytest
 from rigctl.gateway.lease_service import IN_FORCE
 from rigctl.wire.keys import Keys
 from tests.builders.certified import CertifiedDaemon, certified
+from tests.builders.intruder import let_others_in
 from tests.builders.miniature import until
 from tests.builders.namespace import HERE
 from tests.builders.remote_operator import RemoteOperator
@@ -41,7 +42,6 @@ def opened(own: CertifiedDaemon, namespace: tuple[str, ...], tmp_path: pathlib.P
     def start(name: str) -> RemoteOperator:
         folder = tmp_path / f"{name}{len(people)}"
         folder.mkdir()
-        tmp_path.chmod(0o755)
         people.append(RemoteOperator(own.endpoint, own.settings.rig, own.key(name), folder, namespace))
         return people[-1]
 
@@ -52,8 +52,7 @@ def opened(own: CertifiedDaemon, namespace: tuple[str, ...], tmp_path: pathlib.P
 
 @pytest.fixture(autouse=True)
 def reachable_folder(tmp_path: pathlib.Path) -> None:
-    for folder in (tmp_path, *tmp_path.parents[:2]):
-        folder.chmod(folder.stat().st_mode | 0o755)
+    let_others_in(tmp_path)
 
 
 def given(daemon: CertifiedDaemon) -> int:

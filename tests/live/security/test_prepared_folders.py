@@ -20,7 +20,7 @@ from rigctl.ipc.trusted_folders import trusted_folders
 from rigctl.recorder.audit_log import AuditLog
 from rigctl.wire.run_keys import OPERATOR_KEY, PUBLIC_KEY
 from tests.builders.daemons import name_of, rig_file
-from tests.builders.intruder import NOBODY
+from tests.builders.intruder import NOBODY, let_others_in
 from tests.builders.miniature import PATIENCE_S, Daemon, until
 from tests.builders.paths import ROOT
 
@@ -124,8 +124,7 @@ def test_a_link_in_place_of_an_output_file_or_log_is_not_followed(tmp_path: path
     victim.write_text("root's")
     folder = tmp_path / "open"
     folder.mkdir()
-    for closed in (tmp_path, *tmp_path.parents[:2]):
-        closed.chmod(0o755)
+    let_others_in(tmp_path)
     folder.chmod(0o777)
     part = folder / f".report.html.{os.getpid()}.part"
     assert as_nobody("ln", "-s", str(victim), str(part)).returncode == 0
@@ -143,8 +142,7 @@ def service(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> Runtime:
     """The folder of an installed service, as its own user has it."""
     base = tmp_path / "run"
     base.mkdir(mode=0o755)
-    for folder in (tmp_path, *tmp_path.parents[:2]):
-        folder.chmod(0o755)
+    let_others_in(tmp_path)
     monkeypatch.setattr(layout, "RUN", base)
     monkeypatch.setattr(writers, "group_id", lambda _name: -1)  # the service may be installed on this computer
     runtime = Runtime.of("paper_rig", base)
