@@ -243,12 +243,15 @@ def test_the_service_manager_is_told_and_fed_only_while_the_loop_ticks(
     tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = daemons.rig_file(tmp_path, PATIENT)
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+    with (
+        daemons.simulated_rig(file, tmp_path / "rig.log"),
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager,
+    ):
         manager.bind(str(tmp_path / "notify"))
         manager.settimeout(20.0)
-        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))  # after the simulated rig, which notifies too
         log = tmp_path / "daemon.log"
-        with daemons.simulated_rig(file, tmp_path / "rig.log"), daemons.daemon(file, log):
+        with daemons.daemon(file, log):
             assert manager.recv(100) == b"READY=1"
             assert manager.recv(100) == b"WATCHDOG=1"
             control = Runtime.of(daemons.name_of(file)).read_json("control.json")["pid"]
