@@ -1,6 +1,7 @@
 # make demo   the daemon's main job on the simulated rig, judged       make lint   ruff and mypy strict
 # make test   what a change is judged by, in minutes                   make bench  timing against cyclictest
-# make test-live   all real processes in real time, studies, guest kernel's bus faults
+# make test-live   all real processes in real time, studies
+# make test-machine   services in a systemd of their own, the guest kernel's bus faults, a minute of everything
 # make deb    Debian package, installable offline
 # make coverage   branches of modes and safety table    make mutation   mutants, all or a sample    make fuzz
 # make soak   SOAK=1h of random commands, kills and a full disk   make wheel, lock   release: wheel, SBOM, hashes
@@ -10,7 +11,7 @@ PYTHON := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 SOAK ?= 1h
 
-.PHONY: demo test test-live lint bench coverage mutation fuzz soak wheel lock deb setup system
+.PHONY: demo test test-live test-machine lint bench coverage mutation fuzz soak wheel lock deb setup system
 .DELETE_ON_ERROR:
 
 demo: $(STAMP)
@@ -23,7 +24,10 @@ test: $(STAMP) system
 
 test-live: $(STAMP) system
 	$(PYTHON) -m pytest -m "study and not real_time and not brief" --numprocesses auto --dist worksteal
-	$(PYTHON) -m pytest -m "real_time and not brief"
+	$(PYTHON) -m pytest -m "real_time and not brief and not machine"
+
+test-machine: $(STAMP) system
+	$(PYTHON) -m pytest -m machine
 
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .

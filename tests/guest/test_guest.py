@@ -16,7 +16,14 @@ HOME = pathlib.Path(os.environ.get("GUEST_HOME", CACHE / "rigctl/guest"))
 
 @pytest.mark.guest
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("tests", [pytest.param("socketcan", marks=pytest.mark.brief), "bus_faults", "interface"])
+@pytest.mark.parametrize(
+    "tests",
+    [
+        pytest.param("socketcan", marks=pytest.mark.brief),
+        pytest.param("bus_faults", marks=pytest.mark.machine),
+        "interface",
+    ],
+)
 def test_the_daemon_and_the_simulated_rig_on_a_real_kernels_socketcan(tests: str) -> None:
     file = str(HERE / f"inside/{tests}.py")
     inside = [sys.executable, "-m", "pytest", "-v", "--durations=0", "--timeout=250", file]

@@ -41,6 +41,7 @@ WITH_REAL_TIME = (DAEMON, SIMULATED, HOLD)
 OPERATOR, STRANGER = "kim", "vera"
 NEEDS = os.geteuid() == 0 and all(map(shutil.which, ("systemctl", "unshare", "nsenter", "dpkg-deb")))
 pytestmark = [
+    pytest.mark.machine,
     pytest.mark.skipif(not NEEDS, reason="needs root, systemd and util-linux"),
     pytest.mark.timeout(1800),
 ]
