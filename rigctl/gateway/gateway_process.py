@@ -34,7 +34,14 @@ from rigctl.gateway.published_position import Cursor
 from rigctl.gateway.refused_access import RefusedAccess, ZenohLog
 from rigctl.gateway.run_keys import run_keys
 from rigctl.gateway.signer import Signer
-from rigctl.gateway.streams import EventStream, FastStream, event_publishers, past_block, past_messages
+from rigctl.gateway.streams import (
+    EventStream,
+    FastStream,
+    declare_publisher,
+    event_publishers,
+    past_block,
+    past_messages,
+)
 from rigctl.identity.key_folder import KeyFolderError
 from rigctl.ipc import heap
 from rigctl.ipc.joining import UsageError, joined
@@ -60,7 +67,6 @@ from rigctl.wire.state_message import (
 )
 
 _JSON = zenoh.Encoding.APPLICATION_JSON
-_DROP = zenoh.CongestionControl.DROP
 _READ_NS = 500_000_000  # between two readings of the other processes' files
 _LINK_S = 1.5  # limit for links to the joined routers; they are up at once unless the computer is busy
 _JOIN_S = 0.5  # for the declarations behind those routers to arrive
@@ -211,9 +217,9 @@ class Gateway:
         records = runtime.records.reader(from_start=True)
         self._cursor = Cursor(runtime.gateway_cursor, runtime.records.path, records.head)
         self._view = view = StateView(runtime, settings, self._active)
-        self._state = self._session.declare_publisher(keys.state, encoding=_JSON, congestion_control=_DROP)
-        self._configuration = self._session.declare_publisher(keys.active, encoding=_JSON, congestion_control=_DROP)
-        fast = self._session.declare_publisher(keys.fast, congestion_control=_DROP)
+        self._state = declare_publisher(self._session, keys.state, encoding=_JSON)
+        self._configuration = declare_publisher(self._session, keys.active, encoding=_JSON)
+        fast = declare_publisher(self._session, keys.fast)
         self._fast = FastStream(fast, records, self._cursor, now, signer)
         publishers = event_publishers(self._session, keys)
         events, notes = runtime.events.reader(from_start=True), runtime.notes.reader(from_start=True)

@@ -57,6 +57,16 @@ def past_block(reader: RingReader, after: int, stream: int) -> bytes:
     )
 
 
+def declare_publisher(session: zenoh.Session, key: str, **options: Any) -> zenoh.Publisher:
+    """A publisher for clients: the gateway's own subscribers, which look for foreign messages, are none of them."""
+    return session.declare_publisher(
+        key,
+        congestion_control=zenoh.CongestionControl.DROP,
+        allowed_destination=zenoh.Locality.REMOTE,
+        **options,
+    )
+
+
 def has_subscriber(publisher: zenoh.Publisher) -> bool:
     """Whether a subscriber exists. (zenoh 1.10's stub says bool; it is an object, and always true.)"""
     return bool(getattr(publisher.matching_status, "matching", publisher.matching_status))
@@ -173,11 +183,11 @@ class EventStream:
 def event_publishers(session: zenoh.Session, keys: Keys) -> dict[str, zenoh.Publisher]:
     """One publisher per severity, with priority over the data streams."""
     return {
-        severity: session.declare_publisher(
+        severity: declare_publisher(
+            session,
             keys.event(severity),
             encoding=zenoh.Encoding.APPLICATION_JSON,
             priority=zenoh.Priority.DATA_HIGH,
-            congestion_control=zenoh.CongestionControl.DROP,
         )
         for severity in SEVERITIES
     }
