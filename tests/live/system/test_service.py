@@ -134,6 +134,8 @@ def arm(computer: ServiceComputer, user: str = "root") -> None:
     def armed() -> bool:
         given = given_by(computer, user, "rigctl", "arm")
         said[0] = given.stderr
+        if "reset clears it" in given.stderr:  # the drive's own stop, after a killed loop
+            given_by(computer, user, "rigctl", "reset")
         return given.returncode == 0
 
     try:
