@@ -24,7 +24,7 @@ FILTER = (
 LINES_MAX = 400  # read in one call; at 50 calls a second this is more than 100 clients cause
 REPORT_NS, REPORT_MAX_NS = 10_000_000_000, 3_600_000_000_000  # between two reports of one kind: doubled each time
 GROUPS_MAX, PEERS_MAX = 64, 1024
-LONGEST = 65_536
+LONGEST, BUFFER_BYTES = 65_536, 4 << 20  # a session of one client is 200 lines, each of which takes 1 KiB
 LOCAL = "a process on the gateway's socket"
 
 _JUDGED = re.compile(
@@ -159,6 +159,7 @@ class ZenohLog:
             self._reading.connect(writing.getsockname())  # from then on no other socket's datagrams arrive
             writing.connect(self._reading.getsockname())
             self._reading.setblocking(False)
+            self._reading.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)  # at most what the host allows
             self.lines()
             os.dup2(writing.fileno(), 1)
         os.environ.pop("RUST_LOG", None)  # it would replace the filter
