@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from rigctl.config import layout
+from rigctl.config.address import is_local
 from rigctl.config.settings import RigSettings
 from rigctl.ipc.writers import WRITERS
 
@@ -26,8 +27,6 @@ OTHERS = {"init.scope": "Scope", "system.slice": "Slice", "user.slice": "Slice",
 """Units that hold everything but the rig daemons, and the section of each that limits its processors."""
 TXQUEUELEN = 10  # docs/can.md: five ticks of SYNC and command; a frame that waits longer is a stale command
 CARRIER_S = 30
-_LOOPBACK = re.compile(r"(tcp|tls|quic)/(localhost|127\.[0-9.]+|\[::1\]):\d+")
-_EVERYWHERE = re.compile(r"(?<=/)(0\.0\.0\.0|\[::\])(?=:)")
 _PLAIN = re.compile(r"[A-Za-z0-9_./:@\[\]-]+")
 _INTERFACE = re.compile(r"[A-Za-z0-9_.-]{1,15}")
 _MARK = "# Written by `rigctl install`, which writes it anew; put changes into a drop-in of your own.\n"
@@ -223,7 +222,7 @@ def _affinity(settings: RigSettings, computer: Host) -> list[str]:
 
 def _process(name: str, settings: RigSettings, computer: Host) -> bytes:
     lines = _affinity(settings, computer)
-    if name == "gateway" and not is_loopback(settings.telemetry.listen):
+    if name == "gateway" and not is_local(settings.telemetry.listen):
         lines += ["# telemetry.listen is an address that other computers reach.", "IPAddressAllow=any"]
     if folders := [str(folder) for folder in _written(settings).get(name, []) if not _is_kept_here(settings, folder)]:
         lines.append(f"ReadWritePaths={' '.join(sorted(set(folders)))}")
@@ -273,16 +272,11 @@ def _folders_elsewhere(settings: RigSettings) -> list[str]:
 
 def _page(settings: RigSettings) -> bytes:
     assert settings.page is not None
-    connect = _EVERYWHERE.sub(lambda found: "[::1]" if found[1] == "[::]" else "127.0.0.1", settings.telemetry.listen)
-    lines = [f"Environment=RIGCTL_CONNECT={connect}", f"Environment=RIGCTL_PAGE_LISTEN={settings.page.listen}"]
+    connect = f"Environment=RIGCTL_CONNECT={settings.telemetry.listen_here}"
+    lines = [connect, f"Environment=RIGCTL_PAGE_LISTEN={settings.page.listen}"]
     if not settings.page.address.is_loopback:
         lines += ["# page.listen is an address that other computers reach.", "IPAddressAllow=any"]
     return _text("[Service]\n" + "\n".join(lines) + "\n")
-
-
-def is_loopback(endpoint: str) -> bool:
-    """Whether only this computer reaches a Zenoh endpoint."""
-    return endpoint.startswith("unixsock-stream/") or _LOOPBACK.fullmatch(endpoint) is not None
 
 
 def _escaped(channel: str) -> str:

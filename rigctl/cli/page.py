@@ -11,7 +11,7 @@ import typer
 
 from rigctl.cli import lease_file
 from rigctl.cli.options import BAD, USAGE, Connect, Rig, end, say, wrong_usage
-from rigctl.config.page_address import DEFAULT, Address, AddressError, CannotListenError
+from rigctl.config.address import DEFAULT, Address, AddressError, CannotListenError
 
 Listen = Annotated[str, typer.Option("--listen", metavar="HOST:PORT", help="Where the page is served.")]
 Rights = Annotated[

@@ -62,7 +62,7 @@ def _with_page(settings: RigSettings, page: bool | None, listen: str | None) -> 
     if page is False:
         return settings.model_copy(update={"page": None})
     if listen is not None:
-        from rigctl.config.page_address import Address, AddressError
+        from rigctl.config.address import Address, AddressError
         from rigctl.config.page_section import PageSettings
 
         try:

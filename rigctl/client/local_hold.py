@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import pathlib
-import re
 import socket
 from typing import Any
 
 import msgspec
 
+from rigctl.config.address import EVERY_ADDRESS, NETWORK_PROTOCOLS, Address, is_address
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime, daemon_pid
 from rigctl.ipc.trusted_folders import trusted_folders
 from rigctl.wire.run_keys import PUBLIC_KEY
@@ -17,18 +17,18 @@ from rigctl.wire.run_keys import PUBLIC_KEY
 CONNECT_S = 0.5
 ANSWER_S = 2.5  # the service answers within 1.5 s, even when the loop does not reply
 _ANSWER_BYTES = 1 << 16
-_EVERY_ADDRESS = r"(0\.0\.0\.0|\[::\])"
-_LOOPBACK = r"(localhost|127\.0\.0\.1|\[::1\])"
+_USUAL = {"localhost", "127.0.0.1", "::1"}  # names of one computer, which the same daemon is reached at
 
 
 def same_endpoint(connect: str, listen: str) -> bool:
     """Whether a client that connects to ``connect`` reaches the gateway listening at ``listen`` on this computer."""
     if connect == listen:
         return True
-    protocol, _, where = listen.partition("/")
-    port = where.rpartition(":")[2]
-    listens = re.fullmatch(rf"{_EVERY_ADDRESS}:\d+|{_LOOPBACK}:\d+", where) is not None
-    return listens and re.fullmatch(rf"{re.escape(protocol)}/{_LOOPBACK}:{port}", connect) is not None
+    (protocol, _, to), (listening, _, where) = connect.partition("/"), listen.partition("/")
+    if protocol != listening or protocol not in NETWORK_PROTOCOLS or not (is_address(to) and is_address(where)):
+        return False
+    ours, daemons = Address.parse(to), Address.parse(where)
+    return ours.port == daemons.port and ours.host in _USUAL and daemons.host in _USUAL | EVERY_ADDRESS.keys()
 
 
 def socket_of(endpoint: str, rig: str | None) -> pathlib.Path | None:

@@ -11,7 +11,6 @@ read the folder, nothing is verified: such a client reads, and the daemon refuse
 from __future__ import annotations
 
 import contextlib
-import re
 import secrets
 import time
 from collections.abc import Iterator
@@ -22,14 +21,13 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from rigctl.client.local_hold import same_endpoint
 from rigctl.config import layout
+from rigctl.config.address import is_local
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.ipc.trusted_folders import trusted_folders
 from rigctl.wire import proof
 from rigctl.wire.proof import NONCE_BYTES, Attachment
 from rigctl.wire.run_keys import OPERATOR_KEY, PUBLIC_KEY, KeyFile
 
-_LOOPBACK = re.compile(r"[a-z]+/(localhost|127\.\d+\.\d+\.\d+|\[::1\]):\d+|unixsock-stream/\S+")
-_CERTIFIED = ("tls/", "quic/")
 _READ_NS = 200_000_000  # at most one look at the folders in this time, whatever a hostile session sends
 
 
@@ -78,7 +76,7 @@ class Trust:
         named = [one for one in local_daemons() if one.rig == self.rig]
         here = [one for one in named if same_endpoint(self.endpoint, one.listen)]
         # A rig of this computer may also be reached through the router of another one that it joined.
-        found = here or (named if _LOOPBACK.fullmatch(self.endpoint) else [])
+        found = here or (named if is_local(self.endpoint) else [])
         if found or not self._daemons:  # between two runs there is no folder, and nobody else is believed meanwhile
             self._daemons = found
             self._verifiers = [Ed25519PublicKey.from_public_bytes(one.public) for one in found]
@@ -98,7 +96,7 @@ class Trust:
     @property
     def certified(self) -> bool:
         """Whether the endpoint's certificates say who may answer."""
-        return self.endpoint.startswith(_CERTIFIED)
+        return self.endpoint.startswith("tls/")
 
     @property
     def words(self) -> str:

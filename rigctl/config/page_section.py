@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from rigctl.config.page_address import ALLOWED, DEFAULT, Address, is_address
+from rigctl.config.address import ALLOWED, DEFAULT, Address, is_address
 from rigctl.config.settings_base import Settings, require
 
 

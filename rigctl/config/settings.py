@@ -12,11 +12,11 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from rigctl.config import layout
+from rigctl.config.address import is_address
 from rigctl.config.bounds import findings
 from rigctl.config.canopen import SIMULATOR_NODE, VELOCITY_ACTUAL, VELOCITY_ACTUAL_16
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
-from rigctl.config.page_address import is_address
 from rigctl.config.page_section import PageSettings
 from rigctl.config.plain import PlainMessage
 from rigctl.config.recording_section import RecordingSettings

@@ -6,14 +6,12 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from rigctl.config.page_address import Address, is_address
+from rigctl.config import address
 from rigctl.config.settings_base import Settings, require
 
 # Without # and ?, behind which Zenoh takes settings that would overrule those of the daemon.
 _LISTEN = r"^(tcp|tls|unixsock-stream)/[^\s#?]+$"
 _JOIN = r"^(tcp|unixsock-stream)/[^\s#?]+$"
-_EVERY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}
-_NETWORK = ("tcp", "tls")
 _LOCAL = "a loopback address, tls/ with telemetry.tls, or telemetry.listen_waiver: why not, in words"
 
 
@@ -41,8 +39,8 @@ class TelemetrySettings(Settings):
     @model_validator(mode="after")
     def _reached_by_whom_it_says(self) -> TelemetrySettings:
         protocol, _, where = self.listen.partition("/")
-        if protocol in _NETWORK:
-            require(is_address(where), "listen", self.listen, f"{protocol}/HOST:PORT")
+        if protocol in address.NETWORK_PROTOCOLS:
+            require(address.is_address(where), "listen", self.listen, f"{protocol}/HOST:PORT")
         if self.tls is None:
             require(protocol != "tls", "listen", self.listen, "tcp/HOST:PORT, or a section telemetry.tls too")
         else:
@@ -52,27 +50,18 @@ class TelemetrySettings(Settings):
             require(self.listen_waiver is None, "listen_waiver", self.listen_waiver, "none with telemetry.tls")
         if self.listen_waiver is None:
             for key, endpoint in (("listen", self.listen), *((f"join.{i}", one) for i, one in enumerate(self.join))):
-                require(self.tls is not None or _is_local(endpoint), key, endpoint, _LOCAL)
+                require(self.tls is not None or address.is_local(endpoint), key, endpoint, _LOCAL)
         return self
 
     @property
     def listen_here(self) -> str:
         """Endpoint for clients on this computer: no certificate is good for the address of every interface."""
-        protocol, _, where = self.listen.partition("/")
-        if protocol == "tls" and (address := Address.parse(where)).host in _EVERY_ADDRESS:
-            return f"{protocol}/{Address(_EVERY_ADDRESS[address.host], address.port)}"
-        return self.listen
-
-
-def _is_local(endpoint: str) -> bool:
-    """Whether only this computer reaches an endpoint."""
-    protocol, _, where = endpoint.partition("/")
-    return protocol not in _NETWORK or (is_address(where) and Address.parse(where).is_loopback)
+        return address.here(self.listen)
 
 
 def open_listen(settings: TelemetrySettings) -> str:
     """The waived setting that lets other computers in without certificates, in words; empty without one."""
-    reached = [one for one in (settings.listen, *settings.join) if not _is_local(one)]
+    reached = [one for one in (settings.listen, *settings.join) if not address.is_local(one)]
     if settings.tls is not None or not reached:
         return ""
     return f"telemetry: other computers reach {', '.join(reached)}, to read and to give HOLD, without certificates"

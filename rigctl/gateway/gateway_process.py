@@ -243,7 +243,7 @@ class Gateway:
             RequestLog(runtime.requests.writer()),
             self._preflight,
             signer,
-            CommandProofs(run, now, certified=listen.startswith(("tls/", "quic/"))),
+            CommandProofs(run, now, certified=settings.telemetry.tls is not None),
             run_id,
         )
         verdict = self._preflight.verdict(now)

@@ -12,7 +12,7 @@ import time
 import msgspec
 from pydantic import ValidationError
 
-from rigctl.config.page_address import Address, CannotListenError
+from rigctl.config.address import Address, CannotListenError
 from rigctl.config.settings import RigSettings
 from rigctl.control.realtime import die_with_parent
 from rigctl.ipc.runtime_folder import ACTIVE, FolderError, Runtime

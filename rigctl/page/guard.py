@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from starlette.datastructures import Headers
 
-from rigctl.config.page_address import Address
+from rigctl.config.address import Address
 from rigctl.page.sign_in import SignIn
 
 PLAIN_HTTP = "without a certificate, whoever listens on the network can read along and take over a session"

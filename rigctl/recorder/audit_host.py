@@ -15,8 +15,8 @@ import threading
 import time
 from collections import deque
 
+from rigctl.config.address import Address
 from rigctl.config.one_line import on_one_line
-from rigctl.config.page_address import Address
 from rigctl.recorder.chain import AuditEntry
 
 PRIORITY = 13 * 8 + 5  # facility "log audit", severity "notice"

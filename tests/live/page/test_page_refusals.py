@@ -15,7 +15,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from rigctl.config import rig_file as config
-from rigctl.config.page_address import Address, AddressError
+from rigctl.config.address import Address, AddressError
 from rigctl.page.guard import HEADERS, Guard
 from tests.builders import daemons
 from tests.builders.miniature import Daemon, free_port

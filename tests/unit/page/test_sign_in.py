@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from starlette.datastructures import Headers
 
-from rigctl.config.page_address import Address
+from rigctl.config.address import Address
 from rigctl.page.guard import Guard
 from rigctl.page.sign_in import LINK_S, LINKS, SESSION_S, SESSIONS, Session, SignIn
 

@@ -1,4 +1,4 @@
-"""Address on which the page listens, ``HOST:PORT``, and its socket."""
+"""Addresses, ``HOST:PORT``, of the page and of Zenoh endpoints, ``PROTOCOL/HOST:PORT``; who reaches them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ import socket
 from dataclasses import dataclass
 
 _HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?")
+NETWORK_PROTOCOLS = ("tcp", "tls")
+"""Protocols of endpoints that have an address."""
+EVERY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}
+"""Hosts that stand for every interface, and a host of this computer for each."""
 ALLOWED = "HOST:PORT, e.g. 127.0.0.1:8080 or [::1]:8080"
 
 
@@ -79,6 +83,20 @@ def is_address(text: str) -> bool:
     except AddressError:
         return False
     return True
+
+
+def is_local(endpoint: str) -> bool:
+    """Whether only this computer reaches an endpoint."""
+    protocol, _, where = endpoint.partition("/")
+    return protocol not in NETWORK_PROTOCOLS or (is_address(where) and Address.parse(where).is_loopback)
+
+
+def here(endpoint: str) -> str:
+    """What a client on this computer connects to: an endpoint on every interface at a host of this computer."""
+    protocol, _, where = endpoint.partition("/")
+    if protocol in NETWORK_PROTOCOLS and (address := Address.parse(where)).host in EVERY_ADDRESS:
+        return f"{protocol}/{Address(EVERY_ADDRESS[address.host], address.port)}"
+    return endpoint
 
 
 def _is_ip(host: str) -> bool:
