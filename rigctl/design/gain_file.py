@@ -32,7 +32,7 @@ from rigctl.control.tension import Gains
 from rigctl.design.gains import DesignError, design
 from rigctl.design.margins import design_and_check, judge
 from rigctl.design.verdict import Design, GainSource
-from rigctl.ipc import output_file, seal
+from rigctl.ipc import seal, whole_file
 from rigctl.ipc.seal import SealError, SealVerdict
 
 # Keys that determine gains, margins and performance.
@@ -157,7 +157,7 @@ def write(file: pathlib.Path, found: Design, made: Provenance, sealed_for: RigSe
     part = file.with_name(f".{file.name}.{os.getpid()}")
     try:
         part.unlink(missing_ok=True)
-        with os.fdopen(os.open(part, output_file.NEW, 0o666), "w", encoding="utf-8") as written:
+        with os.fdopen(os.open(part, whole_file.NEW, 0o666), "w", encoding="utf-8") as written:
             written.write(text)
         part.replace(file)
     finally:

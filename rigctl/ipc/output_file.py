@@ -8,8 +8,7 @@ import os
 import pathlib
 from collections.abc import Iterator
 
-NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-"""Flags that make a file anew, in place of nothing that somebody else could have put there."""
+from rigctl.ipc import whole_file
 
 
 class OutputError(ValueError):
@@ -65,7 +64,7 @@ def replace(file: pathlib.Path, text: str) -> None:
         try:
             part.unlink(missing_ok=True)
             # A link that somebody put in its place beforehand is not followed.
-            fd = os.open(part, NEW, 0o666)
+            fd = os.open(part, whole_file.NEW, 0o666)
             with os.fdopen(fd, "w", encoding="utf-8") as written:
                 written.write(text)
                 if place.exists():

@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 
 from rigctl.config import input_file, layout
-from rigctl.ipc import record, writers
+from rigctl.ipc import record, whole_file, writers
 from rigctl.ipc.ring import RingReader, RingWriter, create, identity
 
 if TYPE_CHECKING:
@@ -516,7 +516,7 @@ class Runtime:
         part = place.with_name(f".{name}.{threading.get_native_id()}")
         part.unlink(missing_ok=True)
         try:
-            fd = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+            fd = os.open(part, whole_file.NEW, 0o600)
             with open(fd, "wb") as file:  # noqa: PTH123 - a descriptor
                 if group >= 0:
                     os.fchown(fd, -1, group)

@@ -24,7 +24,6 @@ from rigctl.ipc import whole_file
 KEY_BYTES = 32
 LEDGER = "ledger"
 """What the ledger is called."""
-_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 class SealError(RuntimeError):
@@ -86,7 +85,7 @@ def seal(settings: RigSettings, name: str, data: bytes) -> str:
     try:
         with contextlib.suppress(FileExistsError):
             path.parent.mkdir(parents=True, exist_ok=True)
-            fd = os.open(path, _NEW, _mode(settings))
+            fd = os.open(path, whole_file.NEW, _mode(settings))
             with os.fdopen(fd, "wb") as file:
                 file.write(secrets.token_hex(KEY_BYTES).encode() + b"\n")
                 file.flush()

@@ -6,7 +6,8 @@ import contextlib
 import os
 import pathlib
 
-_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+"""Flags that make a file anew, in place of nothing that somebody else could have put there."""
 
 
 def replace(path: pathlib.Path, data: bytes, *, mode: int, sync: bool = True) -> None:
@@ -21,7 +22,7 @@ def replace(path: pathlib.Path, data: bytes, *, mode: int, sync: bool = True) ->
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part.unlink(missing_ok=True)
-        with os.fdopen(os.open(part, _NEW, mode), "wb") as file:
+        with os.fdopen(os.open(part, NEW, mode), "wb") as file:
             file.write(data)
             file.flush()
             if sync:

@@ -22,7 +22,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.ipc import output_file, whole_file
+from rigctl.ipc import whole_file
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder import part_seal
@@ -139,7 +139,7 @@ class Trips:
         part = path.with_name(f".{path.name}.part")
         try:
             part.unlink(missing_ok=True)
-            with os.fdopen(os.open(part, output_file.NEW, 0o640), "wb") as stream:
+            with os.fdopen(os.open(part, whole_file.NEW, 0o640), "wb") as stream:
                 records, frames = self._fill(stream, group, wall_offset_ns, audit)
                 stream.flush()
                 os.fsync(stream.fileno())
