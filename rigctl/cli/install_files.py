@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from rigctl.config import layout
-from rigctl.config.address import is_local
+from rigctl.config.address import Address, is_local
 from rigctl.config.settings import RigSettings
 from rigctl.ipc.writers import WRITERS
 
@@ -224,6 +224,11 @@ def _process(name: str, settings: RigSettings, computer: Host) -> bytes:
     lines = _affinity(settings, computer)
     if name == "gateway" and not is_local(settings.telemetry.listen):
         lines += ["# telemetry.listen is an address that other computers reach.", "IPAddressAllow=any"]
+    if name == "recorder" and settings.audit.syslog is not None:
+        collector = Address.parse(settings.audit.syslog.partition("/")[2])
+        allowed = collector.host if collector.is_ip else "any"
+        lines += ["# audit.syslog is a collector on another computer.", "PrivateNetwork=no"]
+        lines += ["RestrictAddressFamilies=AF_INET AF_INET6", f"IPAddressAllow={allowed}"]
     if folders := [str(folder) for folder in _written(settings).get(name, []) if not _is_kept_here(settings, folder)]:
         lines.append(f"ReadWritePaths={' '.join(sorted(set(folders)))}")
     return _text("[Service]\n" + "".join(f"{line}\n" for line in lines))

@@ -58,9 +58,14 @@ class Address:
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
 
     @property
+    def is_ip(self) -> bool:
+        """Whether the host is an IP address, no name that has to be looked up."""
+        return _is_ip(self.host)
+
+    @property
     def is_loopback(self) -> bool:
         """Whether only this computer can connect."""
-        return self.host == "localhost" or (_is_ip(self.host) and ipaddress.ip_address(self.host).is_loopback)
+        return self.host == "localhost" or (self.is_ip and ipaddress.ip_address(self.host).is_loopback)
 
     def listen(self) -> socket.socket:
         """A socket that listens here.

@@ -157,6 +157,20 @@ def test_the_daemon_reaches_only_what_its_rig_file_needs(tmp_path: pathlib.Path)
     assert [name for name, text in far.items() if "ReadWritePaths=/data/rig\n" in text] == ["recorder"]
 
 
+@pytest.mark.parametrize(("collector", "allowed"), [
+    ("udp/192.0.2.7:514", "192.0.2.7"), ("tcp/[2001:db8::7]:514", "2001:db8::7"), ("tcp/logs.example:514", "any"),
+])  # fmt: skip
+def test_the_recorder_reaches_its_collector(tmp_path: pathlib.Path, collector: str, allowed: str) -> None:
+    """Its unit has no network at all."""
+    settings = changed(tmp_path, audit={"syslog": collector})[0]
+    files = of_rig(settings, FOUR, None)
+    lines = files[install_files.process_drop_in(settings.rig, "recorder")].decode().splitlines()
+    for line in ("PrivateNetwork=no", "RestrictAddressFamilies=AF_INET AF_INET6", f"IPAddressAllow={allowed}"):
+        assert line in lines
+    others = (files[install_files.process_drop_in(settings.rig, name)].decode() for name in ("gateway", "hold"))
+    assert not any("PrivateNetwork" in text or "IPAddressAllow" in text for text in others)
+
+
 def test_folders_of_other_names_are_made_for_the_process_that_writes_them(tmp_path: pathlib.Path) -> None:
     assert install_files.tmpfiles("rig") not in of_rig(changed(tmp_path)[0], FOUR, None)
     settings = changed(tmp_path, recording={"folder": "tapes"})[0]
