@@ -23,6 +23,7 @@ FILTER = (
 )
 LINES_MAX = 400  # read in one call; at 50 calls a second this is more than 100 clients cause
 REPORT_NS, REPORT_MAX_NS = 10_000_000_000, 3_600_000_000_000  # between two reports of one kind: doubled each time
+ADDRESS_NS = 500_000_000  # Zenoh may write a session's address after the refusal of its first message
 GROUPS_MAX, PEERS_MAX = 64, 1024
 LONGEST, BUFFER_BYTES = 65_536, 4 << 20  # a session of one client is 200 lines, each of which takes 1 KiB
 LOCAL = "a process on the gateway's socket"
@@ -77,6 +78,7 @@ class _Group:
     since_ns: int = 0
     number: int = 0
     newest: tuple[str, str, str] = ("", "", "")
+    session: bytes = b""
 
 
 @dataclass
@@ -111,19 +113,19 @@ class RefusedAccess:
         session, what = message[2], message[4].decode()
         certificate = self._names.get(session, "")
         name = certificate.rpartition(".")[0]
-        peer = self._peers.get(session, "")
-        other = ", ".join(filter(None, (f"certificate {certificate}" if certificate else LOCAL, peer)))
+        other = f"certificate {certificate}" if certificate else LOCAL
         key = on_one_line(message[5].decode(errors="replace").removesuffix("\n"))
-        self.add(Note.MESSAGE_REFUSED, f"{what} of {certificate}", (name, other, f"{what.lower()} of {key}"), now_ns)
+        newest = (name, other, f"{what.lower()} of {key}")
+        self.add(Note.MESSAGE_REFUSED, f"{what} of {certificate}", newest, now_ns, session)
 
-    def add(self, note: Note, what: str, newest: tuple[str, str, str], now_ns: int) -> None:
-        """Take one of the kind ``what``; ``newest``: who, other and text of its note."""
+    def add(self, note: Note, what: str, newest: tuple[str, str, str], now_ns: int, session: bytes = b"") -> None:
+        """Take one of the kind ``what``; ``newest``: who, other and text of its note; ``session``: whose it was."""
         kind = (note, what)
         kind = kind if kind in self._groups or len(self._groups) < GROUPS_MAX else (note, "others")
         group = self._groups.setdefault(kind, _Group(now_ns))
         if not group.number:
             group.since_ns = now_ns
-        group.number, group.newest = group.number + 1, newest
+        group.number, group.newest, group.session = group.number + 1, newest, session
 
     def due(self, now_ns: int) -> list[AccessRefusal]:
         """What is to be put on record now: the first of a kind at once, more of it together and ever less often."""
@@ -131,8 +133,13 @@ class RefusedAccess:
         for kind, group in list(self._groups.items()):
             if now_ns < group.next_ns:
                 continue
+            unknown = group.session and group.session not in self._peers
+            if group.number and unknown and now_ns - group.since_ns < ADDRESS_NS:
+                continue
             if group.number:
-                found.append(AccessRefusal(kind[0], *group.newest, group.number, now_ns - group.since_ns))
+                who, other, text = group.newest
+                other = ", ".join(filter(None, (other, self._peers.get(group.session, ""))))
+                found.append(AccessRefusal(kind[0], who, other, text, group.number, now_ns - group.since_ns))
                 group.next_ns, group.number = now_ns + group.gap_ns, 0
                 group.gap_ns = min(2 * group.gap_ns, REPORT_MAX_NS)
             elif now_ns - group.next_ns > REPORT_MAX_NS:

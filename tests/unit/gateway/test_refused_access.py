@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from rigctl.gateway.refused_access import GROUPS_MAX, PEERS_MAX, AccessRefusal, RefusedAccess
+from rigctl.gateway.refused_access import ADDRESS_NS, GROUPS_MAX, PEERS_MAX, AccessRefusal, RefusedAccess
 from rigctl.ipc.notes import Note
 
 S = 1_000_000_000
 HEAD = b"2026-11-22T23:08:50.839724Z TRACE  rx-0 "
 ACL = b" zenoh::net::routing::interceptor::access_control: "
+ACCEPTED = (
+    b"2026-11-22T23:08:50.8Z DEBUG acc-0 ThreadId(05) zenoh_transport::unicast::establishment::accept: New transport "
+    b"link accepted from 56a to 77b: TransportLinkUnicast { link: Link { src: tls/127.0.0.1:7447, "
+    b"dst: tls/192.0.2.9:51234, group: None } }\n"
+)
 DROPPED = b" zenoh::net::routing::interceptor: Msg intercepted!\n"
 
 
@@ -31,9 +36,28 @@ def taken(found: RefusedAccess, *lines: bytes, now_ns: int = 0) -> list[AccessRe
 
 
 def test_a_message_that_was_dropped_is_one_refusal_with_name_certificate_and_key() -> None:
-    (one,) = taken(RefusedAccess(), judged(b"Query", b"rigctl/r/cmd/vera/hold"), dropped())
-    assert (one.note, one.who, one.other) == (Note.MESSAGE_REFUSED, "vera", "certificate vera.584f")
+    (one,) = taken(RefusedAccess(), ACCEPTED, judged(b"Query", b"rigctl/r/cmd/vera/hold"), dropped())
+    assert (one.note, one.who, one.other) == (
+        Note.MESSAGE_REFUSED,
+        "vera",
+        "certificate vera.584f, tls/192.0.2.9:51234",
+    )
     assert one.words == "query of rigctl/r/cmd/vera/hold"
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_the_address_is_said_also_when_zenoh_writes_it_after_the_refusal(late: bool) -> None:
+    """One thread accepts a session, others take what it sends."""
+    found, refused = RefusedAccess(), (judged(b"Query", b"rigctl/r/cmd/vera/hold"), dropped())
+    assert taken(found, *((ACCEPTED,) if not late else refused)) == []
+    (one,) = taken(found, *((ACCEPTED,) if late else refused), now_ns=ADDRESS_NS // 2)
+    assert one.other == "certificate vera.584f, tls/192.0.2.9:51234"
+
+
+def test_a_refusal_is_said_without_an_address_that_zenoh_never_writes() -> None:
+    found = RefusedAccess()
+    assert taken(found, judged(b"Put", b"k"), dropped()) == []
+    assert [one.other for one in taken(found, now_ns=ADDRESS_NS)] == ["certificate vera.584f"]
 
 
 def test_what_zenoh_only_judges_ahead_or_drops_on_the_way_out_is_none() -> None:
@@ -48,7 +72,7 @@ def test_more_of_a_kind_is_reported_together_and_ever_less_often() -> None:
     found = RefusedAccess()
     reported = []
     for second in range(4000):
-        lines = (judged(b"Put", b"k%d" % second), dropped())
+        lines = (ACCEPTED, judged(b"Put", b"k%d" % second), dropped())
         reported += [(second, one.number) for one in taken(found, *lines, now_ns=second * S)]
     assert [second for second, _ in reported] == [0, 10, 30, 70, 150, 310, 630, 1270, 2550]
     assert sum(number for _, number in reported) == 2551
@@ -58,7 +82,7 @@ def test_more_of_a_kind_is_reported_together_and_ever_less_often() -> None:
 def test_a_key_cannot_pass_for_another_line() -> None:
     """A line of the log is one datagram, whatever is in it."""
     false = b"x\n" + judged(b"Put", b"y").replace(b"vera", b"kim") + dropped()
-    (one,) = taken(RefusedAccess(), judged(b"Put", false), dropped())
+    (one,) = taken(RefusedAccess(), ACCEPTED, judged(b"Put", false), dropped())
     assert one.who == "vera"
     assert one.words.startswith("put of x\\n2026")
     assert "\n" not in one.words
