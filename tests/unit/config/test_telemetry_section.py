@@ -32,7 +32,7 @@ WAIVER = {"listen_waiver": "no other computer is on this network"}
 )
 def test_what_nobody_unknown_can_reach_is_taken(tmp_path: pathlib.Path, telemetry: dict[str, Any]) -> None:
     settings = config.load(rig_file(tmp_path, {"telemetry": telemetry}))
-    assert settings.telemetry.listen_here == settings.telemetry.listen.replace("tls/0.0.0.0", "tls/127.0.0.1")
+    assert settings.telemetry.listen_here == settings.telemetry.listen.replace("0.0.0.0", "127.0.0.1")
     assert settings.key_folder == (tmp_path / "keys" if "tls" in telemetry else None)
 
 
