@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import contextlib
 import errno
 import os
@@ -32,7 +33,7 @@ _KILLED = "ERR_CONNECTION_(REFUSED|RESET|CLOSED)|ERR_EMPTY_RESPONSE"
 """What a browser reports of a page server that was killed."""
 
 
-class Worker(threading.Thread):
+class Worker(threading.Thread, abc.ABC):
     """A thread that works while it is ``active`` until it is ended; an error is kept for the result."""
 
     def __init__(self, name: str) -> None:
@@ -61,9 +62,9 @@ class Worker(threading.Thread):
                 self.error = self.error or f"{type(error).__name__}: {error}"
                 self._over.wait(1.0)
 
+    @abc.abstractmethod
     def work(self) -> None:
         """Work while ``going``."""
-        raise NotImplementedError
 
     def end(self) -> None:
         """End the thread."""

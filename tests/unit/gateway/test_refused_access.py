@@ -39,10 +39,6 @@ def test_a_message_that_was_dropped_is_one_refusal_with_name_certificate_and_key
     (one,) = taken(RefusedAccess(), ACCEPTED, judged(b"Query", b"rigctl/r/cmd/vera/hold"), dropped())
     assert (one.note, one.who) == (Note.MESSAGE_REFUSED, "vera")
     assert one.other == "certificate vera.584f, tls/192.0.2.9:51234"
-        Note.MESSAGE_REFUSED,
-        "vera",
-        "certificate vera.584f, tls/192.0.2.9:51234",
-    )
     assert one.words == "query of rigctl/r/cmd/vera/hold"
 
 
