@@ -2,6 +2,9 @@
 
 It is written after each publication with one system call. After a gateway is killed between the two, the next one
 publishes the last block again: it is repeated rather than lost, and a subscriber sees it by the sequence number.
+
+A killed gateway takes with it what Zenoh has not sent yet. Events come one by one, and a subscriber that asks for none
+would not know of the last: the position of events is written a second late, so that they are published again.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import zlib
 _LAYOUT = struct.Struct("<8sQQQQQQ??")
 _CHECKSUM = struct.Struct("<I")
 _MAGIC = b"rigcurs2"
+SENT_NS = 1_000_000_000  # after this time what was published has left the process, or nobody has taken it
 
 
 class Cursor:
@@ -34,6 +38,8 @@ class Cursor:
         self.fast_seq = self.fast_lost = self.event_seq = self.note_seq = 0
         self.fast_listened = self.events_listened = False
         self.resumed = False
+        self._sent = self._next = (0, 0)  # positions of events and notes: what has left, what will have next
+        self._next_ns = 0
         raw = os.pread(self._fd, _LAYOUT.size + _CHECKSUM.size, 0)
         if raw and _sealed(raw[: _LAYOUT.size]) == raw:
             magic, inode, stream, fast_seq, lost, event_seq, note_seq, *listened = _LAYOUT.unpack_from(raw)
@@ -41,11 +47,16 @@ class Cursor:
                 self.stream, self.fast_seq, self.fast_lost = stream, fast_seq, lost
                 self.event_seq, self.note_seq, self.resumed = event_seq, note_seq, True
                 self.fast_listened, self.events_listened = listened
+                self._sent = self._next = (event_seq, note_seq)
         self.save()
 
     def save(self) -> None:
-        """Write the positions to the file."""
-        positions = (self._ring, self.stream, self.fast_seq, self.fast_lost, self.event_seq, self.note_seq)
+        """Write the positions to the file, those of events and notes as they were a second or two ago."""
+        now_ns = time.monotonic_ns()
+        if now_ns >= self._next_ns:
+            self._sent, self._next = self._next, (self.event_seq, self.note_seq)
+            self._next_ns = now_ns + SENT_NS
+        positions = (self._ring, self.stream, self.fast_seq, self.fast_lost, *self._sent)
         os.pwrite(self._fd, _sealed(_LAYOUT.pack(_MAGIC, *positions, self.fast_listened, self.events_listened)), 0)
 
     def close(self) -> None:

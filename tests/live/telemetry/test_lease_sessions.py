@@ -19,6 +19,7 @@ from rigctl.client.shapes import Message
 from rigctl.client.stream import Stream
 from rigctl.control.modes import Verb
 from rigctl.gateway.lease_service import IN_FORCE
+from rigctl.gateway.published_position import SENT_NS
 from tests.builders.miniature import Daemon, until
 from tests.builders.paths import ROOT
 
@@ -190,7 +191,8 @@ def test_a_lease_survives_the_gateway(own: Daemon) -> None:
         before = anna.command("arm", "anna")["lease"]
         until(of_kind(events, "LEASE_TAKEN"), "the note")
         noted = anna.state()["seq"]
-        until(lambda: anna.state()["seq"] > noted + 100, "the gateway to note how far it has come")
+        noting = 3 * SENT_NS // 1_000_000  # records: a killed gateway's events of the last two seconds are repeated
+        until(lambda: anna.state()["seq"] > noted + noting, "the gateway to note how far it has come")
         own.kill_gateway()
         own.start_gateway()
         answers(anna)

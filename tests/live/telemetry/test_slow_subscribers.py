@@ -120,7 +120,7 @@ def test_one_stopped_for_longer_than_the_ring_holds_counts_just_what_is_gone(sil
     assert its["lost"] > 0
     assert its["received"] + its["lost"] == its["produced"] == its["last_seq"] - its["first_seq"] + 1
     assert its["last_seq"] > start + 3 * held
-    assert its["recovered"] > held / 2  # what the ring still held
+    assert its["recovered"] > 0  # what the ring still held when it asked
 
 
 def test_a_slow_one_gets_everything_from_the_ring_and_the_others_all_they_want(own: Daemon) -> None:

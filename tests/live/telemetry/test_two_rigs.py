@@ -84,7 +84,7 @@ def test_a_command_reaches_only_the_rig_it_names(two: tuple[Daemon, Daemon]) -> 
         given = commands(first)
         events = north.events()
         assert events.read(0.2) is None
-        assert south.command("arm", operator="kim")["accepted"]  # by the other rig's router
+        assert (armed := south.command("arm", operator="kim"))["accepted"], armed  # by the other rig's router
         assert south.command("target", 222.0, operator="kim")["accepted"]  # the stand-in trips
         trip = south.wait_event(kind="TRIP", timeout_s=PATIENCE_S)
         assert trip is not None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import pathlib
+import types
+from time import time_ns
 from typing import Any
 
 import msgspec
@@ -19,9 +21,10 @@ from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action
+from rigctl.gateway import published_position
 from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
-from rigctl.gateway.published_position import Cursor
+from rigctl.gateway.published_position import SENT_NS, Cursor
 from rigctl.gateway.streams import BLOCK_RECORDS, blocks_of
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.record import EVENT, RECORD, Flag, Quality
@@ -193,18 +196,42 @@ def test_blocks_hold_every_record_and_break_at_gaps(tmp_path_factory: pytest.Tem
     assert all(part.count <= BLOCK_RECORDS and part.lost == 3 and part.stream == 4 for part in found)
 
 
+def test_an_event_is_published_until_it_has_surely_left_the_process(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What Zenoh has not sent yet is gone with a killed gateway."""
+    ring, path, now = tmp_path / "records", tmp_path / "cursor", [SENT_NS]
+    create(ring, RECORD.dtype, 8)
+    monkeypatch.setattr(published_position, "time", types.SimpleNamespace(monotonic_ns=lambda: now[0], time_ns=time_ns))
+    cursor = Cursor(path, ring, head=0)
+
+    def after_a_kill(later_ns: int) -> tuple[int, int]:
+        now[0] += later_ns
+        cursor.save()
+        found = Cursor(path, ring, head=0)
+        return found.event_seq, found.note_seq
+
+    cursor.event_seq, cursor.note_seq = 3, 1
+    assert after_a_kill(1) == (0, 0)
+    assert after_a_kill(SENT_NS) == (0, 0)
+    cursor.event_seq = 4
+    assert after_a_kill(SENT_NS - 1) == (0, 0)
+    assert after_a_kill(1) == (3, 1)
+    assert after_a_kill(SENT_NS) == (4, 1)
+
+
 def test_cursor_is_remembered_for_the_same_ring_only(tmp_path: pathlib.Path) -> None:
     ring, path = tmp_path / "records", tmp_path / "cursor"
     create(ring, RECORD.dtype, 8)
     first = Cursor(path, ring, head=0)
     assert not first.resumed
-    first.fast_seq, first.fast_lost, first.event_seq, first.fast_listened = 10, 2, 3, True
+    first.fast_seq, first.fast_lost, first.fast_listened = 10, 2, True
     first.save()
     first.close()
 
     again = Cursor(path, ring, head=12)
     assert again.resumed
-    assert (again.fast_seq, again.fast_lost, again.event_seq, again.stream) == (10, 2, 3, first.stream)
+    assert (again.fast_seq, again.fast_lost, again.stream) == (10, 2, first.stream)
     assert (again.fast_listened, again.events_listened) == (True, False)
     assert not Cursor(path, ring, head=9).resumed  # ahead of the ring: of another ring
 
