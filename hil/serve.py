@@ -16,6 +16,7 @@ import can
 from hil.bus_link import BusLink
 from hil.hub import Hub
 from hil.hub_server import HubServer
+from hil.plant.plant import compile_kernel
 from hil.rig import SimulatedRig
 from hil.truth import TruthLog
 from rigctl.config import rig_file as config
@@ -78,6 +79,7 @@ class Service:
         self._settings = settings
         self._stopping = False
         self._truth_log: TruthLog | None = None
+        compile_kernel()  # before the bus can be joined: a daemon waits no longer for devices than its rig file says
         self.line, send = self._join()
         try:
             self._truth_log = _truth_log(truth) if truth else None

@@ -11,10 +11,21 @@ import numpy as np
 
 from hil.plant import kernel
 from hil.plant.inputs import Track, pack
-from hil.plant.layout import RUN_OUT, STATE, VIEW
+from hil.plant.layout import PARAMETERS, RUN_OUT, STATE, VIEW
 from hil.plant.parameters import parameters
 from hil.truth import Truth
 from rigctl.config.settings import RigSettings
+
+
+def compile_kernel() -> None:
+    """Call every entry of the kernel once with no steps, which compiles it where numba has no cached code."""
+    values, state, view = np.zeros(1, PARAMETERS), np.zeros(1, STATE), np.zeros(1, VIEW)
+    for name in ("elements", "rope_length", "payload_mass"):
+        values[name] = 1.0
+    nodes, pulls, inputs = np.zeros((1, 4)), np.zeros((1, 2)), pack({})
+    kernel.run(values, state, nodes, pulls, inputs, 0.0, 1e-4, 0, 0.0, True)
+    kernel.observe(values, state, nodes, pulls, inputs, view, 0.0, 0.0, True)
+    kernel.screw_error(values[0], 0.0)
 
 
 class Swing(NamedTuple):

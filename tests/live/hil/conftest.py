@@ -47,9 +47,9 @@ def start() -> Iterator[Start]:
     running: list[subprocess.Popen[str]] = []
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and passes that on
 
-    def start(*arguments: object) -> subprocess.Popen[str]:
+    def start(*arguments: object, **variables: str) -> subprocess.Popen[str]:
         command = [sys.executable, "-m", *map(str, arguments)]
-        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        environment = {**os.environ, "PYTHONUNBUFFERED": "1", **variables}
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
         running.append(process)
         return process

@@ -55,6 +55,18 @@ def test_it_says_when_it_is_ready_and_what_it_did(
     assert set(truth["t_ns"][1:] - truth["t_ns"][:-1]) == {1_000_000}
 
 
+def test_the_bus_can_be_joined_only_when_the_plant_is_compiled(
+    start: Start, channel: str, rig_file: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+    """Compiling takes longer than a daemon waits for devices (can.boot_wait_s)."""
+    served = start("hil", "serve", rig_file, NUMBA_CACHE_DIR=str(tmp_path))
+    while not pathlib.Path(channel).exists():
+        assert served.poll() is None
+        time.sleep(0.01)
+    compiled = {file.name.partition("-")[0] for file in tmp_path.rglob("*.nbc")}
+    assert {"kernel.run", "kernel.observe", "kernel.screw_error"} <= compiled
+
+
 def test_sigint_ends_it_as_cleanly(served: subprocess.Popen[str]) -> None:
     served.send_signal(2)
     assert served.communicate(timeout=20)[1] == ""
