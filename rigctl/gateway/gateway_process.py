@@ -180,11 +180,11 @@ def _declare_queryables(
         return keys.events_past, msgspec.json.encode(found)
 
     for key, answer in (
-        (keys.state, lambda _query: (keys.state, view.newest)),
         (keys.schema, lambda _query: (keys.schema, known)),
         (keys.active, lambda _query: (keys.active, active.read())),
         (keys.fast, lambda query: (keys.fast, past_block(records, _after(query), stream))),
         (keys.events_past, past_events),
+        (keys.state, lambda _query: (keys.state, view.newest)),  # last: a client that gets one finds the others
     ):
         session.declare_queryable(key, _answering(signer, answer))
 
@@ -250,8 +250,8 @@ class Gateway:
         lease = self._leases.shown(now)
         self._view.newest = self._view.make(now, 0, self._calibration.standing, lease, verdict, self._cursor)
         stream = self._cursor.stream
-        _declare_queryables(self._session, keys, runtime, self._view, self._active, stream, signer)
         self._commands.open(self._command_session)
+        _declare_queryables(self._session, keys, runtime, self._view, self._active, stream, signer)
         # With certificates the access list refuses all of it.
         certified = settings.key_folder is not None
         self._foreign = None if certified else ForeignMessages(keys, self._session, self._command_session)

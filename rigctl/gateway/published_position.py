@@ -4,7 +4,7 @@ It is written after each publication with one system call. After a gateway is ki
 publishes the last block again: it is repeated rather than lost, and a subscriber sees it by the sequence number.
 
 A killed gateway takes with it what Zenoh has not sent yet. Events come one by one, and a subscriber that asks for none
-would not know of the last: the position of events is written a second late, so that they are published again.
+would not know of the last: the position of events is written a little late, so that they are published again.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import zlib
 _LAYOUT = struct.Struct("<8sQQQQQQ??")
 _CHECKSUM = struct.Struct("<I")
 _MAGIC = b"rigcurs2"
-SENT_NS = 1_000_000_000  # after this time what was published has left the process, or nobody has taken it
+SENT_NS = 100_000_000  # after this time what was published has left the process, or nobody takes it
 
 
 class Cursor:
@@ -51,7 +51,7 @@ class Cursor:
         self.save()
 
     def save(self) -> None:
-        """Write the positions to the file, those of events and notes as they were a second or two ago."""
+        """Write the positions to the file, those of events and notes as they were once or twice ``SENT_NS`` ago."""
         now_ns = time.monotonic_ns()
         if now_ns >= self._next_ns:
             self._sent, self._next = self._next, (self.event_seq, self.note_seq)

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import IO, Any
 
 from rigctl.client import Rig, connect
-from rigctl.client.connection import Client
+from rigctl.client.connection import Client, NoDaemonError
 from rigctl.config import rig_file as config
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders.paths import ROOT
@@ -106,6 +106,17 @@ class Daemon:
         """A state made after this call: the newest published one may be older than the last command."""
         now_ns = time.monotonic_ns()
         return dict(until(lambda: (state := client.state())["t_ns"] > now_ns and state, "a state of now"))
+
+    @staticmethod
+    def answers(client: Client) -> None:
+        """Wait until a client has found the new gateway."""
+
+        def found() -> bool:
+            with contextlib.suppress(NoDaemonError):
+                return bool(client.state()["loop_alive"])
+            return False
+
+        until(found, "the gateway to answer")
 
     @contextlib.contextmanager
     def replaced_gateway(self) -> Iterator[Rig]:

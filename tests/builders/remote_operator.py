@@ -1,8 +1,9 @@
 """An operator with a key file on another computer: a process of another user, also in another network namespace.
 
 ``python remote_operator.py ENDPOINT RIG KEY`` prints ``ready``, then one line of JSON for each line of JSON on its
-standard input: ``["command", VERB, VALUE]``, ``["take", REASON]``, ``["return"]``, ``["sent"]`` (the newest command as
-it was sent), or ``["raw", KEY, PAYLOAD, ATTACHMENT]`` in hexadecimal text.
+standard input: ``["command", VERB, VALUE]``, ``["take", REASON]``, ``["return"]``, ``["connected"]`` (wait for a
+gateway that was started anew), ``["sent"]`` (the newest command as it was sent), or ``["raw", KEY, PAYLOAD,
+ATTACHMENT]`` in hexadecimal text.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from rigctl.client.connection import Client, NoDaemonError
 from rigctl.client.shapes import refusal
 from rigctl.wire.proof import unsealed
 from tests.builders.intruder import NOBODY, PATIENCE_S, become_nobody
+from tests.builders.miniature import Daemon
 
 OTHER_CLOCK_NS = 10**15  # another computer's monotonic clock has another origin
 
@@ -110,6 +112,9 @@ def main(endpoint: str, rig: str, key: str) -> None:
     for line in sys.stdin:
         what, *words = json.loads(line)
         match what:
+            case "connected":
+                Daemon.answers(client)
+                answer = {}
             case "command":
                 answer = client.command(words[0], "", words[1])
             case "take":

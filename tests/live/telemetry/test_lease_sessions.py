@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import random
 import subprocess
@@ -14,7 +13,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from rigctl.client.connection import Client, NoDaemonError
+from rigctl.client.connection import Client
 from rigctl.client.shapes import Message
 from rigctl.client.stream import Stream
 from rigctl.control.modes import Verb
@@ -32,17 +31,6 @@ def shorten(daemon: Daemon, left_s: float) -> None:
     written = daemon.runtime.read_json(IN_FORCE)
     daemon.runtime.write_json(IN_FORCE, {**written, "until_ns": time.monotonic_ns() + round(left_s * 1e9)})
     daemon.start_gateway()
-
-
-def answers(client: Client) -> None:
-    """Wait until the client has found the new gateway."""
-
-    def found() -> bool:
-        with contextlib.suppress(NoDaemonError):
-            return bool(client.state()["loop_alive"])
-        return False
-
-    until(found, "the gateway to answer")
 
 
 def commands(daemon: Daemon) -> int:
@@ -146,7 +134,7 @@ def test_a_lapse_is_noted_and_moves_nothing(own: Daemon) -> None:
         client.command("tension", "anna")
         given = commands(own)
         shorten(own, 1.0)
-        answers(client)
+        own.answers(client)
         (event,) = until(lambda: [e for e in client.past_events() if e["kind"] == "LEASE_LAPSED"], "the lapse")
         assert event["severity"] == "warning"
         assert event["text"] == "the lease of anna has lapsed; the rig goes on as it is"
@@ -191,11 +179,11 @@ def test_a_lease_survives_the_gateway(own: Daemon) -> None:
         before = anna.command("arm", "anna")["lease"]
         until(of_kind(events, "LEASE_TAKEN"), "the note")
         noted = anna.state()["seq"]
-        noting = 3 * SENT_NS // 1_000_000  # records: a killed gateway's events of the last two seconds are repeated
+        noting = 3 * SENT_NS // 1_000_000  # records: events just before a kill are repeated
         until(lambda: anna.state()["seq"] > noted + noting, "the gateway to note how far it has come")
         own.kill_gateway()
         own.start_gateway()
-        answers(anna)
+        own.answers(anna)
         with own.client() as kim:
             assert kim.command("tension", "kim")["reason"] == "lease_held"
         after = anna.command("tension", "anna")
@@ -257,7 +245,7 @@ def test_a_lease_that_is_not_valid_keeps_no_operator_out(own: Daemon, forged: st
             file.unlink()
             file.mkdir()
         own.start_gateway()
-        answers(client)
+        own.answers(client)
         with own.client() as kim:
             assert kim.command("hold", "kim")["accepted"]
             until(lambda: client.state()["mode"] == "HOLD", "the hold")
