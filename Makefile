@@ -23,7 +23,8 @@ test: $(STAMP) system
 	$(PYTHON) -m pytest -m brief
 
 test-live: $(STAMP) system
-	$(PYTHON) -m pytest -m "study and not real_time and not brief" --numprocesses auto --dist worksteal
+	$(PYTHON) -m pytest tests/studies tests/loop tests/live -m "study and not real_time and not brief" \
+	    --numprocesses auto --dist loadfile --no-loadscope-reorder
 	$(PYTHON) -m pytest -m "real_time and not brief and not machine"
 
 test-machine: $(STAMP) system
