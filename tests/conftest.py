@@ -32,9 +32,10 @@ settings.load_profile("rigctl")
 
 
 def pytest_sessionstart() -> None:
-    """A shell's background job ignores SIGINT, and so would every process started here."""
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """A shell's background job ignores SIGINT, one of `nohup` SIGHUP, and so would every process started here."""
+    for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, usual)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -45,18 +45,17 @@ class Joined:
         return self._supervisor is not None and (self.runtime.is_to_end(self._name) or has_ended(self._supervisor))
 
     def show(self) -> None:
-        """Show the supervisor that this process works, if it is a service of its own.
+        """Show the supervisor that this process works.
 
         Raises:
             OSError: there is no room, or the folder is gone.
         """
-        if self._supervisor is not None:
-            shown = Presence(os.getpid(), str(self.runtime.known(ACTIVE).get("run_id", "")))
-            self.runtime.write_json(presence_file(self._name), shown, self.runtime.public_mode)
+        shown = Presence(os.getpid(), str(self.runtime.known(ACTIVE).get("run_id", "")))
+        self.runtime.write_json(presence_file(self._name), shown, self.runtime.public_mode)
 
 
 class Presence(msgspec.Struct):
-    """What a service of its own shows the supervisor."""
+    """What a process shows the supervisor once it works."""
 
     pid: int
     run_id: str
@@ -65,6 +64,14 @@ class Presence(msgspec.Struct):
 def presence_file(name: str) -> str:
     """Name of the file that holds the `Presence` of a process."""
     return f"{name}.pid.json"
+
+
+def presence(runtime: Runtime, name: str, run_id: str) -> int:
+    """Process that works as ``name`` for a run; 0 while none has shown itself."""
+    with contextlib.suppress(OSError, msgspec.MsgspecError):
+        shown = msgspec.convert(runtime.read_json(presence_file(name)), Presence)
+        return shown.pid if shown.run_id == run_id else 0
+    return 0
 
 
 def has_ended(process: int) -> bool:

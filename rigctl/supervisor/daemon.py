@@ -34,6 +34,7 @@ from rigctl.control.tension import Gains
 from rigctl.devices import busload
 from rigctl.devices.objects import DriveState, drive_state
 from rigctl.ipc import ledger
+from rigctl.ipc.joining import presence
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, DESIGN, AlreadyRunningError, FolderError, Runtime
@@ -177,14 +178,12 @@ class Supervisor:
         limit_s = START_LIMIT_S + settings.start_up_limit_s
         until = time.monotonic() + limit_s
         while records.head == 0 and not self._stopping:
-            for child in self._children.values():
-                if child.process.poll() is not None and child.name not in _NOT_NEEDED:
-                    raise CannotRunError(f"{settings.rig}: {child.name} could not start (see above)")
+            self._refuse_ended()
             if time.monotonic() > until:
                 raise CannotRunError(f"{settings.rig}: the loop did not start within {limit_s:.0f} s")
             self._watch_services(time.monotonic())
             time.sleep(0.005)
-        self._wait_for_services()
+        self._wait_until_it_answers()
         self._say_real_time()
         channel = f"{settings.can.interface}:{settings.can.channel}"
         self._say(
@@ -193,19 +192,31 @@ class Supervisor:
         )
         notify("READY=1")
 
-    def _wait_for_services(self) -> None:
-        """Wait for the services that an operator needs; the daemon goes on without them after a time."""
+    def _refuse_ended(self) -> None:
+        for child in self._children.values():
+            if child.process.poll() is not None and child.name not in _NOT_NEEDED:
+                raise CannotRunError(f"{self.settings.rig}: {child.name} could not start (see above)")
+
+    def _wait_until_it_answers(self) -> None:
+        """Wait for the processes that an operator needs; the daemon goes on without a service after a time."""
         until = time.monotonic() + START_LIMIT_S
-        needed = [service for name, service in self._services.items() if name not in _NOT_NEEDED]
-        while not self._stopping and not all(service.pid for service in needed):
+        while not self._stopping and (missing := self._unshown()):
+            self._refuse_ended()
             self._watch_services(now := time.monotonic())
             if now > until:
-                missing = ", ".join(
-                    f"rigctl-{service.name}@{self.settings.rig}" for service in needed if not service.pid
-                )
-                self._say(f"WARNING: not up within {START_LIMIT_S:.0f} s: {missing}; see journalctl -u {missing}")
+                units = ", ".join(f"rigctl-{name}@{self.settings.rig}" for name in missing if name in self._services)
+                see = f"; see journalctl -u {units}" if units else ""
+                self._say(f"WARNING: not up within {START_LIMIT_S:.0f} s: {', '.join(missing)}{see}")
                 return
             time.sleep(POLL_S)
+
+    def _unshown(self) -> list[str]:
+        """Processes that an operator needs and that do not work yet."""
+        run_id = str(self._active["run_id"])
+        children = [name for name in self._children if name in WRITERS and name not in _NOT_NEEDED]
+        return [name for name in children if presence(self._runtime, name, run_id) == 0] + [
+            name for name, service in self._services.items() if name not in _NOT_NEEDED and not service.pid
+        ]
 
     def _watch_services(self, now: float) -> None:
         for service in self._services.values():

@@ -8,7 +8,7 @@ import time
 
 import msgspec
 
-from rigctl.ipc.joining import Presence, has_ended, presence_file
+from rigctl.ipc.joining import has_ended, presence, presence_file
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.ipc.supervision import Doing
 
@@ -39,11 +39,11 @@ class ServiceProcess:
         with contextlib.suppress(OSError, msgspec.MsgspecError):
             if (mark := self._runtime.mark(presence_file(self.name))) == self._seen:
                 return None
-            shown = msgspec.convert(self._runtime.read_json(presence_file(self.name)), Presence)
+            pid = presence(self._runtime, self.name, self._run_id)
             self._seen = mark
-            if shown.run_id == self._run_id:
-                self._process = os.pidfd_open(shown.pid)
-                self.pid = shown.pid
+            if pid:
+                self._process = os.pidfd_open(pid)
+                self.pid = pid
                 return Doing.PROCESS_STARTED
         return None
 

@@ -98,15 +98,23 @@ def process(*arguments: str, log: pathlib.Path) -> Iterator[subprocess.Popen[byt
             raise
 
 
-def process_with(*words: str) -> int:
-    """Process whose command line has all ``words``."""
+def processes_with(*words: str) -> list[int]:
+    """Processes whose command line has all ``words``."""
+    found = []
     for entry in pathlib.Path("/proc").iterdir():
         if entry.name.isdigit():
             with contextlib.suppress(OSError):
                 line = (entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
                 if all(any(word in part for part in line) for word in words):
-                    return int(entry.name)
-    raise AssertionError(f"no process with {words}")
+                    found.append(int(entry.name))
+    return found
+
+
+def process_with(*words: str) -> int:
+    """The process whose command line has all ``words``."""
+    found = processes_with(*words)
+    assert found, f"no process with {words}"
+    return found[0]
 
 
 def wait_for(what: Callable[[], Any], limit_s: float = START_LIMIT_S, *, log: pathlib.Path | None = None) -> Any:

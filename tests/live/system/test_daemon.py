@@ -275,6 +275,26 @@ def test_the_service_manager_is_told_and_fed_only_while_the_loop_ticks(
         assert told[-1] == b"STOPPING=1"
 
 
+def test_it_says_that_it_answers_when_it_does(tmp_path: pathlib.Path) -> None:
+    """The gateway may be up later than the loop."""
+    file, log = daemons.rig_file(tmp_path), tmp_path / "daemon.log"
+    folder = Runtime.of(daemons.name_of(file))
+    with (
+        daemons.simulated_rig(file, tmp_path / "rig.log"),
+        daemons.process("rigctl", "run", str(file), log=log),
+        contextlib.ExitStack() as stack,
+    ):
+        words = ("rigctl.gateway", folder.directory.name)
+        gateway = daemons.wait_for(lambda: daemons.processes_with(*words), log=log)[0]
+        os.kill(gateway, signal.SIGSTOP)
+        stack.callback(os.kill, gateway, signal.SIGCONT)
+        daemons.wait_for(lambda: folder.records.path.exists() and folder.records.reader().head, log=log)
+        assert "answering at" not in log.read_text()
+        stack.close()
+        daemons.wait_for(lambda: "answering at" in log.read_text(), log=log)
+        assert daemons.rigctl("status", file=file).returncode == 0
+
+
 def test_no_rig_is_one_clear_line(tmp_path: pathlib.Path) -> None:
     file = daemons.rig_file(tmp_path)
     answer = daemons.rigctl("run", str(file))

@@ -14,7 +14,7 @@ import pytest
 
 from rigctl.config import layout
 from rigctl.ipc import runtime_folder
-from rigctl.ipc.joining import SERVICE, Joined, Presence, UsageError, joined, presence_file
+from rigctl.ipc.joining import SERVICE, Joined, Presence, UsageError, joined, presence, presence_file
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.ipc.supervision import Doing
 from rigctl.ipc.termination import Termination
@@ -142,8 +142,11 @@ def test_a_child_of_the_supervisor_joins_at_once(tmp_path: pathlib.Path) -> None
     stop = Termination()
     found = joined([str(runtime.directory)], "gateway", stop)
     assert found is not None
+    runtime.write_json(ACTIVE, {"run_id": "one"})
+    assert presence(runtime, "gateway", "one") == 0
     found.show()
-    assert not list(runtime.directory.glob("*.pid.json"))
+    assert presence(runtime, "gateway", "one") == os.getpid()
+    assert presence(runtime, "gateway", "another") == presence(runtime, "hold", "one") == 0
     runtime.end("gateway")
     assert not stop.requested
     os.close(lock)
