@@ -2,7 +2,7 @@
 # make test   what a change is judged by, in minutes                   make bench  timing against cyclictest
 # make test-live   all real processes in real time, studies
 # make test-machine   services in a systemd of their own, the guest kernel's bus faults, a minute of everything
-# make deb    Debian package, installable offline
+# make deb    Debian package, installable offline      make docs   the documentation site, which `rigctl page` serves
 # make coverage   branches of modes and safety table    make mutation   mutants, all or a sample    make fuzz
 # make soak   SOAK=1h of random commands, kills and a full disk   make wheel, lock   release: wheel, SBOM, hashes
 SHELL := /bin/bash
@@ -11,7 +11,7 @@ PYTHON := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 SOAK ?= 1h
 
-.PHONY: demo test test-live test-machine lint bench coverage mutation fuzz soak wheel lock deb setup system
+.PHONY: demo test test-live test-machine lint bench coverage mutation fuzz soak wheel lock deb docs setup system
 .DELETE_ON_ERROR:
 
 demo: $(STAMP)
@@ -59,6 +59,10 @@ soak: $(STAMP) system
 
 wheel: $(STAMP)
 	$(PYTHON) deploy/release/wheel.py
+
+docs: $(STAMP)
+	$(PYTHON) -m mkdocs build --quiet --strict -f deploy/docs/mkdocs.yml
+	@echo "rigctl/page/site/index.html; rigctl page serves it under /docs"
 
 lock: $(STAMP)
 	$(PYTHON) deploy/release/lock.py

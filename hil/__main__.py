@@ -79,14 +79,57 @@ def _compare(
     quick: Annotated[bool, typer.Option("--quick", help="6 of the 18 scenarios: 2 minutes on 2 cores, not 9")] = False,
     json: Annotated[pathlib.Path | None, typer.Option(help="write the figures here")] = None,
     plots: Annotated[pathlib.Path | None, typer.Option(help="folder for the pictures")] = None,
+    equal_limits: Annotated[
+        bool, typer.Option("--equal-limits", help="every law tuned by one optimiser under the same Ms and noise")
+    ] = False,
+    random: Annotated[int, typer.Option(min=0, help="this many random rigs instead, identified and tuned for")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=2**31, help="of the random rigs")] = 1,
+    rows: Annotated[
+        pathlib.Path | None, typer.Option(help="with the two above: keep each result here, and go on from them")
+    ] = None,
+    front: Annotated[pathlib.Path | None, typer.Option(help="draw error against Ms instead: png, svg, pdf")] = None,
 ) -> None:
     """Compare the tension law with its rivals: same plant, seed and limits, each tuned by its published rule.
 
-    All of it takes about 17 minutes of processor time; --quick about 3.
+    All of it takes about 17 minutes of processor time; --quick about 3. --equal-limits takes about 40, --random 200
+    about 60, --front about 15.
     """
+    from hil.cli import compare_tuned
     from hil.cli.compare import run
 
+    if equal_limits or random or front is not None:
+        asked = compare_tuned.Asked(only or [], controllers or [], json, rows, quick=quick)
+        if front is not None:
+            raise typer.Exit(compare_tuned.run_front(file, front, asked))
+        if random:
+            raise typer.Exit(compare_tuned.run_random(file, random, seed, asked))
+        raise typer.Exit(compare_tuned.run_equal_limits(file, asked))
     raise typer.Exit(run(file, only or [], controllers or [], json, plots, quick=quick))
+
+
+@app.command("cell")
+def _cell(
+    file: Annotated[pathlib.Path, typer.Argument(help="rig file")] = pathlib.Path("config/paper_rig.yaml"),
+    cells: Annotated[int, typer.Option(min=1, max=10_000, help="number of cells drawn")] = 200,
+    json: Annotated[pathlib.Path | None, typer.Option(help="write the figures here")] = None,
+) -> None:
+    """Hold the cell's stated uncertainty, before and after compensation, against the truth of many drawn cells."""
+    from hil.cli.cell import run
+
+    raise typer.Exit(run(file, cells, json))
+
+
+@app.command("moves")
+def _moves(
+    file: Annotated[pathlib.Path, typer.Argument(help="rig file")] = pathlib.Path("config/paper_rig.yaml"),
+    only: Annotated[list[str] | None, typer.Option(help="a variant to play; may be repeated; default all")] = None,
+    json: Annotated[pathlib.Path | None, typer.Option(help="write the figures here")] = None,
+    plots: Annotated[pathlib.Path | None, typer.Option(help="folder for the picture")] = None,
+) -> None:
+    """Repeat one move with learning, and with what was tried against friction at the reversal (docs/reversal.md)."""
+    from hil.cli.moves import run
+
+    raise typer.Exit(run(file, only or [], json, plots))
 
 
 @app.command("faults")

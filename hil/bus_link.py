@@ -24,7 +24,9 @@ class BusLink:
     is opened again. Lost frames and errors are counted.
 
     Args:
-        interface, channel, bitrate_bit_s: as in the rig file's ``can`` section.
+        interface: as in the rig file's ``can`` section, as are the next two.
+        channel: of that interface.
+        bitrate_bit_s: None where the interface has none.
         receive: gets each frame.
 
     Raises:

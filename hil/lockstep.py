@@ -62,14 +62,18 @@ class Lockstep:
         correction: Correction | None = None,
         last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen
         host_checks: int = 0,
+        built: RigSettings | None = None,
     ) -> None:
-        """``log`` keeps every frame, with its time, in ``frames``. For the other arguments see `Loop`."""
+        """``log`` keeps every frame, with its time, in ``frames``. For the other arguments see `Loop`.
+
+        ``built``: the rig file that the simulated rig is built by, where the loop believes in another plant.
+        """
         runtime.make_rings(settings)
         self.settings, self.runtime = settings, runtime
         self.rig_ns = START_NS
         self.hub = Hub(lambda: self.rig_ns)
         port = self.hub.attach(self._to_rig)
-        self.rig: SimulatedRig = SimulatedRig(settings, START_NS, port.send)
+        self.rig: SimulatedRig = SimulatedRig(built or settings, START_NS, port.send)
         self._stranger = self.hub.attach(lambda _frame: None)
         self._keep_log = log
         self.frames: list[tuple[int, bytes]] = self.hub.log
@@ -211,13 +215,14 @@ def lockstep(
     correction: Correction | None = None,
     last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen
     host_checks: int = 0,
+    built: RigSettings | None = None,
 ) -> Iterator[Lockstep]:
     """A `Lockstep` whose rings are removed afterwards."""
     with tempfile.TemporaryDirectory(prefix="rigctl-lockstep-", dir="/dev/shm") as folder:
         runtime = Runtime(pathlib.Path(folder))
         subject = Lockstep(
             settings, gains, runtime, log=log, law=law, correction=correction, last_stroke=last_stroke,
-            host_checks=host_checks,
+            host_checks=host_checks, built=built,
         )  # fmt: skip
         try:
             yield subject

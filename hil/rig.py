@@ -12,6 +12,7 @@ from hil.nodes.network import RigNetwork
 from hil.nodes.node import Node
 from hil.nodes.plain_sensors import PlainInclinometer, PlainTensionCell
 from hil.nodes.rail_encoder import RailEncoder
+from hil.nodes.second_force import second_force_node
 from hil.nodes.simulator import Simulator
 from hil.nodes.tension_amplifier import TensionAmplifier
 from hil.plant import Plant
@@ -69,7 +70,9 @@ class SimulatedRig:
         eds = settings.file(settings.cylinder.eds).with_name("simulator.eds")
         self.simulator = Simulator(network, eds, self.plant, self.start_motion, self.drive, self.io)
         self.rail_encoder = RailEncoder(network, settings, self.plant) if settings.rail_encoder else None
-        encoders = (self.rail_encoder,) if self.rail_encoder else ()
+        self.second_force = second_force_node(network, settings, simulation, self.plant)
+        encoders: tuple[Node, ...] = (self.rail_encoder,) if self.rail_encoder else ()
+        encoders += (self.second_force,) if self.second_force else ()
         self.nodes = (*(device for device in self._devices if isinstance(device, Node)), *encoders, self.simulator)
         self.receive = network.receive
         network.subscribe(objects.SYNC_COB, self._on_sync)
@@ -103,6 +106,12 @@ class SimulatedRig:
             elapsed_ns = min(elapsed_ns, self._longest_silence_ns)
         for node in self.nodes:
             node.supervise(node.clock.local_ns(t_ns), node.clock.span_ns(elapsed_ns))
+
+    def hang(self, weight_n: float) -> None:
+        """Hang a known weight on the rope, felt by the cell and the second force path; 0 takes it off."""
+        self.cell.hang(weight_n)
+        if self.second_force is not None:
+            self.second_force.hang(weight_n)
 
     def start_motion(self) -> bool:
         """Start the move of the ``demo`` section; False while one is under way or without that section."""

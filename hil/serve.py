@@ -104,7 +104,7 @@ class Service:
         places = {name: str(node) for name, node in s.canopen_nodes.items()}
         places |= {name: f"0x{message.can_id:03X}" for name, message in s.plain_messages.items()}
         names = {"tension_cell": "tension cell", "inclinometer": "inclinometer", "cylinder": "cylinder"}
-        names |= {"rail_encoder": "rail encoder", "io": "I/O node"}
+        names |= {"rail_encoder": "rail encoder", "io": "I/O node", "second_force": "second force path"}
         devices = ", ".join(f"{name} {places[key]}" for key, name in names.items() if key in places)
         return f"serving {s.rig} on {s.can.interface}:{s.can.channel}: {devices}"
 

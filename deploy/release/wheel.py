@@ -1,5 +1,7 @@
 """``make wheel``: the wheel of the commit checked out, built twice to the same bytes, and its SBOM.
 
+The wheel carries the documentation, which `rigctl page` serves.
+
 The tree is taken from git, so that nothing lies in the wheel that is not committed; times in it are the commit's.
 """
 
@@ -10,6 +12,7 @@ import hashlib
 import io
 import os
 import pathlib
+import shutil
 import subprocess
 import sys
 import tarfile
@@ -18,6 +21,7 @@ import tempfile
 import sbom
 
 ROOT = pathlib.Path(__file__).parents[2]
+SITE = "rigctl/page/site"
 
 
 class BuildError(RuntimeError):
@@ -36,24 +40,50 @@ def git(*arguments: str) -> bytes:
     return found.stdout
 
 
-def built(tree: bytes, epoch: int, folder: pathlib.Path) -> pathlib.Path:
-    """A wheel of a tree (tar), built in ``folder``.
+def unpacked(tree: bytes, into: pathlib.Path) -> pathlib.Path:
+    """A tree (tar) as a folder."""
+    with tarfile.open(fileobj=io.BytesIO(tree)) as archive:
+        archive.extractall(into, filter="data")
+    return into
+
+
+def documentation(tree: bytes, epoch: int, folder: pathlib.Path) -> pathlib.Path:
+    """The documentation site of a tree (tar), built in ``folder``.
+
+    Raises:
+        BuildError: the build fails, for a broken link among others.
+    """
+    source = unpacked(tree, folder / "source")
+    run("mkdocs", "build", "--quiet", "--strict", "-f", str(source / "deploy/docs/mkdocs.yml"), epoch=epoch)
+    return source / SITE
+
+
+def built(tree: bytes, site: pathlib.Path, epoch: int, folder: pathlib.Path) -> pathlib.Path:
+    """A wheel of a tree (tar) with its documentation, built in ``folder``.
 
     Raises:
         BuildError: the build fails.
     """
-    source, out = folder / "source", folder / "wheel"
-    with tarfile.open(fileobj=io.BytesIO(tree)) as archive:
-        archive.extractall(source, filter="data")
-    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-index", "--no-build-isolation"]
+    source, out = unpacked(tree, folder / "source"), folder / "wheel"
+    shutil.copytree(site, source / SITE)
+    offline = ["--quiet", "--no-deps", "--no-index", "--no-build-isolation", "--disable-pip-version-check"]
+    run("pip", "wheel", *offline, "--wheel-dir", str(out), str(source), epoch=epoch)
+    return next(out.glob("*.whl"))
+
+
+def run(module: str, *arguments: str, epoch: int) -> None:
+    """Run a Python module of the virtual environment, so that its output does not depend on when and where.
+
+    Raises:
+        BuildError: it fails.
+    """
     found = subprocess.run(
-        [*command, "--disable-pip-version-check", "--wheel-dir", str(out), str(source)],
+        [sys.executable, "-m", module, *arguments],
         capture_output=True, text=True, check=False, umask=0o022,
         env={**os.environ, "SOURCE_DATE_EPOCH": str(epoch), "PYTHONHASHSEED": "0", "LC_ALL": "C.UTF-8"},
     )  # fmt: skip
     if found.returncode:
-        raise BuildError(f"pip wheel: {(found.stderr.strip().splitlines() or ['it failed'])[-1]}")
-    return next(out.glob("*.whl"))
+        raise BuildError(f"{module} {arguments[0]}: {(found.stderr.strip().splitlines() or ['it failed'])[-1]}")
 
 
 def make(commit: str, into: pathlib.Path) -> pathlib.Path:
@@ -65,8 +95,13 @@ def make(commit: str, into: pathlib.Path) -> pathlib.Path:
     tree = git("archive", "--format=tar", commit)
     epoch = int(git("log", "-1", "--format=%ct", commit))
     into.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as one, tempfile.TemporaryDirectory(prefix="another-") as other:
-        wheels = [built(tree, epoch, pathlib.Path(folder)) for folder in (one, other)]
+    with (
+        tempfile.TemporaryDirectory() as docs,
+        tempfile.TemporaryDirectory() as one,
+        tempfile.TemporaryDirectory(prefix="another-") as other,
+    ):
+        site = documentation(tree, epoch, pathlib.Path(docs))
+        wheels = [built(tree, site, epoch, pathlib.Path(folder)) for folder in (one, other)]
         contents = [wheel.read_bytes() for wheel in wheels]
         if contents[0] != contents[1]:
             raise BuildError(f"{wheels[0].name}: two builds of one commit differ")

@@ -17,6 +17,7 @@ from hil.scenario.play import Advance, Played, play
 from hil.study import runner
 from hil.study.runner import Work
 from rigctl.config.settings import RigSettings
+from rigctl.ipc.correction import Correction
 from rigctl.metrics.tension_error import error_pct, largest_and_rms_pct
 
 Floats = npt.NDArray[np.float64]
@@ -32,7 +33,7 @@ TRACE_STEP = 5
 """Every so many milliseconds of the truth, one sample is kept for the plots."""
 ROBUSTNESS_S = 2.5
 """Cost of one law's robustness, in seconds of simulated time, for the progress bar."""
-_CELL, _ROBUSTNESS = "cell", "robustness"
+_CELL, _COMMISSIONED, _ROBUSTNESS = "cell", "commissioned", "robustness"
 
 
 class LawResult(NamedTuple):
@@ -76,6 +77,8 @@ class Comparison(NamedTuple):
     """By law, with the plant of the rig file; None for the locked cylinder."""
     with_cell: dict[str, LawResult]
     """Ours, by run, with the cell's systematic errors, see `hil.compare.cell`; empty where ours is not run."""
+    with_commissioned: dict[str, LawResult]
+    """The same with the cell tared, calibrated and its creep and drift taken out; empty without `calibration`."""
 
     def verdicts(self) -> Iterator[LimitVerdict]:
         """Every limit of ours that can be judged: a ratio needs the passive run too."""
@@ -89,18 +92,27 @@ class Comparison(NamedTuple):
 
 
 def pieces(rig: RigSettings, chosen: Sequence[ComparedRun], laws: Sequence[ComparedLaw]) -> dict[tuple[str, str], Work]:
-    """The work of a comparison: ``(run, law)``, ``(run, "cell")`` and ``("robustness", law)``, longest runs first."""
+    """The work by ``(run, law)``, ``(run, "cell")``, ``(run, "commissioned")`` and ``("robustness", law)``."""
     longest_first = sorted(chosen, key=lambda run: -run.seconds)
     found = {
-        (run.name, law.name): Work(_result, (rig, run, law.name), f"{run.name}: {law.title}", run.seconds)
+        (run.name, law.name): Work(result_of, (rig, run, law.name), f"{run.name}: {law.title}", run.seconds)
         for run in longest_first
         for law in laws
     }
     if any(law.name == OURS for law in laws):
         wrong, title = cell.with_errors(rig), "ours, with the cell's errors"
         found |= {
-            (run.name, _CELL): Work(_result, (wrong, run, OURS), f"{run.name}: {title}", run.seconds) for run in chosen
+            (run.name, _CELL): Work(result_of, (wrong, run, OURS), f"{run.name}: {title}", run.seconds)
+            for run in chosen
         }
+        if rig.calibration is not None:
+            known, title = cell.commissioned(rig), "ours, with the commissioned cell"
+            found |= {
+                (run.name, _COMMISSIONED): Work(
+                    result_of, (known.rig, run, OURS, known.correction), f"{run.name}: {title}", run.seconds
+                )
+                for run in chosen
+            }
     return found | {
         (_ROBUSTNESS, law.name): Work(_robustness, (rig, law.name), f"robustness: {law.title}", ROBUSTNESS_S)
         for law in laws
@@ -123,6 +135,7 @@ def compare(
         {(run.name, law.name): found[run.name, law.name] for run in chosen for law in laws},
         {law.name: found[_ROBUSTNESS, law.name] for law in laws},
         {run.name: found[run.name, _CELL] for run in chosen if (run.name, _CELL) in found},
+        {run.name: found[run.name, _COMMISSIONED] for run in chosen if (run.name, _COMMISSIONED) in found},
     )
 
 
@@ -130,7 +143,8 @@ def _robustness(rig: RigSettings, law: str) -> Robustness | None:
     return law_robustness.robustness(rig, LAWS[law])
 
 
-def _result(rig: RigSettings, run: ComparedRun, law: str) -> LawResult:
+def result_of(rig: RigSettings, run: ComparedRun, law: str, correction: Correction | None = None) -> LawResult:
+    """One law in one run; ``correction``: of the cell, from its ledger."""
     settings = run.settings(rig, WAIVER)
     try:
         played = play(
@@ -140,6 +154,7 @@ def _result(rig: RigSettings, run: ComparedRun, law: str) -> LawResult:
             controller="locked" if law == PASSIVE else "loop",
             target_n=settings.tension.target_n,
             law=LAWS[law].law,
+            correction=correction,
         )
     except ScenarioError as error:
         if error.exit_code != 1:

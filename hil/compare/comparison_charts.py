@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FIRST = "eta_max.png"
-_COLORS = {
+COLORS = {
     "passive": "#b5b5b5",
     "p": "#e0a458",
     "pi": "#c8553d",
@@ -53,11 +53,11 @@ def _bars(study: Comparison, file: pathlib.Path) -> pathlib.Path:
         results = [study.results[run.name, law.name] for run in study.runs]
         values = [np.nan if result.eta_max_pct is None else result.eta_max_pct for result in results]
         at = places + (0.5 * (count - 1) - i) * height
-        axis.barh(at, values, height, color=_COLORS[law.name], label=law.title)
+        axis.barh(at, values, height, color=COLORS[law.name], label=law.title)
         for y, result in zip(at, results, strict=True):
             if not result.whole:
                 words = f"{law.title} {result.ended}"
-                axis.text(1.05e-3, y, words, fontsize=7.5, va="center", color=_COLORS[law.name])
+                axis.text(1.05e-3, y, words, fontsize=7.5, va="center", color=COLORS[law.name])
     for y, run in zip(places, study.runs, strict=True):
         for quantity, most in run.limits:
             if quantity == "eta_true_max_pct":
@@ -106,7 +106,7 @@ def _trace(study: Comparison, name: str, file: pathlib.Path) -> pathlib.Path:
 
 def _curve(study: Comparison, name: str, law: str, axis: Axes, *, faint: bool) -> None:
     run = study.results[name, law]
-    axis.plot(run.t_s, run.eta_pct, color=_COLORS[law], linewidth=0.9, alpha=0.4 if faint else 1.0)
+    axis.plot(run.t_s, run.eta_pct, color=COLORS[law], linewidth=0.9, alpha=0.4 if faint else 1.0)
 
 
 def _range(study: Comparison, name: str, from_s: float, to_s: float) -> tuple[float, float]:

@@ -83,6 +83,7 @@ def document(study: Comparison) -> dict[str, Any]:
             "budget_n": {error.name: error.newtons for error in errors},
             "combined_n": combined_n(errors),
             "ours_with_errors": {name: _figures(result) for name, result in study.with_cell.items()},
+            "ours_commissioned": {name: _figures(result) for name, result in study.with_commissioned.items()},
         },
     }
 
@@ -172,12 +173,16 @@ def _number(value: float) -> str:
 
 
 def _cell_errors(study: Comparison) -> Table:
-    """Our law without and with the cell's errors."""
-    title = "Ours without and with the cell's systematic errors, largest and rms error of the vertical force, %"
-    found = table("scenario", ("max", "max with", "rms", "rms with"), title)
+    """Our law without and with the cell's errors, and with the cell commissioned."""
+    title = "Ours without and with the cell's systematic errors, and with these corrected: vertical force, %"
+    found = table("scenario", ("max", "max with", "corrected", "rms", "rms with", "corrected"), title)
     for run in study.runs:
         without, having = study.results[run.name, OURS], study.with_cell[run.name]
-        values = without.eta_max_pct, having.eta_max_pct, without.eta_rms_pct, having.eta_rms_pct
+        known = study.with_commissioned.get(run.name)
+        largest, rms = (None, None) if known is None else (known.eta_max_pct, known.eta_rms_pct)
+        values = (
+            without.eta_max_pct, having.eta_max_pct, largest, without.eta_rms_pct, having.eta_rms_pct, rms,
+        )  # fmt: skip
         found.add_row(run.title, *("-" if value is None else _number(value) for value in values))
     return found
 

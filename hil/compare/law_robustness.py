@@ -16,7 +16,8 @@ from hil.compare.rivals.feedback import Feedback, Sample
 from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import filter_model
 from rigctl.design import closed_loop
-from rigctl.design.gains import design, filter_gain
+from rigctl.design.gains import OPEN, QUIET, design
+from rigctl.design.margins import controllers
 from rigctl.design.plant_family import Array, ComplexArray, Member, family, member
 
 REST = Sample(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -24,6 +25,8 @@ SMALL = 1e-3
 """Size of a sample, N or mm/s: far from any limit of a law."""
 ANSWER_TICKS = 6000
 """By then every law's response to a single sample is over, except for the constant of its integral."""
+BLOCK = 64
+"""Ticks of an answer that are summed at once."""
 LOOK_S = 2.0
 GROWN = 0.3
 """A disturbance of one tick that has not died out to this share within ``LOOK_S`` counts as unstable."""
@@ -50,18 +53,22 @@ def robustness(rig: RigSettings, compared: ComparedLaw) -> Robustness | None:
     z = np.exp(2j * np.pi * grid / rig.loop.rate_hz)
     if compared.make is None:
         model = filter_model(rig)
-        ours = closed_loop.controller(model, design(rig), filter_gain(model))
-        law = ours.response(z)
-        steady = [closed_loop.closed_loop(plant, ours).spectral_radius < 1.0 for plant in plants]
+        settings = controllers(model, design(rig))
+        laws = [ours.response(z) for ours in settings.values()]
+        at_rest = laws[list(settings).index(QUIET if QUIET in settings else OPEN)]
+        steady = [
+            closed_loop.closed_loop(plant, ours).spectral_radius < 1.0 for ours in settings.values() for plant in plants
+        ]
     else:
         feedback = compared.make(rig)
-        law = response(feedback, z)
-        steady = [_dies_out(plant, feedback, round(LOOK_S * rig.loop.rate_hz)) for plant in plants]
-    own = sensitivity(member(rig, rig.plant.mechanism_n_mm), law, z)
-    peaks = [float(np.abs(sensitivity(plant, law, z)).max()) for plant in plants]
-    noise = np.trapezoid(np.abs(law[0] * own[0]) ** 2, grid) / grid[-1]
+        laws = [at_rest := response(feedback, z)]
+        steady = [dies_out(plant, feedback, round(LOOK_S * rig.loop.rate_hz)) for plant in plants]
+    nominal = member(rig, rig.plant.mechanism_n_mm)
+    own = max(float(np.abs(sensitivity(nominal, law, z)).max()) for law in laws)
+    peaks = [float(np.abs(sensitivity(plant, law, z)).max()) for law in laws for plant in plants]
+    noise = np.trapezoid(np.abs(at_rest[0] * sensitivity(nominal, at_rest, z)[0]) ** 2, grid) / grid[-1]
     return Robustness(
-        float(np.abs(own).max()),
+        own,
         max(peaks) if all(steady) else math.inf,
         rig.tension_cell.noise_n * math.sqrt(float(noise)),
     )
@@ -74,13 +81,20 @@ def sensitivity(plant: Member, law: ComplexArray, z: ComplexArray) -> ComplexArr
     return np.stack([at_input, at_input * (1.0 - law[1] * speed)])
 
 
-def response(feedback: Feedback, z: ComplexArray) -> ComplexArray:
-    """Command per tension (mm/s per N) and per speed (1), shape (2, len(z)), with the tick before the command."""
-    answers = np.array([_answer(feedback, *sample) for sample in (("tension_n", 0.0), ("speed_mm_s", 0.0), ("", 1.0))])
+def response(feedback: Feedback, z: ComplexArray, ticks: int = ANSWER_TICKS) -> ComplexArray:
+    """Command per tension (mm/s per N) and per speed (1), shape (2, len(z)), with the tick before the command.
+
+    ``ticks``: after these an answer has become constant.
+    """
+    samples = ("tension_n", 0.0), ("speed_mm_s", 0.0), ("", 1.0)
+    answers = np.array([_answer(feedback, *sample, ticks) for sample in samples])
     kept = answers[:, -1:]  # the constant of an integral
+    # Horner's scheme in blocks, so that BLAS does the work: the sum of answer(n) z^-n-1.
+    blocks = np.split(np.pad(answers - kept, ((0, 0), (0, -ticks % BLOCK))), -(-ticks // BLOCK), axis=1)
+    powers = z ** -np.arange(1.0, BLOCK + 1.0)[:, None]
     found = np.zeros((3, len(z)), np.complex128)
-    for values in (answers - kept)[:, ::-1].T:  # Horner: the sum of answer(n) z^-n-1
-        found = (found + values[:, None]) / z
+    for block in reversed(blocks):
+        found = block @ powers + found * powers[-1]
     found += kept / (z - 1.0)
     result: ComplexArray = found[:2] / (1.0 - found[2])  # the sent command acts through the law's own model
     return result
@@ -99,12 +113,12 @@ def swing(plant: Member, feedback: Feedback, kick: Array) -> Array:
     return tension
 
 
-def _answer(feedback: Feedback, signal: str, sent: float) -> Array:
+def _answer(feedback: Feedback, signal: str, sent: float, ticks: int) -> Array:
     """Commands wanted after a single sample, or after a single command sent a tick before; no other is sent."""
     feedback.start(REST)
     feedback.wanted(REST)  # a difference needs an earlier sample
     feedback.sent(SMALL * sent)
-    samples = [REST] * ANSWER_TICKS
+    samples = [REST] * ticks
     if signal:
         samples[0] = REST._replace(**{signal: SMALL})
     answers = []
@@ -122,7 +136,8 @@ def _tick(feedback: Feedback, sample: Sample) -> float:
     return command
 
 
-def _dies_out(plant: Member, feedback: Feedback, ticks: int) -> bool:
+def dies_out(plant: Member, feedback: Feedback, ticks: int) -> bool:
+    """Whether a disturbance of one tick dies out on a plant."""
     kick = np.zeros(ticks)
     kick[0] = SMALL
     tension = np.abs(swing(plant, feedback, kick))

@@ -12,11 +12,12 @@ from hil.faults.rows_creep import CREEP
 from hil.faults.rows_drive import DRIVE, DRIVE_FEEDBACK, SUPERVISION
 from hil.faults.rows_io import IO, RAIL_ENCODER
 from hil.faults.rows_plant import CONTROLLER, PLANT
+from hil.faults.rows_second_force import SECOND_FORCE
 from hil.faults.rows_sensors import SENSOR_CELL, SENSOR_SLOPE
 
 CATALOGUE = (
-    *SENSOR_CELL, *SENSOR_SLOPE, *IO, *RAIL_ENCODER, *DRIVE_FEEDBACK, *BUS, *SUPERVISION, *DRIVE, *CREEP, *PLANT,
-    *CONTROLLER,
+    *SENSOR_CELL, *SENSOR_SLOPE, *IO, *RAIL_ENCODER, *SECOND_FORCE,
+    *DRIVE_FEEDBACK, *BUS, *SUPERVISION, *DRIVE, *CREEP, *PLANT, *CONTROLLER,
 )  # fmt: skip
 """Faults that simulated time can show; `hil.faults.processes` has the faults of real processes."""
 BY_ID = {fault.id: fault for fault in CATALOGUE}

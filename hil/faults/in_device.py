@@ -149,6 +149,15 @@ def io_contact_opens(seconds: float = math.inf) -> Injector:
     return inject
 
 
+def second_force_off(newtons: float) -> Injector:
+    """The second force path reads so much too high from now on."""
+
+    def inject(stand: Stand) -> None:
+        stand.second.fault_n = newtons
+
+    return inject
+
+
 def setting_lost(index: int, sub: int, value: int = 0) -> Injector:
     """An object of the drive is written through its own service connection: no frame on the bus shows it."""
 

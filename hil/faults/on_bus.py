@@ -28,6 +28,7 @@ slope: FindNode = attrgetter("slope")
 drive: FindNode = attrgetter("drive")
 io: FindNode = attrgetter("io")
 rail: FindNode = attrgetter("rail")
+second: FindNode = attrgetter("second")
 
 
 def can_id(frame: bytes) -> int:

@@ -11,6 +11,7 @@ from hil.nodes.inclinometer import Inclinometer
 from hil.nodes.io_node import IoNode
 from hil.nodes.node import Node
 from hil.nodes.rail_encoder import RailEncoder
+from hil.nodes.second_force import SecondCell, StretchEncoder
 from hil.nodes.tension_amplifier import TensionAmplifier
 from hil.plant import Plant
 from rigctl.config.settings import RigSettings
@@ -83,6 +84,12 @@ class Stand:
         """The rail's encoder, in the rows whose rig has one."""
         assert self.rig.rig.rail_encoder is not None
         return self.rig.rig.rail_encoder
+
+    @property
+    def second(self) -> SecondCell | StretchEncoder:
+        """The second force path, in the rows whose rig has one."""
+        assert self.rig.rig.second_force is not None
+        return self.rig.rig.second_force
 
     def ends_after(self, seconds: float, undo: Callable[[], None]) -> Step:
         """A step that calls ``undo`` once, ``seconds`` after the fault began."""

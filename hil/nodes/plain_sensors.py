@@ -76,6 +76,10 @@ class PlainTensionCell(PlainSensor):
         super().__init__(send, message, settings, plant, simulation.cell.clock_ppm)
         self._measurement = TensionMeasurement(settings, simulation, plant)
 
+    def hang(self, weight_n: float) -> None:
+        """Hang a known weight on the cell beside the rope; 0 takes it off."""
+        self._measurement.hang(weight_n)
+
     def advance(self, t_ns: int) -> None:
         """Follow the tension, then send as every sensor does."""
         self._measurement.advance()

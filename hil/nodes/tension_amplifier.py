@@ -16,7 +16,7 @@ _GOOD = AiStatus(0)
 
 
 class TensionAmplifier(Node):
-    """Samples the tension at every SYNC (0x9130:01 in mN, 0x6150:01 status)."""
+    """Samples the tension at every SYNC (0x9130:01 in mN, 0x6150:01 status); 0x9130:02 is the cell's temperature."""
 
     def __init__(
         self, network: RigNetwork, settings: RigSettings, simulation: SimulationSettings, plant: Plant
@@ -28,6 +28,13 @@ class TensionAmplifier(Node):
         self._status = _GOOD
         self.readers[objects.AI_PROCESS_VALUE, 1] = lambda: self._value
         self.readers[objects.AI_STATUS, 1] = lambda: self._status
+        measurement = self._measurement
+        self.readers[objects.AI_PROCESS_VALUE, 2] = lambda: round(measurement.temperature_c / objects.C_PER_CELL_UNIT)
+        self.readers[objects.AI_STATUS, 2] = lambda: _GOOD
+
+    def hang(self, weight_n: float) -> None:
+        """Hang a known weight on the cell beside the rope; 0 takes it off."""
+        self._measurement.hang(weight_n)
 
     def advance(self, _: int) -> None:
         """Follow the tension; SYNC samples it, not the amplifier's clock."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -20,8 +20,9 @@ from rigctl.control.faults import Fault
 from rigctl.control.loop import LawFactory
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
-from rigctl.design.gain_file import design_in_use
 from rigctl.design.gains import DesignError
+from rigctl.design.in_use import adopted, design_in_use
+from rigctl.ipc.correction import Correction
 
 LOCKED_PERIOD_NS = 1_000_000
 PREPARING = "preparing the plant (compiled once)"
@@ -72,7 +73,10 @@ def play(
     settle_s: float = 2.0,
     gains: Gains | None = None,
     law: LawFactory | None = None,
+    correction: Correction | None = None,
+    marks: Sequence[tuple[float, int]] = (),
     progress: Advance | None = None,
+    believed: RigSettings | None = None,
 ) -> Played:
     """Play tracks against a rig.
 
@@ -86,7 +90,10 @@ def play(
         settle_s: time in COMPENSATING before time 0; ``loop`` only.
         gains: of the law; None designs them and refuses what ``rigctl run`` would refuse.
         law: makes another law than the standard one, see `rigctl.control.loop.Loop`.
+        correction: of the tension cell, from its ledger; None: the cell as it reads.
+        marks: times and numbers of the moves that an operator marks (`rigctl move`); ``loop`` only.
         progress: called with the progress.
+        believed: settings of the loop; None are those of the rig, with what their gain file replaces.
 
     Raises:
         ScenarioError: the rig cannot be simulated or its design is refused (2), or it does not get as far as
@@ -96,15 +103,28 @@ def play(
     if controller == "locked":
         return _play_locked(settings, tracks, seconds, target_n, advance)
     advance(0.0, "designing the law")
-    designed = gains or design(settings)
+    believed = believed or adopted_by(settings)
+    designed = gains or design(believed)
     with contextlib.ExitStack() as stack:
         advance(0.0, PREPARING)
         try:
-            rig = stack.enter_context(lockstep(settings, designed, law=law))
+            rig = stack.enter_context(lockstep(believed, designed, law=law, built=settings, correction=correction))
         except (ValueError, OSError) as error:
             raise ScenarioError([f"{settings.rig}: {error}"]) from None
         _bring_to_target(rig, target_n, settle_s, advance)
-        return _play_loop(rig, tracks, seconds, target_n, advance)
+        return _play_loop(rig, tracks, seconds, target_n, advance, marks)
+
+
+def adopted_by(settings: RigSettings) -> RigSettings:
+    """The settings that ``rigctl run`` would run with.
+
+    Raises:
+        ScenarioError: the gain file does not fit them.
+    """
+    try:
+        return adopted(settings)
+    except DesignError as error:
+        raise ScenarioError([f"{settings.rig}: design: {error}"]) from None
 
 
 def design(settings: RigSettings) -> Gains:
@@ -187,7 +207,10 @@ def _command(rig: Lockstep, verb: Verb, value: float = 0.0) -> None:
         raise ScenarioError([f"{rig.settings.rig}: {verb.name} was refused: {refusal.name}"], exit_code=1)
 
 
-def _play_loop(rig: Lockstep, tracks: Mapping[int, Track], seconds: float, target_n: float, advance: Advance) -> Played:
+def _play_loop(
+    rig: Lockstep, tracks: Mapping[int, Track], seconds: float, target_n: float, advance: Advance,
+    marks: Sequence[tuple[float, int]],
+) -> Played:  # fmt: skip
     plant, period_ns = rig.rig.plant, rig.settings.loop.period_ns
     origin_ns = plant.t_ns
     rig.read_records()
@@ -196,8 +219,11 @@ def _play_loop(rig: Lockstep, tracks: Mapping[int, Track], seconds: float, targe
     truth = np.empty(count + 1, TRUTH_DTYPE)
     truth[0] = plant.truth
     parts = []
+    numbers = {round(at_s * 1e9 / period_ns): number for at_s, number in marks}
     for first, after in _chunks(count, period_ns):
         for i in range(first + 1, after + 1):
+            if i - 1 in numbers:
+                rig.give(Verb.MOVE, numbers[i - 1])
             rig.loop.tick()
             truth[i] = plant.truth
         parts.append(rig.read_records())

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import pathlib
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hil.scenario.case import Case
 from hil.scenario.play import Played
+from rigctl.config.settings import RigSettings
 from rigctl.metrics.tension_error import error_pct
 
 if TYPE_CHECKING:
@@ -17,6 +19,11 @@ if TYPE_CHECKING:
 SUFFIXES = (".png", ".svg", ".pdf")
 MOST_POINTS = 6000
 """More points than this are not visible; the lowest and the highest of every stretch are kept."""
+
+ERROR = "vertical_error_n"
+LIMITED = ("vertical_n", "tangential_deg", "normal_deg", "pulley_mm", "stroke_mm", ERROR)
+"""Signals of the rig file's limits by panel."""
+LEAST_ERROR_PCT = 0.05  # shown of the error
 
 _TRUTH, _VIEW, _SPEED, _GREY, _ALARM = "#1f4e79", "#f0b98d", "#8cc5a2", "#8a8a8a", "#b00020"
 
@@ -36,18 +43,22 @@ def plot(case: Case, played: Played, file: pathlib.Path) -> None:
     axes = figure.subplots(3 if loop else 2, 2, sharex=True)
     truth, t_s = played.truth, played.t_s
     panels = [
-        ("vertical tension", "N", "vertical_n", 1.0),
-        ("tangential inclination", "deg", "tangential_rad", np.degrees(1.0)),
-        ("normal inclination", "deg", "normal_rad", np.degrees(1.0)),
-        ("pulley displacement", "mm", "pulley_mm", 1.0),
+        ("vertical tension", "N", "vertical_n", 1.0, 1.0),
+        ("tangential inclination", "deg", "tangential_rad", np.degrees(1.0), 0.1),
+        ("normal inclination", "deg", "normal_rad", np.degrees(1.0), 0.1),
+        ("pulley displacement", "mm", "pulley_mm", 1.0, 0.5),
     ]
-    for letter, axis, (title, unit, field, scale) in zip("abcd", axes.flat, panels, strict=False):
+    for letter, axis, (title, unit, field, scale, _) in zip("abcd", axes.flat, panels, strict=False):
         _curve(axis, t_s, truth[field] * scale, _TRUTH, "truth")
         axis.set_ylabel(f"({letter}) {title}, {unit}")
     axes.flat[0].axhline(played.target_n, color=_GREY, linewidth=0.8, linestyle="--", label="target")
     if loop:
         _work_of_the_loop(axes.flat[4], axes.flat[5], played)
         _seen_by_the_loop(axes.flat[:3], played)
+    for axis, panel in zip(axes.flat, panels, strict=False):
+        widen(axis, panel[-1])
+    if loop:
+        _limits(case.settings, played.target_n, dict(zip(LIMITED, axes.flat, strict=True)))
     for axis in axes.flat:
         for window in case.scenario.windows.values():
             axis.axvspan(window.from_s, window.to_s, color=_GREY, alpha=0.12, linewidth=0.0)
@@ -73,6 +84,14 @@ def plot(case: Case, played: Played, file: pathlib.Path) -> None:
     figure.savefig(file, dpi=150, metadata={"Date": None} if file.suffix.lower() == ".svg" else None)
 
 
+def widen(axis: Axes, span: float) -> None:
+    """Show at least ``span`` on the y axis, so that noise does not fill the picture."""
+    low, high = axis.get_ylim()
+    if high - low < span:
+        middle = 0.5 * (low + high)
+        axis.set_ylim(middle - 0.5 * span, middle + 0.5 * span)
+
+
 def _work_of_the_loop(stroke: Axes, error: Axes, played: Played) -> None:
     """Stroke with its speed, and the error of equation (16)."""
     truth, t_s = played.truth, played.t_s
@@ -88,7 +107,24 @@ def _work_of_the_loop(stroke: Axes, error: Axes, played: Played) -> None:
     eta_pct = np.abs(error_pct(truth["vertical_n"], played.target_n))
     _curve(error, t_s, eta_pct, _TRUTH, "truth", linewidth=0.6)
     error.set_ylabel("(f) error of the force, %")
-    error.set_ylim(bottom=0.0)
+    error.set_ylim(0.0, max(error.get_ylim()[1], LEAST_ERROR_PCT))
+    widen(stroke, 1.0)
+    widen(speed, 1.0)
+
+
+def _limits(settings: RigSettings, target_n: float, axes: Mapping[str, Axes]) -> None:
+    """The rig file's limits where they are in view, with what the loop does beyond them."""
+    for limit in settings.limits:
+        if limit.signal not in axes or "COMPENSATING" not in limit.modes:
+            continue
+        axis = axes[limit.signal]
+        for bound in (limit.low, limit.high):
+            value = bound if bound is None or limit.signal != ERROR else 100.0 * bound / target_n
+            if value is None or not axis.get_ylim()[0] < value < axis.get_ylim()[1]:
+                continue
+            axis.axhline(value, color=_ALARM, linewidth=0.8, linestyle="--")
+            words = f"limit {bound:g}{' N' if limit.signal == ERROR else ''}: {limit.action}"
+            axis.text(0.01, value, words, transform=axis.get_yaxis_transform(), fontsize=7, color=_ALARM, va="bottom")
 
 
 def _seen_by_the_loop(axes: list[Axes], played: Played) -> None:

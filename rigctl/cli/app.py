@@ -65,7 +65,7 @@ for command in (
     daemon.run, daemon.demo, daemon.check, design.tune, status.status, watch.watch, page.page, lease.lease,
     keys.keys, doctor.doctor, bench.bench, audit.audit, replay.replay, report.report,
     recordings.info, recordings.export,
-    verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset,
+    verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset, verbs.move,
     commission.tare, commission.calibrate, commission.identify, commission.gains,
     install.install, install.uninstall,
 ):  # fmt: skip

@@ -15,6 +15,7 @@ from rigctl.cli.options import (
     Json,
     Operator,
     Rig,
+    check_output,
     daemon,
     end,
     end_with_answer,
@@ -30,12 +31,30 @@ WeightN = Annotated[
     ),
 ]
 Shunt = Annotated[bool, typer.Option("--shunt", help="Compare with the shunt [calibration.shunt_n].")]
-Adopt = Annotated[bool, typer.Option("--adopt", help="Set the scale that makes them agree, within 2 %.")]
-
-PLACES = ("hold", "tension")
-Where = Annotated[
-    str, typer.Option("--in", metavar="hold|tension", help="As the rope is in HOLD, or only if it is tight.")
+Adopt = Annotated[
+    bool, typer.Option("--adopt", help="Set the scale that makes them agree, within 2 %; or the creep found.")
 ]
+Creep = Annotated[
+    float | None,
+    typer.Option(
+        "--creep", metavar="MINUTES", parser=finite_number("minutes"), help="Record the creep after the load's step."
+    ),
+]
+
+SUFFIXES = (".png", ".svg", ".pdf")
+PLACES = ("hold", "tension")
+MODES = ("hold", "compensating")
+Where = Annotated[
+    str | None,
+    typer.Option(
+        "--in", metavar="hold|tension|compensating",
+        help="As the rope is in HOLD, or only if it is tight; --response: only in that mode [the one it is in].",
+    ),
+]  # fmt: skip
+Response = Annotated[
+    bool, typer.Option("--response", help="Frequency response by a multisine, a minute: plant, delay, resonance, Ms.")
+]
+Plot = Annotated[pathlib.Path | None, typer.Option("--plot", metavar="FILE", help="Draw the response: png, svg, pdf.")]
 GainFileArgument = Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Gain file from `rigctl tune`.")]
 OutFile = Annotated[pathlib.Path | None, typer.Option("--file", metavar="FILE", help="Write the entry here too.")]
 
@@ -49,38 +68,84 @@ def calibrate(
     weight_n: WeightN = None,
     shunt: Shunt = False,
     adopt: Adopt = False,
+    creep: Creep = None,
     json: Json = False,
     connect: Connect = None,
     rig: Rig = None,
     operator: Operator = None,
 ) -> None:
-    """Hold the cell against a known weight that hangs still, or against the shunt; on record, with a due date."""
-    if shunt and (adopt or weight_n is not None):
-        end(USAGE, "found --shunt with --adopt or --weight-n, expected --shunt alone")
-    end_with_answer(_give("calibrate", connect, rig, operator, weight_n, shunt=shunt, adopt=adopt), json)
+    """Hold the cell against a known weight that hangs still, or against the shunt; on record, with a due date.
+
+    With --creep the cell's creep is recorded: within two minutes after the command the weight is hung on the unloaded
+    cell (DISARMED), or taken off it; in HOLD on a tight rope the rope's relaxation is in the record too.
+    """
+    if shunt and (adopt or weight_n is not None or creep is not None):
+        end(USAGE, "found --shunt with --adopt, --weight-n or --creep, expected --shunt alone")
+    if creep is None:
+        end_with_answer(_give("calibrate", connect, rig, operator, weight_n, shunt=shunt, adopt=adopt), json)
+    from rigctl.control.trials import CREEP_LONGEST_S, CREEP_SHORTEST_S
+
+    shortest, longest = CREEP_SHORTEST_S / 60.0, CREEP_LONGEST_S / 60.0
+    if not shortest <= creep <= longest:
+        end(USAGE, f"--creep: found {creep:g} minutes, expected {shortest:.2g} to {longest:g}")
+    if not json:
+        say(f"hang the weight on the cell within two minutes, then leave it alone for {creep:g} minutes")
+    end_with_answer(_give("calibrate", connect, rig, operator, weight_n, adopt=adopt, creep_s=60.0 * creep), json)
 
 
 def identify(
-    where: Where = "hold",
+    where: Where = None,
+    response: Response = False,
     file: OutFile = None,
+    plot: Plot = None,
     json: Json = False,
     connect: Connect = None,
     rig: Rig = None,
     operator: Operator = None,
 ) -> None:
-    """Small steps of speed in HOLD tell lag, delay, stiffness, backlash and noise; proposes, and changes nothing."""
-    if where not in PLACES:
-        end(USAGE, f"--in: found {where!r}, expected {' or '.join(PLACES)}")
+    """Small motions of the stroke tell lag, delay, stiffness and more; proposes, and changes nothing.
+
+    Steps of speed in HOLD take 7 s. A multisine (--response), in HOLD or while COMPENSATING, takes a minute and gives
+    the frequency response with the loop's margins.
+    """
+    places = MODES if response else PLACES
+    if where is not None and where not in places:
+        end(USAGE, f"--in: found {where!r}, expected {' or '.join(places)}")
+    if plot is not None and not response:
+        end(USAGE, "found --plot without --response, expected both")
+    _check_files(file, plot)
+    if response and not json:
+        say("the stroke moves by a multisine for a minute; any command ends it")
+    if response:
+        answer = _give("response", connect, rig, operator, where=where or "")
+    else:
+        answer = _give("identify", connect, rig, operator, tight=where == "tension")
+    if answer.get("accepted"):
+        entry = answer["entry"]
+        if file is not None:
+            import msgspec
+
+            file.write_bytes(msgspec.json.format(msgspec.json.encode(entry), indent=2) + b"\n")
+        if plot is not None:
+            from rigctl.commission import response_plot
+
+            response_plot.draw(entry, plot)
+        if not json:
+            _show(_rows_of(entry) if response else entry["figures"]["rows"])
+    end_with_answer(answer, json)
+
+
+def _check_files(file: pathlib.Path | None, plot: pathlib.Path | None) -> None:
+    """Refuse files that cannot be written before the rig is excited for nothing."""
     if file is not None and (file.is_dir() or not file.parent.is_dir()):
         end(USAGE, f"--file: {file}: expected a file in a folder that is there")
-    answer = _give("identify", connect, rig, operator, tight=where == "tension")
-    if file is not None and answer.get("accepted"):
-        import msgspec
-
-        file.write_bytes(msgspec.json.format(msgspec.json.encode(answer["entry"]), indent=2) + b"\n")
-    if answer.get("accepted") and not json:
-        _show(answer["entry"]["figures"]["rows"])
-    end_with_answer(answer, json)
+    if plot is None:
+        return
+    if plot.suffix.lower() not in SUFFIXES:
+        end(USAGE, f"--plot: found {plot}, expected a name ending in {', '.join(SUFFIXES)}")
+    if plot == file:
+        end(USAGE, f"--plot: {plot} is the file of --file, expected a file of its own")
+    check_output("--plot", plot)
 
 
 def gains(
@@ -119,13 +184,39 @@ def _show(rows: list[dict[str, Any]]) -> None:
     say("nothing was changed: what is to be believed goes into the rig file by hand")
 
 
+def _rows_of(entry: dict[str, Any]) -> list[dict[str, Any]]:
+    """Rows of a frequency response, as `rigctl.commission.proposal` has them for an identification by steps."""
+    figures, before = entry["figures"], entry["before"]
+    labels = (
+        ("stiffness", "stiffness_n_mm", "N/mm"), ("plant.cylinder_lag_s", "lag_s", "s"),
+        ("plant.command_delay_s", "delay_s", "s"), ("delay of the cell", "sensor_delay_s", "s"),
+        ("damping of the rope", "damping_n_s_mm", "N s/mm"), ("plant.mechanism_n_mm", "mechanism_n_mm", "N/mm"),
+        ("damping ratio of the mechanism", "mechanism_damping", ""),
+    )  # fmt: skip
+    rows = []
+    for key, name, unit in labels:
+        pair = figures["plant"][name]
+        above = pair.get("above")
+        why = f"no resonance found: stiffer than {above:.0f} N/mm" if above is not None else ""
+        rows.append(_row(key, before.get(name), pair, unit, why))
+    margins = figures["margins"]
+    said = "measured" if margins["measured"] else "predicted for COMPENSATING"
+    rows.append(_row("Ms at the plant's input", None, margins["ms_input"], "", said))
+    rows.append(_row("Ms at the tension", None, margins["ms_output"], "", said))
+    return rows
+
+
+def _row(key: str, before: float | None, pair: dict[str, Any], unit: str, why: str) -> dict[str, Any]:
+    return {"key": key, "before": before, "found": pair["value"], "error": pair["error"], "unit": unit, "why": why}
+
+
 def _give(
     verb: str,
     connect: str | None,
     rig: str | None,
     operator: str | None,
     value: float | None = None,
-    **options: bool | str,
+    **options: bool | str | float,
 ) -> dict[str, Any]:
     from concurrent.futures import ThreadPoolExecutor
 

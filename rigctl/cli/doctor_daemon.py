@@ -22,6 +22,9 @@ TITLES: dict[Check, str] = {
     Check.CELL_STALE: "cell: fresh samples",
     Check.CELL_INVALID: "cell: valid, not overloaded",
     Check.CELL_IMPLAUSIBLE: "cell: plausible",
+    Check.CELL_ZERO: "cell: zero as tared",
+    Check.SECOND_FORCE: "second force path: comes, has a zero",
+    Check.FORCES_DISAGREE: "second force path: agrees with the cell",
     Check.INCLINATION_STALE: "inclination: fresh samples",
     Check.INCLINATION_INVALID: "inclination: valid",
     Check.DRIVE_STALE: "drive: fresh samples",
@@ -51,7 +54,11 @@ TITLES: dict[Check, str] = {
     Check.HOST: "host: looked at by the gateway",
 }
 """Every check, in the order of display."""
-_OF_IO = Check.E_STOP_IO | Check.E_STOP_IO_UNSEEN
+_OF_FITTED = {
+    "io": Check.E_STOP_IO | Check.E_STOP_IO_UNSEEN,
+    "second_force": Check.SECOND_FORCE | Check.FORCES_DISAGREE,
+}
+"""Checks of a section that not every rig file has."""
 WITHOUT_DAEMON = (Check.CALIBRATION, Check.TARE, Check.DISK, Check.MARGINS)
 
 
@@ -63,8 +70,11 @@ def running(state: Mapping[str, Any], active: Mapping[str, Any], settings: RigSe
         return [*findings, fails("preflight", "the daemon says nothing of it", "a verdict", "start the daemon anew")]
     failing, waived = shown.get("failing", {}), shown.get("waived", {})
     findings.append(_read_back(state))
-    fitted = (active.get("settings") or {}).get("io") is not None
-    return findings + [_check(check, failing, waived) for check in TITLES if fitted or not check & _OF_IO]
+    settings_now = active.get("settings") or {}
+    left_out = Check(0)
+    for section, checks in _OF_FITTED.items():
+        left_out |= checks if settings_now.get(section) is None else Check(0)
+    return findings + [_check(check, failing, waived) for check in TITLES if not check & left_out]
 
 
 def without(settings: RigSettings) -> list[DoctorFinding]:
@@ -126,8 +136,8 @@ def _same_file(active: Mapping[str, Any], settings: RigSettings | None) -> Docto
 
 
 def _design(settings: RigSettings) -> dict[str, Any]:
-    from rigctl.design.gain_file import design_in_use  # slow import (python-control)
     from rigctl.design.gains import DesignError
+    from rigctl.design.in_use import design_in_use  # slow import (python-control)
 
     try:
         return design_in_use(settings).as_dict()

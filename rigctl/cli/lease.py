@@ -83,7 +83,9 @@ def _ask(client: Client, act: LeaseTask, operator: str, reason: str) -> dict[str
     return answer
 
 
-def give(client: Client, verb: str, operator: str, value: float | None = None, **options: bool | str) -> dict[str, Any]:
+def give(
+    client: Client, verb: str, operator: str, value: float | None = None, **options: bool | str | float
+) -> dict[str, Any]:
     """Give a command under the lease that this operator's terminals on this machine share; returns the answer.
 
     A free lease is taken and its id stored before the command is given, so that the next terminal can use it if this

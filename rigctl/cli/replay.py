@@ -137,7 +137,8 @@ def _against(
     if plot is not None:
         from rigctl.replay.picture import draw
 
-        draw(found, plot)
+        title = f"{recording.files[0].path.name}: commands as given, and with {file.name}"
+        draw(found, plot, title, settings.tension.speed_max_mm_s)
     if json:
         say_json(_document(found))
     else:
@@ -148,8 +149,8 @@ def _against(
 
 
 def _other(file: pathlib.Path, span: ProcessSpan) -> tuple[RigSettings, Gains]:
-    from rigctl.design.gain_file import design_in_use
     from rigctl.design.gains import DesignError
+    from rigctl.design.in_use import adopted, design_in_use
 
     settings = load_rig_file(file)
     if settings.loop.rate_hz != span.settings.loop.rate_hz:
@@ -160,7 +161,7 @@ def _other(file: pathlib.Path, span: ProcessSpan) -> tuple[RigSettings, Gains]:
             f"{file}: its devices are not those recorded: {settings.canopen_nodes}, {span.settings.canopen_nodes}",
         )
     try:
-        return settings, design_in_use(settings).gains
+        return adopted(settings), design_in_use(settings).gains
     except (DesignError, ArithmeticError, ValueError) as error:
         end(USAGE, f"{file}: no design: {error}")
 

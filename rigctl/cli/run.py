@@ -35,11 +35,6 @@ def _check_files(settings: RigSettings, *, keys: bool = True) -> None:
 
         with wrong_usage(certificate.CertificateError):
             certificate.context(settings.file(settings.page.tls_cert), settings.file(settings.page.tls_key))
-    if settings.design.gains_file is not None:
-        from rigctl.design import gain_file
-
-        with wrong_usage(gain_file.GainFileError):
-            gain_file.read_for(settings)
     with wrong_usage(ledger.LedgerError, audit_log.AuditError):
         ledger.read(settings)
         audit_log.check(settings.audit_log, settings.rig)
@@ -78,6 +73,16 @@ def _with_page(settings: RigSettings, page: bool | None, listen: str | None) -> 
     return settings
 
 
+def _adopted(settings: RigSettings) -> RigSettings:
+    """The settings with what their gain file replaces."""
+    if settings.design.gains_file is None:
+        return settings
+    from rigctl.design import gain_file, in_use
+
+    with wrong_usage(gain_file.GainFileError):
+        return in_use.adopted(settings)
+
+
 def check(file: File, json: Json = False) -> None:
     """Validate a rig file; show the resolved rig and the worst-case load of its bus."""
     settings = load_rig_file(file)
@@ -109,7 +114,7 @@ def run(
 ) -> None:
     """Run the daemon until SIGTERM, SIGHUP or Ctrl-C; it ends with the stroke held."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    settings = _with_page(load_rig_file(file), page, page_listen)
+    settings = _adopted(_with_page(load_rig_file(file), page, page_listen))
     from rigctl.cli.check import accepted, verdict
     from rigctl.supervisor.daemon import CannotRunError, Supervisor
 

@@ -50,6 +50,7 @@ def rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
             ("bus", figures.counters(state), ""),
             ("age", n(state["age_ms"], 1, "ms"), ""),
             *([("design", state["design"], "")] if state.get("design") else []),
+            *([("margins", measured, "")] if (measured := figures.margins(state)) else []),
         ]
     result.append(("lease", figures.lease(state), ""))
     return result + [("warning", text, "yellow") for text in state["warnings"]]

@@ -1,4 +1,4 @@
-"""``rigctl tune FILE``: gains from the plant in a rig file, with their margins over the family of plants."""
+"""``rigctl tune FILE``: gains from the plant in a rig file or as identified, with their margins over its family."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from rigctl.ipc import output_file
 if TYPE_CHECKING:
     from rigctl.config.settings import RigSettings
     from rigctl.design.search import Found
-    from rigctl.design.verdict import Design
+    from rigctl.design.tuning import Tuned
+    from rigctl.ipc.ledger import Entry
 
 STANDARD_OUTPUT = pathlib.Path("-")
 SUFFIXES = (".png", ".svg", ".pdf")
@@ -38,33 +39,147 @@ def tune(
     auto: Annotated[
         bool, typer.Option("--auto", help="Look for weights that meet design.ms_max, up to half a minute.")
     ] = False,
+    from_: Annotated[
+        pathlib.Path | None,
+        typer.Option("--from", metavar="LEDGER", help="For the plant as identified, over the family about it."),
+    ] = None,
+    every_spring: Annotated[
+        bool, typer.Option("--every-spring", help="With --from: for each spring that is identified.")
+    ] = False,
+    table: Annotated[
+        bool, typer.Option("--table", help="With --from: gains for each tension and stroke that is identified.")
+    ] = False,
+    optimize: Annotated[
+        bool, typer.Option("--optimize", help="Find the weights of least error within the limits, about a minute.")
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, max=2**31, help="With --optimize: of the search.")] = 1,
+    evaluations: Annotated[int, typer.Option(min=50, max=100_000, help="With --optimize: designs tried.")] = 600,
 ) -> None:
-    """Compute gains from the plant in a rig file; show and judge their margins over the family of plants."""
+    """Compute gains for a rig; show and judge their margins over the family of plants.
+
+    The plant is that of the rig file, judged over the assumed family; with --from the identified one, over its own.
+    """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     settings = load_rig_file(file, study=True)
     _check_outputs(file, {"--json": None if json == STANDARD_OUTPUT else json, "--plot": plot, "--gains": gains})
-    searched, found = _designed(file, settings, auto)
-    settings = searched.settings if searched is not None else settings
-    advice = _advice(settings, found, searched)
-    _write(file, settings, found, advice, json, plot, gains)
-    if json != STANDARD_OUTPUT:
-        from rigctl.config.bounds import STUDY, findings
-        from rigctl.design import design_text
+    if auto and (optimize or from_ is not None):
+        end(USAGE, "--auto: expected without --from and --optimize, which looks for weights too")
+    if every_spring and (from_ is None or gains is None):
+        end(USAGE, "--every-spring: expected with --from and --gains")
+    if table and from_ is None:
+        end(USAGE, "--table: expected with --from")
+    entries = _ledger(settings, from_)
+    if auto:
+        searched, tuned, others = *_searched(file, settings), []
+    else:
+        rigs = [settings]
+        if every_spring and entries is not None:
+            from rigctl.design.tuning import other_springs
 
-        for line in design_text.lines(settings, found):
-            say(line)
-        for line in _advice_lines(advice, file):
-            say(line)
+            rigs += other_springs(settings, entries, datetime.now(UTC))
+        searched = None
+        tuned, *others = _tuned(file, rigs, entries, (seed, evaluations) if optimize else None, table=table)
+    advice = _advice(tuned, searched) | _optimised(tuned, seed)
+    _write(file, tuned, others, advice, json, plot, gains)
+    if json != STANDARD_OUTPUT:
+        _say(file, tuned, others, advice, gains)
         for written in (json, plot, gains):
             if written is not None:
                 say(f"written: {written}")
-        if settings.safety.waiver == STUDY:
-            for key, value, allowed in findings(settings):
-                say(f"note: `rigctl run` refuses this file: {key}: found {value}, expected {allowed}")
-        kept = settings.design.gains_file
-        if kept is not None and (gains is None or gains.resolve() != settings.file(kept).resolve()):
-            say(f"note: `rigctl run` takes the gains of {settings.file(kept)}, not these")
-    end(DONE if found.accepted else BAD, None if found.accepted else f"{file}: {found.verdict()}")
+        _say_notes(settings, gains)
+    every = [each for spring in (tuned, *others) for each in (spring, *spring.points)]
+    refused = next((each for each in every if not each.design.accepted), None)
+    end(DONE if refused is None else BAD, None if refused is None else f"{file}: {refused.design.verdict()}")
+
+
+def _say(
+    file: pathlib.Path, tuned: Tuned, others: list[Tuned], advice: dict[str, Any], gains: pathlib.Path | None
+) -> None:
+    from rigctl.design import design_text
+
+    for line in design_text.lines(tuned.settings, tuned.design):
+        say(line)
+    for line in design_text.origin(tuned):
+        say(line)
+    for line in _advice_lines(advice, file, written=gains is not None):
+        say(line)
+    for line in _table_lines(tuned):
+        say(line)
+    for other in others:
+        say(f"spring {other.given.plant.spring_n_mm or 0.0:g} N/mm: {other.design.verdict()}")
+
+
+def _table_lines(tuned: Tuned) -> Iterator[str]:
+    if not tuned.points or tuned.plant is None:
+        return
+    yield "gain table, by operating point:"
+    yield "  tension N   stroke mm   k N/mm   K_T mm/s/N   K_v     K_I mm/s/N/s   Ms"
+    for each in (tuned, *tuned.points):
+        assert each.plant is not None  # entries of a table are identified
+        stroke = "any" if each.plant.stroke_mm is None else f"{each.plant.stroke_mm:.1f}"
+        k_tension, k_speed, k_integral = each.design.gains.in_order
+        yield (
+            f"  {each.plant.tension_n:>9.1f}   {stroke:>9}   {each.plant.stiffness_n_mm.value:>6.4g}   "
+            f"{k_tension:>10.4g}   {k_speed:<5.3g}   {k_integral:>12.4g}   {each.design.ms_max:.3f}"
+        )
+    if tuned.dwell_s is not None:
+        yield (
+            f"  changes proven stable and bumpless if at least {tuned.dwell_s:.3g} s apart (dwell time, every plant of "
+            "both families); the loop keeps to that"
+        )
+
+
+def _say_notes(settings: RigSettings, gains: pathlib.Path | None) -> None:
+    from rigctl.config.bounds import STUDY, findings
+
+    if settings.safety.waiver == STUDY:
+        for key, value, allowed in findings(settings):
+            say(f"note: `rigctl run` refuses this file: {key}: found {value}, expected {allowed}")
+    kept = settings.design.gains_file
+    if kept is not None and (gains is None or gains.resolve() != settings.file(kept).resolve()):
+        say(f"note: `rigctl run` takes the gains of {settings.file(kept)}, not these")
+
+
+def _ledger(settings: RigSettings, file: pathlib.Path | None) -> list[Entry] | None:
+    """The entries of the ledger that was named."""
+    if file is None:
+        return None
+    from rigctl.ipc import ledger
+
+    if not file.is_file():
+        end(USAGE, f"--from: {file} is no file, expected the rig's ledger ({settings.ledger})")
+    own = settings.ledger is not None and file.resolve() == settings.ledger.resolve()
+    with wrong_usage(ledger.LedgerError):
+        return ledger.read(settings, None if own else file)
+
+
+def _tuned(
+    file: pathlib.Path,
+    rigs: list[RigSettings],
+    entries: list[Entry] | None,
+    search: tuple[int, int] | None,
+    *,
+    table: bool,
+) -> list[Tuned]:
+    """A design for each of the settings; ``search``: seed and number of evaluations of the search for weights."""
+    from rigctl.cli.progress import progress
+    from rigctl.design.identified import NotIdentifiedError
+    from rigctl.design.transitions import TransitionError
+    from rigctl.design.tuning import Optimisation, tune
+
+    found = []
+    with progress("weights", len(rigs) * search[1] if search else 1.0) as advance:
+        for settings in rigs:
+            optimisation = Optimisation(*search, lambda: advance(1.0, "")) if search else None
+            try:
+                found.append(tune(settings, entries, optimisation, table=table))
+            except NotIdentifiedError as error:
+                end(USAGE, f"--from: {error}")
+            except TransitionError as error:
+                end(BAD, f"--table: {error}")
+            except (ArithmeticError, ValueError) as error:  # no gains, or numbers no plant has
+                end(USAGE, f"{file}: no design: {' '.join(str(error).split())}")
+    return found
 
 
 def _check_outputs(file: pathlib.Path, outputs: dict[str, pathlib.Path | None]) -> None:
@@ -88,30 +203,55 @@ def _check_outputs(file: pathlib.Path, outputs: dict[str, pathlib.Path | None]) 
                 end(USAGE, f"--gains: {path} is there and is no gain file, expected a new file or a gain file")
 
 
-def _designed(file: pathlib.Path, settings: RigSettings, auto: bool) -> tuple[Found | None, Design]:
-    from rigctl.design import search
-    from rigctl.design.margins import design_and_check
+def _searched(file: pathlib.Path, settings: RigSettings) -> tuple[Found, Tuned]:
+    from rigctl.design import plant_family, search
+    from rigctl.design.tuning import Tuned
 
     try:
-        searched = search.auto(settings) if auto else None
-        return searched, searched.design if searched is not None else design_and_check(settings)
+        found = search.auto(settings)
     except (ArithmeticError, ValueError) as error:  # no gains, or numbers no plant has
         end(USAGE, f"{file}: no design: {' '.join(str(error).split())}")
+    return found, Tuned(found.settings, found.settings, plant_family.assumed(found.settings), found.design)
 
 
-def _advice(settings: RigSettings, found: Design, searched: Found | None) -> dict[str, Any]:
+def _advice(tuned: Tuned, searched: Found | None) -> dict[str, Any]:
     """The result of the search, or the effect of each weight on a refused design."""
     from rigctl.design import search
 
     if searched is not None:
         weights = [asdict(weight) for weight in searched.weights]
         return {"auto": {"meets": searched.meets, "weights": weights, "against": list(searched.against)}}
-    if found.accepted or found.ms_max <= found.limit:
+    found = tuned.design
+    if found.accepted or found.ms_max <= found.limit or tuned.plant is not None or tuned.best is not None:
         return {}
-    return {"hints": [{**asdict(hint), "text": hint.in_words()} for hint in search.hints(settings)]}
+    return {"hints": [{**asdict(hint), "text": hint.in_words()} for hint in search.hints(tuned.settings)]}
 
 
-def _advice_lines(advice: dict[str, Any], file: pathlib.Path) -> Iterator[str]:
+def _optimised(tuned: Tuned, seed: int) -> dict[str, Any]:
+    """The identified plant, the weights found by optimisation, and what the design replaces in the rig file."""
+    said: dict[str, Any] = {}
+    if tuned.plant is not None:
+        said["identified"] = tuned.plant.as_dict()
+    if (best := tuned.best) is not None:
+        figures = {name: outcome.rms_n for name, outcome in best.score.outcomes.items()}
+        said["optimised"] = {
+            "seed": seed, "evaluations": best.evaluations, "cost_ratio": best.ratio,
+            "within": best.score.within, "rms_n": figures,
+        }  # fmt: skip
+    if said:
+        said["replaces"] = {key: {"file": was, "used": now} for key, (was, now) in tuned.replaces.items()}
+    return said
+
+
+def _advice_lines(advice: dict[str, Any], file: pathlib.Path, *, written: bool) -> Iterator[str]:
+    if (optimised := advice.get("optimised")) is not None:
+        if not optimised["within"]:
+            yield "--optimize: no weights within every limit were found; the design above is the best of them"
+        ratio = optimised["cost_ratio"]
+        against = "" if ratio is None else f", errors x {ratio:.2f} (geometric mean) of those with the file's weights"
+        yield f"--optimize: seed {optimised['seed']}, {optimised['evaluations']} designs{against}"
+    if advice.get("replaces") and not written:
+        yield "to use this design: --gains FILE, and FILE as design.gains_file"
     if hints := advice.get("hints"):
         yield "what each weight alone can do:"
         yield from (f"  {hint['text']}" for hint in hints)
@@ -135,8 +275,8 @@ def _advice_lines(advice: dict[str, Any], file: pathlib.Path) -> Iterator[str]:
 
 def _write(
     file: pathlib.Path,
-    settings: RigSettings,
-    found: Design,
+    tuned: Tuned,
+    others: list[Tuned],
     advice: dict[str, Any],
     json: pathlib.Path | None,
     plot: pathlib.Path | None,
@@ -147,9 +287,12 @@ def _write(
     from rigctl.design import gain_file
     from rigctl.ipc.seal import SealError
 
+    settings, found = tuned.settings, tuned.design
     made = gain_file.provenance(settings, file, datetime.now(UTC))
     said = {"rig": settings.rig, **found.as_dict(), **advice, "provenance": made.model_dump()}
     text = msgspec.json.format(msgspec.json.encode(said), indent=2).decode()
+    plain = tuned.plant is None and not tuned.replaces
+    springs = [] if plain else [each.gains for each in (tuned, *others)]
     with wrong_usage(output_file.OutputError):
         if json is not None and json != STANDARD_OUTPUT:
             output_file.write(json, text + "\n")
@@ -157,13 +300,13 @@ def _write(
             from rigctl.design import margin_plot
 
             with output_file.writing(plot):
-                margin_plot.draw(settings, found, plot)
+                margin_plot.draw(settings, found, plot, tuned.family)
         if gains is not None:
             with output_file.writing(gains):
                 try:
-                    gain_file.write(gains, found, made, settings)
+                    gain_file.write(gains, found, made, settings, springs)
                 except SealError as error:
                     sys.stderr.write(f"note: {gains} has no seal: {error}\n")
-                    gain_file.write(gains, found, made)
+                    gain_file.write(gains, found, made, springs=springs)
     if json == STANDARD_OUTPUT:
         say(text)

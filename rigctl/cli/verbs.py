@@ -37,6 +37,7 @@ Newtons = Annotated[
 ]
 
 
+MoveNumber = Annotated[int, typer.Argument(metavar="N", min=0, help="Number of the move, from 1; 0 ends it.")]
 Millimetres = Annotated[
     float,
     typer.Argument(metavar="MM", parser=finite_number("millimetres"), help="Stroke, as measured at the cylinder."),
@@ -119,6 +120,13 @@ def confirm_stroke(
 ) -> None:
     """Confirm the stroke after the drive's position was lost or differs from the last one known."""
     _give("confirm_stroke", json, connect, rig, operator, millimetres)
+
+
+def move(
+    number: MoveNumber, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
+) -> None:
+    """A move of the mechanism begins now: play what was learnt from it, and learn from it; 0: it has ended."""
+    _give("move", json, connect, rig, operator, float(number))
 
 
 def _give(

@@ -50,11 +50,13 @@ ASK_S = 2.0
 COMMAND_S = 6.0  # the gateway answers within 4 s
 # A trial is answered after its end: 10 s at most, an arm after 23 s (settings read back 15 s, stop and brake 8 s).
 TRIAL_S = 30.0
+WEIGHT_S = 120.0  # until a weight is hung on the cell, whose creep is then recorded
+RESPONSE_S = 120.0  # a frequency response takes a minute, its evaluation some seconds
 _RIG = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _EVENTS_DEPTH = 4096
 _UNPROVEN = "no_proof"
 _OLD = "proof_old"  # the refusal of a command whose stamp is not of now
-_TRIALS = ("arm", "tare", "calibrate", "identify", "gains")
+_LIMITS_S = {**dict.fromkeys(("arm", "tare", "calibrate", "identify", "gains"), TRIAL_S), "response": RESPONSE_S}
 
 
 _Some = TypeVar("_Some")
@@ -314,7 +316,9 @@ class Client:
         """The loop's events and the gateway's notes that the rings hold, oldest first; each has its own sequence."""
         return self._asked(f"{self.keys.events_past}?after={after};after_note={after_note}", shapes.past_events)
 
-    def command(self, verb: str, operator: str, value: float | None = None, **options: bool | str) -> dict[str, Any]:
+    def command(
+        self, verb: str, operator: str, value: float | None = None, **options: bool | str | float
+    ) -> dict[str, Any]:
         """Give a command; ``accepted`` and ``text`` of the answer say what happened.
 
         It is given under the lease in ``leases``; without one the lease is taken if nobody holds it. A lapsed lease is
@@ -326,7 +330,9 @@ class Client:
         """
         body: dict[str, Any] = {} if value is None else {"value": value}
         body |= {name: option for name, option in options.items() if option}
-        return self._commanded(verb, operator, body, TRIAL_S if verb in _TRIALS else COMMAND_S)
+        creep_s = float(options.get("creep_s", 0.0))
+        limit_s = _LIMITS_S.get(verb, COMMAND_S)
+        return self._commanded(verb, operator, body, limit_s + (WEIGHT_S + creep_s if creep_s else 0.0))
 
     def take_lease(self, operator: str, reason: str = "") -> dict[str, Any]:
         """Take or renew the lease; from another holder only with a ``reason``. See `command`."""

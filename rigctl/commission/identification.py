@@ -27,6 +27,7 @@ from rigctl.devices.objects import MM_PER_POSITION_UNIT
 
 LATCH_TICKS = 1.0
 PITCH_ERROR_MM, PITCH_LEAD_MM = 0.003, 5.0  # of a screw of class C7, as a sine over a turn; no encoder shows it
+PITCH_SHARE = 2.0 * math.pi * PITCH_ERROR_MM / PITCH_LEAD_MM  # of a small stroke, at most
 DRIVE_CYCLE_S = 0.125e-3  # a servo drive takes a command at its own cycle, which is not in phase with the bus
 ROUNDING_MM = 2.0 * MM_PER_POSITION_UNIT / math.sqrt(12.0)  # at 95 %, taken as normal
 SHORTEST = 0.5  # of the longest step: shorter steps are the careful first ones and are not fitted

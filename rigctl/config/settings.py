@@ -6,6 +6,7 @@ Units are in the names (``_n _mm _mm_s _rad _deg _s _ms _ns _hz``). Every refusa
 
 from __future__ import annotations
 
+import math
 import pathlib
 from typing import Annotated
 
@@ -15,11 +16,14 @@ from rigctl.config import layout
 from rigctl.config.address import is_address
 from rigctl.config.bounds import findings
 from rigctl.config.canopen import SIMULATOR_NODE, VELOCITY_ACTUAL, VELOCITY_ACTUAL_16
+from rigctl.config.compensation_section import CompensationSettings
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
+from rigctl.config.margins_section import MarginsSettings
 from rigctl.config.page_section import PageSettings
 from rigctl.config.plain import PlainMessage
 from rigctl.config.recording_section import RecordingSettings
+from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.settings_base import CanopenDevice, Hexadecimal, Settings, require
 from rigctl.config.signals import STATUS, WATCHED
 from rigctl.config.simulation_section import SimulationSettings
@@ -27,6 +31,7 @@ from rigctl.config.telemetry_section import TelemetrySettings
 
 ADDED = frozenset({"directory", "plain"})  # settings that ``load`` adds to those of the file
 _LARGEST_RAW = 2**31 - 1  # 0x6064, 0x60FF are INTEGER32
+_TEMPERATURE_HZ, _MOST_SYNCS = 5, 240  # a cell takes minutes to warm; most SYNCs of a transmission type
 _SDO_TRANSFERS = 100  # most transfers of a device at start-up, with room
 PdoNumber = Annotated[int, Field(ge=1, le=4, description="number of the PDO")]
 NodeId = Annotated[int, Field(ge=1, le=127, description="CANopen node id")]
@@ -144,6 +149,19 @@ class RunOutSettings(Settings):
         most = 360.0 * self.bins / (self.bins + 1)
         require(high - low <= most, "angle_max_deg", high, f"up to {most:g} above angle_min_deg (a turn less one bin)")
         return self
+
+
+class LearningSettings(Settings):
+    """Feed-forward learnt from one marked move to the next (`rigctl move N`). Without the section nothing is learnt."""
+
+    move_s: float = Field(ge=3, le=120, description="longest move, from its mark on; what comes later is not learnt")
+    moves: int = Field(default=2, ge=1, le=16, description="moves told apart by their numbers, from 1")
+    rate: float = Field(default=0.5, gt=0, le=1, description="share of a move's error that the next table takes away")
+    cutoff_hz: float = Field(ge=0.1, le=10, description="of the zero-phase low-pass on each table; the start checks it")
+    speed_max_mm_s: float = Field(default=0.5, gt=0, le=10, description="largest speed of a table")
+    stroke_max_mm: float = Field(default=0.2, gt=0, le=10, description="largest stroke that a table adds up to")
+    same_mm: float = Field(default=0.5, gt=0, le=100, description="stroke beyond the last move's: another move")
+    same_deg: float = Field(default=0.3, gt=0, le=10, description="inclination beyond the last move's: another move")
 
 
 class CylinderSettings(CanopenDevice):
@@ -283,6 +301,32 @@ class EstimatorSettings(Settings):
     disturbance_walk_mm_s: float = Field(
         gt=0, le=10_000, description="process noise of disturbance speed, mm/s/sqrt(s)"
     )
+    swing_hz: float | None = Field(
+        default=None, gt=0, le=100, description="the disturbance swings at this frequency, null = it only walks"
+    )
+    swing_damping: float = Field(default=0.05, ge=0, le=1000, description="of critical, of that swing")
+    acceleration_walk_mm_s2: float = Field(
+        default=30.0, gt=0, le=1e6, description="process noise of the swing's acceleration, mm/s^2/sqrt(s)"
+    )
+    quiet_tension_walk_n: float | None = Field(
+        default=None, gt=0, le=1000, description="tension_walk_n while the innovations are small, null = the same"
+    )
+    quiet_disturbance_walk_mm_s: float | None = Field(
+        default=None, gt=0, le=10_000, description="the same of disturbance_walk_mm_s"
+    )
+    quiet_acceleration_walk_mm_s2: float | None = Field(
+        default=None, gt=0, le=1e6, description="the same of acceleration_walk_mm_s2"
+    )
+    open_window_ms: float = Field(
+        default=100.0, ge=1, le=10_000, description="time constant of the mean innovation that opens a quiet filter"
+    )
+    open_sigma: float = Field(
+        default=4.0,
+        ge=1,
+        le=100,
+        description="of that mean, at which the filter begins to open; open at 1.4 times that",
+    )
+    quiet_after_ms: float = Field(default=500.0, ge=1, le=60_000, description="time constant of becoming quiet again")
     gate_sigma: float = Field(default=5.0, ge=3, le=10, description="innovations beyond this many sigma are left out")
     gate_speed_mm_s: float = Field(
         default=20.0, gt=0, le=1000, description="burst of disturbance speed the gate allows for, one sigma"
@@ -292,6 +336,27 @@ class EstimatorSettings(Settings):
     inclination_walk_deg_s: float = Field(
         default=0.3, gt=0, le=100, description="process noise of the rope's angular rate, deg/s/sqrt(s)"
     )
+    inclination_swing_hz: float | None = Field(
+        default=None,
+        gt=0,
+        le=10,
+        description="the rope's swing, to lead its stretch by the drive's lag; null = no lead",
+    )
+    inclination_swing_walk_deg: float = Field(
+        default=0.06, gt=0, le=100, description="process noise of the angle about which it swings, deg/sqrt(s)"
+    )
+    inclination_lag_ms: float = Field(
+        default=8.0, ge=0.1, le=1000, description="time constant of the inclinometer's low-pass"
+    )
+
+    @property
+    def adapts(self) -> bool:
+        """There is a quiet setting beside the open one."""
+        return not (
+            self.quiet_tension_walk_n is None
+            and self.quiet_disturbance_walk_mm_s is None
+            and self.quiet_acceleration_walk_mm_s2 is None
+        )
 
 
 class DesignSettings(Settings):
@@ -301,8 +366,25 @@ class DesignSettings(Settings):
     integral_weight: float = Field(gt=0, le=1e9, description="cost of that stretch's integral, 1/(mm s)^2")
     command_weight: float = Field(gt=0, le=1e9, description="cost of commanded speed about the feed-forward, s^2/mm^2")
     ms_max: float = Field(default=1.6, gt=1, le=10, description="highest sensitivity peak over the family")
+    command_noise_max_mm_s: float = Field(
+        default=0.5,
+        gt=0,
+        le=100,
+        description="rms of the command from the cell's noise that an optimised design may have",
+    )
     waiver: str | None = Field(default=None, min_length=10, description="why a design above ms_max may run, in words")
     gains_file: str | None = Field(default=None, min_length=1, description="from `rigctl tune --gains`, null = none")
+    identify_days: int = Field(default=180, ge=1, le=3650, description="an identification is believed for this long")
+    identified_error_factor: float = Field(
+        default=2.0,
+        ge=1,
+        le=10,
+        description="family about an identified plant: times the 95 % uncertainty, at least ...",
+    )
+    identified_stiffness_pct: float = Field(default=3.0, ge=0, le=50, description="... this share of the stiffness")
+    identified_lag_pct: float = Field(default=10.0, ge=0, le=80, description="... this share of the drive's lag")
+    identified_delay_ms: float = Field(default=0.5, ge=0, le=50, description="... this much of the drive's delay")
+    identified_mechanism_pct: float = Field(default=20.0, ge=0, le=80, description="... this share of K_m")
 
 
 class SafetySettings(Settings):
@@ -335,6 +417,9 @@ class CalibrationSettings(Settings):
     )
     due_days: int = Field(default=365, ge=1, le=3650, description="a check holds for this long")
     reference_n: float = Field(gt=0, le=100_000, description="known weight, as force")
+    reference_u_n: float | None = Field(
+        default=None, gt=0, le=1000, description="its expanded uncertainty (k = 2): tolerance, local g, buoyancy"
+    )
     shunt_n: float | None = Field(default=None, gt=0, le=100_000, description="what the shunt makes the cell read")
     tolerance_pct: float = Field(default=0.5, gt=0, le=5, description="largest deviation from the reference")
     tare_days: int = Field(default=30, ge=1, le=3650, description="a tare holds for this long")
@@ -388,6 +473,20 @@ class PlainMessages(Settings):
     inclinometer: PlainMessage | None = None
 
 
+PROBE_SHARE = 0.01
+"""Of the lowest target: a larger multisine beside the law would spoil what it measures."""
+
+
+def _largest_probe_n(settings: RigSettings) -> float:
+    """Half of the tightest limit on the error while COMPENSATING, and `PROBE_SHARE` of the lowest target, in N."""
+    limits = [
+        0.5 * limit.high
+        for limit in settings.limits
+        if limit.signal == "vertical_error_n" and limit.high is not None and "COMPENSATING" in limit.modes
+    ]
+    return min(PROBE_SHARE * settings.tension.target_min_n, *limits, math.inf)
+
+
 class RigSettings(Settings):
     """A whole rig file; ``load`` adds ``directory`` and ``plain``."""
 
@@ -403,10 +502,14 @@ class RigSettings(Settings):
     tension: TensionSettings
     estimator: EstimatorSettings
     run_out: RunOutSettings | None = None
+    learning: LearningSettings | None = None
     design: DesignSettings
     safety: SafetySettings
     limits: list[LimitSettings] = Field(default_factory=list)
     calibration: CalibrationSettings | None = None
+    compensation: CompensationSettings | None = None
+    second_force: SecondForceSettings | None = None
+    margins: MarginsSettings | None = None
     preflight: PreflightSettings = Field(default_factory=PreflightSettings)
     telemetry: TelemetrySettings = Field(default_factory=TelemetrySettings)
     audit: AuditSettings = Field(default_factory=AuditSettings)
@@ -423,15 +526,8 @@ class RigSettings(Settings):
         for name, node in self.canopen_nodes.items():
             require(node not in seen, f"{name}.node", node, f"a node id of its own ({seen.get(node)} has it)")
             seen[node] = name
-        rate, slope_rate = self.loop.rate_hz, self.inclinometer.rate_hz
-        fits = rate % slope_rate == 0 and rate // slope_rate <= 240
-        require(fits, "inclinometer.rate_hz", slope_rate, f"loop.rate_hz ({rate}) divided by 1 to 240")
-        if (rail := self.rail_encoder) is not None:
-            fits = rate % rail.rate_hz == 0 and rate // rail.rate_hz <= 240
-            require(fits, "rail_encoder.rate_hz", rail.rate_hz, f"loop.rate_hz ({rate}) divided by 1 to 240")
-        if (status := self.cylinder.status_rate_hz) is not None:
-            fits = 1 <= rate // status <= 240
-            require(fits, "cylinder.status_rate_hz", status, f"loop.rate_hz ({rate}) divided by 1 to 240")
+        self._check_rates()
+        rate = self.loop.rate_hz
         drive = self.cylinder
         for place, watched in enumerate(self.limits):
             key, signal = f"limits.{place}.signal", watched.signal
@@ -439,11 +535,24 @@ class RigSettings(Settings):
             require(comes, key, signal, "none of the drive's status without its status_rate_hz")
             measured = drive.temperature_object is not None or signal != "drive_temperature_c"
             require(measured, key, signal, "none of it: cylinder.temperature_object is null")
+        if self.margins is not None:
+            probe, most = self.margins.probe_n, _largest_probe_n(self)
+            require(
+                probe <= most,
+                "margins.probe_n",
+                probe,
+                f"at most {most:g}: 1 % of target_min_n, half of a limit on the error",
+            )
         room = self.cylinder.stroke_max_mm - self.cylinder.stroke_min_mm
         margin = self.preflight.stroke_margin_mm
         require(2 * margin < room, "preflight.stroke_margin_mm", margin, f"less than half the stroke ({room / 2:g} mm)")
+        known = self.second_force is None or self.calibration is not None
+        require(known, "second_force", "a section", "none without a calibration section")
         known = self.run_out is None or self.rail_encoder is not None
         require(known, "run_out", "a section", "none without a rail_encoder section")
+        if self.learning is not None:
+            found, most = self.learning.speed_max_mm_s, self.tension.speed_max_mm_s
+            require(found <= most, "learning.speed_max_mm_s", found, f"up to tension.speed_max_mm_s ({most:g})")
         limit = 2 * self.can.heartbeat_ms
         wait = self.cylinder.heartbeat_timeout_ms
         require(wait >= limit, "cylinder.heartbeat_timeout_ms", wait, f"at least twice can.heartbeat_ms ({limit})")
@@ -458,6 +567,7 @@ class RigSettings(Settings):
             require(zero < low, "calibration.tare_limit_n", zero, f"below safety.tension_low_n ({low:g})")
             weight = self.calibration.reference_n
             require(weight <= scale, "calibration.reference_n", weight, f"within tension_cell.range_n ({scale:g})")
+        self._check_compensation()
         period_ms = 1000 / rate
         stale = min(self.safety.stale_ms, self.safety.bus_silent_ms)
         require(stale >= 2 * period_ms, "safety.stale_ms", stale, f"two loop periods ({2 * period_ms:g} ms) or more")
@@ -470,6 +580,38 @@ class RigSettings(Settings):
             for key, found, allowed in findings(self):
                 require(agree=False, key=key, found=found, allowed=allowed)
         return self
+
+    def _check_rates(self) -> None:
+        """Every device answers after a whole number of SYNCs, or its status in as many ticks."""
+        rate, slope_rate = self.loop.rate_hz, self.inclinometer.rate_hz
+        fits = rate % slope_rate == 0 and rate // slope_rate <= _MOST_SYNCS
+        require(fits, "inclinometer.rate_hz", slope_rate, f"loop.rate_hz ({rate}) divided by 1 to 240")
+        if (rail := self.rail_encoder) is not None:
+            fits = rate % rail.rate_hz == 0 and rate // rail.rate_hz <= _MOST_SYNCS
+            require(fits, "rail_encoder.rate_hz", rail.rate_hz, f"loop.rate_hz ({rate}) divided by 1 to 240")
+        if (second := self.second_force) is not None:
+            fits = rate % second.rate_hz == 0 and rate // second.rate_hz <= _MOST_SYNCS
+            require(fits, "second_force.rate_hz", second.rate_hz, f"loop.rate_hz ({rate}) divided by 1 to 240")
+        if (status := self.cylinder.status_rate_hz) is not None:
+            fits = 1 <= rate // status <= _MOST_SYNCS
+            require(fits, "cylinder.status_rate_hz", status, f"loop.rate_hz ({rate}) divided by 1 to 240")
+
+    def _check_compensation(self) -> None:
+        section, calibration = self.compensation, self.calibration
+        if section is None:
+            return
+        require(calibration is not None, "compensation", "a section", "none without a calibration section")
+        assert calibration is not None
+        most, found = calibration.tare_limit_n, section.slack_zero_limit_n
+        require(found <= most, "compensation.slack_zero_limit_n", found, f"at most calibration.tare_limit_n ({most:g})")
+        if section.temperature == "cell":
+            plain = self.tension_cell.dbc is not None
+            require(not plain, "compensation.temperature", "cell", "drive or null: a plain frame has no temperature")
+        if section.temperature == "drive":
+            drive = self.cylinder
+            comes = drive.status_rate_hz is not None and drive.temperature_object is not None
+            key = "compensation.temperature"
+            require(comes, key, "drive", "cell or null: the drive's is not asked for (cylinder.status_rate_hz)")
 
     @property
     def key_folder(self) -> pathlib.Path | None:
@@ -488,6 +630,12 @@ class RigSettings(Settings):
         return self.loop.rate_hz // rate if rate is not None else 0
 
     @property
+    def cell_temperature_divisor(self) -> int:
+        """The amplifier's second TPDO, with the cell's temperature, comes every this many SYNCs; 0 = never."""
+        asked = self.compensation is not None and self.compensation.temperature == "cell"
+        return max(1, min(_MOST_SYNCS, self.loop.rate_hz // _TEMPERATURE_HZ)) if asked else 0
+
+    @property
     def start_up_limit_s(self) -> float:
         """Longest start-up with devices that still boot and answer at their time-out."""
         devices: list[CanopenDevice] = [getattr(self, name) for name in self.canopen_nodes]
@@ -501,6 +649,7 @@ class RigSettings(Settings):
         nodes |= {"inclinometer": slope.node} if slope.dbc is None else {}
         nodes |= {"rail_encoder": self.rail_encoder.node} if self.rail_encoder is not None else {}
         nodes |= {"io": self.io.node} if self.io is not None else {}
+        nodes |= {"second_force": self.second_force.node} if self.second_force is not None else {}
         return {**nodes, "cylinder": self.cylinder.node}
 
     @property

@@ -112,7 +112,26 @@ class CellSettings(Settings):
     drift_n_h: float = Field(default=0.0, ge=-100, le=100, description="drift of zero per hour")
     creep_pct: float = Field(default=0.0, ge=-1, le=1, description="of the load, reached after several creep_s")
     creep_s: float = Field(default=600.0, gt=0, le=1e5, description="time constant of the creep")
+    creep2_pct: float = Field(default=0.0, ge=-1, le=1, description="a second creep, of the load")
+    creep2_s: float = Field(default=60.0, gt=0, le=1e5, description="its time constant")
+    temperature_c: float = Field(default=20.0, ge=-40, le=85, description="of the cell at the start")
+    warming_c_h: float = Field(default=0.0, ge=-100, le=100, description="its change per hour")
+    zero_n_k: float = Field(default=0.0, ge=-1, le=1, description="change of zero per kelvin from temperature_c")
+    gain_pct_k: float = Field(default=0.0, ge=-1, le=1, description="change of gain per kelvin from temperature_c")
+    linearity_pct: float = Field(
+        default=0.0, ge=-1, le=1, description="of the range, at half of it: a parabola through zero and the range"
+    )
+    hysteresis_pct: float = Field(default=0.0, ge=0, le=1, description="of the range, between rising and falling load")
     clock_ppm: float = Field(default=0.0, ge=-1000, le=1000, description="its clock against the controller's")
+
+
+class ForceErrorSettings(Settings):
+    """The second force path beyond the settings of `second_force`."""
+
+    bias_n: float = Field(default=0.0, ge=-1000, le=1000, description="zero error, as force")
+    gain_pct: float = Field(default=0.0, ge=-10, le=10, description="gain error; of a spring: how much softer it is")
+    drift_n_h: float = Field(default=0.0, ge=-1e6, le=1e6, description="drift of zero per hour")
+    noise_n: float = Field(default=0.02, ge=0, le=10, description="noise of a cell, rms, per sample")
 
 
 class SlopeSettings(Settings):
@@ -158,5 +177,6 @@ class SimulationSettings(Settings):
     mechanism: MechanismSettings = Field(default_factory=MechanismSettings)
     drive: DriveSettings
     cell: CellSettings
+    second_force: ForceErrorSettings = Field(default_factory=ForceErrorSettings)
     inclinometer: SlopeSettings
     devices: DevicesSettings = Field(default_factory=DevicesSettings)

@@ -181,6 +181,26 @@ class Check(IntFlag):
         ),
     )
 
+    # The zero that a slack rope showed is further from the tare's than may be corrected
+    CELL_ZERO = (
+        1 << 33,
+        "tension cell's zero has moved (see the events): rigctl tare with the rope unloaded",
+    )
+
+    # The second force path sends nothing good, or no tare has given it a zero
+    SECOND_FORCE = (
+        1 << 34,
+        "no second force path (second_force): check its device; if it sends, rigctl tare with the rope unloaded",
+    )
+    # The two force paths disagree
+    FORCES_DISAGREE = (
+        1 << 35,
+        (
+            "the two force paths disagree (second_force.disagree_n): find the wrong one with a known weight, then "
+            "rigctl tare and calibrate"
+        ),
+    )
+
 
 HOST_CHECKS = Check.TARE | Check.MARGINS | Check.REALTIME | Check.DISK | Check.HOST
 """Checks the loop cannot make itself, see `rigctl.commission.preflight`."""

@@ -19,8 +19,10 @@ from pydantic import ValidationError
 
 from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke, realtime
+from rigctl.control.cell_correction import cell_history
 from rigctl.control.checks import Check
 from rigctl.control.clock import GridClock, SimulatedClock
+from rigctl.control.gain_table import ScheduledGains
 from rigctl.control.inbox import rival_ids
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
@@ -136,12 +138,13 @@ def run(directory: str) -> int:
     line = sys.stdin.readline()
     if not line:
         return EXIT_CANNOT_START  # the supervisor has ended or refused the design
-    gains = msgspec.json.decode(line, type=Gains)
+    gains = msgspec.json.decode(line, type=ScheduledGains)
     warm_up(settings, gains, runtime, report.process_data)
     if settings.can.interface in FILTERS_IN_FULL:
         bus.set_filters(receive_filters(settings, report.process_data))
     clock = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000)
     correction, last = in_force(runtime).correction, last_stroke.in_force(runtime)
+    history = cell_history(runtime.records.reader())
     loop = Loop(
         settings,
         gains,
@@ -154,6 +157,7 @@ def run(directory: str) -> int:
         process_data=report.process_data,
         watched=report.watched,
         last_stroke=last,
+        cell_history=history,
     )
     on_signals(_stop_on_signal(loop), signal.SIGTERM, signal.SIGHUP)
     frozen = realtime.freeze_garbage_collector()  # before real time: its 100 ms must not delay another loop
@@ -165,6 +169,7 @@ def run(directory: str) -> int:
             "host_checks": int(Check.HOST),  # as the loop started with them, for a replay
             "realtime": [asdict(setting) for setting in applied],
             "last_stroke": asdict(last),  # also for a replay
+            "cell_history": history,  # also for a replay
             "warnings": [f"{setting.name}: {setting.warning}" for setting in applied if not setting.ok],
             **report.as_json(),
         },

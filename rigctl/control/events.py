@@ -50,6 +50,14 @@ class Kind(IntEnum):
     READ_BACK = 52  # a: objects that were as wanted, value: how long it took in s
     STROKE = 53  # a: 1 the drive's position is believed, 0 not, value: it in mm, limit: last known in mm, text: why
     BRAKE_TEST = 55  # a: 1 held, 0 not possible on a slack rope, value: stroke moved in mm, limit: tension in N
+    LOAD_STEP = 71  # a: samples, b: cell's temperature in mK (0: not known), value: their mean reading in N,
+    # limit: their mean time after the load's step in s, negative before it, text: rms of the reading in N
+    SLACK_ZERO = 72  # a: 1 in force now, 0 only seen, b: samples, value: zero in N beside tare and drift, limit
+    SECOND_FORCE = 73  # zero and scale of the second force path in force; value: zero in N, limit: scale
+    CREEP = 70  # a: 1 the load's history is known, 0 assumed, value: whole share of the load, text: shares, times in s
+    MOVE = 80  # a: number of the move that begins, 0: the one under way has ended, b: moves its table was learnt from
+    LEARNT = 81  # a: number, b: moves learnt from, value: rms error of this move in N, limit: of the first in N
+    NOT_LEARNT = 82  # as LEARNT, text: why the move taught nothing; b 0: its table is dropped
     LOCAL_HOLD = 65  # a: user, b: process it came from, text: operator; its result is in the reply
     SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
 
@@ -168,6 +176,8 @@ def refusal_text(
             return "; ".join(failed_checks(checks, known)) + (_SILENT_HINT if checks & _UNSEEN else "")
         case Refusal.LOADED:
             return f"the rope is not unloaded: the cell reads {value:z.2f} N, more than calibration.tare_limit_n"
+        case Refusal.OUT_OF_RANGE if verb is Verb.MOVE:
+            return "the number of a move is 1 to learning.moves of the rig file, 0 for the end of the one under way"
         case Refusal.OUT_OF_RANGE:
             return f"target must be {significant(limits[0])} to {significant(limits[1], 'N')}"
         case Refusal.STROKE_DIFFERS:
@@ -200,8 +210,11 @@ _PLAIN_TEXT = {
     Refusal.UNSTEADY: "it moves, or the reading does: wait until everything is at rest",
     Refusal.NO_SAMPLES: "the cell gives no good samples",
     Refusal.SLACK: "the rope is slack",
+    Refusal.NO_STEP: "no weight was hung on the cell, or taken off it, 2 s to 2 min after the command",
+    Refusal.NO_LEARNING: "the rig file has no section learning, so nothing would be learnt from the move",
     Refusal.FAULT_LATCHED: "a limit has the tension ramped down; only hold stops that",
-    Refusal.STRAYED: "tension or stroke left the bounds of the excitation, or would have; the stroke is held",
+    Refusal.STRAYED: "tension or stroke left the bounds of the excitation, or would have; it was ended",
+    Refusal.UNFELT: "the stroke moved and the cell did not show it: look at cell and rope; it was ended",
 }
 _UNSEEN = (
     Check.DRIVE_SUPERVISION
@@ -216,6 +229,8 @@ _SILENT_HINT = " (a device that was switched off or a CAN interface that was unp
 _HINT: dict[tuple[Mode, Verb], str] = {
     **{(Mode.FAULT, verb): ": reset first" for verb in (Verb.ARM, Verb.TENSION, Verb.RELEASE, Verb.HOLD, *TRIED_IN)},
     **{(Mode.DISARMED, verb): ": arm first" for verb in (Verb.TENSION, Verb.RELEASE, Verb.HOLD, Verb.IDENTIFY)},
+    (Mode.DISARMED, Verb.RESPONSE): ": arm and tension first",
+    (Mode.HOLD, Verb.RESPONSE): ": tension first",
     **{
         (mode, verb): ": hold first"
         for mode in (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
@@ -288,6 +303,35 @@ def _escalation(a: int, b: int, value: float, limit: float, _text: str) -> Worde
     return Worded("error", f"{Fault(a).name}, reaction did not help: {_SYMPTOM_TEXT[Symptom(b)].format(value, limit)}")
 
 
+def _slack_zero(a: int, b: int, value: float, limit: float, _text: str) -> Worded:
+    seen = f"slack rope: the cell reads {value:+z.4f} N beside its zero, mean of {count(b, 'sample')}"
+    if abs(value) > limit:
+        return Worded("warning", f"{seen}; more than {limit:.3f} N: nothing is corrected, tare the cell (rigctl tare)")
+    return Worded("info", f"{seen}; {'taken out from now on' if a else 'not corrected'}")
+
+
+def _creep(a: int, _b: int, value: float, _limit: float, text: str) -> Worded:
+    if not text:
+        return Worded("info", "tension cell: no creep is taken out")
+    history = "" if a else "; the load before is not known, taken as always the present one"
+    return Worded("info", f"tension cell: creep of {100.0 * value:z.4f} % is taken out (shares and s: {text}){history}")
+
+
+def _move(a: int, b: int, _value: float, _limit: float, _text: str) -> Worded:
+    if not a:
+        return Worded("info", "the move has ended")
+    return Worded(
+        "info", f"move {a} begins, learnt from {count(b, 'move')}" if b else f"move {a} begins, nothing learnt"
+    )
+
+
+def _not_learnt(a: int, b: int, value: float, limit: float, text: str) -> Worded:
+    found = f" ({value:.3f} N rms, {limit:.3f} N in the first)" if value else ""
+    return Worded(
+        "info" if b else "warning", f"nothing learnt from move {a}: {text}{found}{'' if b else '; it begins anew'}"
+    )
+
+
 _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.MODE: _mode,
     Kind.TRIP: _trip,
@@ -327,7 +371,18 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     ),
     Kind.ESCALATION: _escalation,
     Kind.CORRECTION: lambda _a, _b, v, m, _t: Worded("info", f"tension cell: zero {v:+z.3f} N, scale {m:.5f}"),
+    Kind.SECOND_FORCE: lambda _a, _b, v, m, _t: Worded("info", f"second force path: zero {v:+z.3f} N, scale {m:.5f}"),
+    Kind.CREEP: _creep,
+    Kind.SLACK_ZERO: _slack_zero,
+    Kind.LOAD_STEP: lambda a, _b, v, m, _t: Worded(
+        "info", f"creep: {count(a, 'sample')}, mean {v:.4f} N, {m:.1f} s after the load's step"
+    ),
     Kind.GAINS: lambda _a, _b, _v, _m, t: Worded("info", f"gains changed: K_T, K_v, K_i = {t}"),
+    Kind.MOVE: _move,
+    Kind.LEARNT: lambda a, b, v, m, _t: Worded(
+        "info", f"move {a}: {v:.3f} N rms, {m:.3f} N in the first; learnt from {count(b, 'move')}"
+    ),
+    Kind.NOT_LEARNT: _not_learnt,
     Kind.LOCAL_HOLD: lambda a, b, _v, _l, t: Worded(
         "info", f"HOLD from {t} via the local socket (uid {a}, process {b})"
     ),

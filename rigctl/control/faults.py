@@ -311,6 +311,13 @@ class Fault(IntEnum):
         ),
         "Secure the load; reset, then arm has the motor carry it; have the brake repaired.",
     )
+    # The second force path and the cell differ by more than both may be wrong
+    FORCES_DISAGREE = (
+        46,
+        "the two force paths disagree by {value:.2f} N (limit {limit:.2f} N): cell, second cell, spring or encoder",
+        "Find the wrong path with a known weight; rigctl tare and calibrate before a reset.",
+        Trait.BLOCKS_RESET,
+    )
 
     @property
     def blocks_reset(self) -> bool:

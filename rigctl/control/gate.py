@@ -62,6 +62,11 @@ class Gate:
         self.nis = 1.0
         """Running mean of y^2 / S over the samples within sigma; 1 where the filter's model is right."""
 
+    def go_on_from(self, other: Gate) -> None:
+        """Take over what another filter's gate has counted."""
+        self.since, self.rejects, self.verdict, self.nis = other.since, other.rejects, other.verdict, other.nis
+        self.innovation, self.variance, self.surprised = other.innovation, other.variance, other.surprised
+
     def believes(self, innovation: float, variance: float) -> bool:
         """Judge one sample; its innovation and variance stay for the record."""
         self.innovation, self.variance = innovation, variance

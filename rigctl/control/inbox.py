@@ -10,11 +10,13 @@ import can
 
 from rigctl.config.plain import PlainMessage
 from rigctl.config.settings import RigSettings
+from rigctl.control.cell_correction import CellCorrection, CellHistory
 from rigctl.control.readback import Readback
+from rigctl.control.second_force import SecondForce
 from rigctl.devices import can_errors, codecs, dbc, emergency, sdo
 from rigctl.devices import objects as od
 from rigctl.devices.objects import PdoLayout
-from rigctl.devices.process_data import DRIVE_SPEED, DRIVE_STATUS, ProcessData, wanted
+from rigctl.devices.process_data import CELL_TEMPERATURE, DRIVE_SPEED, DRIVE_STATUS, SECOND_FORCE, ProcessData, wanted
 from rigctl.ipc.correction import Correction
 from rigctl.ipc.record import FrameFlag, Quality
 from rigctl.ipc.ring import RingWriter
@@ -60,6 +62,16 @@ def rival_ids(settings: RigSettings) -> list[int]:
     return [od.NMT_COB, od.SYNC_COB, heartbeat, od.DRIVE_RPDO.cob_base + settings.cylinder.node]
 
 
+def _divisors(settings: RigSettings) -> tuple[int, ...]:
+    """SYNCs per frame of cell, slope, drive, rail, drive status, drive speed, cell temperature, second force path."""
+    rate, rail, second = settings.loop.rate_hz, settings.rail_encoder, settings.second_force
+    return (
+        1, settings.inclinometer_divisor, 1, rate // rail.rate_hz if rail is not None else 1,
+        settings.status_divisor or 1, 1, settings.cell_temperature_divisor or 1,
+        rate // second.rate_hz if second is not None else 1,
+    )  # fmt: skip
+
+
 class Inbox:
     """Drains the bus to empty without blocking and decodes by CAN id; foreign ids are only counted."""
 
@@ -78,17 +90,20 @@ class Inbox:
         self._bus, self._frames, self._readback = bus, frames, readback
         self._process_data = process_data or wanted(settings)
         rail = settings.rail_encoder
-        self._divisors: tuple[int, ...] = (1, settings.inclinometer_divisor, 1)
-        self._divisors += (settings.loop.rate_hz // rail.rate_hz if rail is not None else 1,)
-        self._divisors += (settings.status_divisor or 1, 1)
+        self._divisors = _divisors(settings)
+        section = settings.second_force
+        self.second = SecondForce(section) if section is not None else None
+        compensation = settings.compensation
+        self._drive_warms_cell = compensation is not None and compensation.temperature == "drive"
         self._handlers = self._handlers_of(settings)
         e_stop = settings.cylinder.e_stop_input
         self._e_stop_bit = 1 << e_stop if e_stop is not None else 0
         self._rated_current_a = settings.cylinder.rated_current_a or math.nan
         self._drive_node, self._rail_node = settings.cylinder.node, rail.node if rail is not None else 0
-        self.correction = Correction()
+        self.cell = CellCorrection(settings)
         self.reading_n = math.nan  # uncorrected
-        self.tension_n = math.nan  # corrected
+        self.cell_n = math.nan  # corrected
+        self.tension_n = math.nan  # the same, fused with the second force path where there is one
         self.cell_quality = _NEVER
         self.cell_t_ns = NEVER_NS
         self.tangential_rad = self.normal_rad = 0.0
@@ -105,7 +120,7 @@ class Inbox:
         # For a drive that sends stroke and speed in two frames: values and times, unequal at the start.
         self._stroke_mm, self._stroke_t_ns, self._speed_mm_s, self._speed_t_ns = math.nan, NEVER_NS, 0.0, NEVER_NS + 1
         self.drive_current_a = self.drive_temperature_c = math.nan
-        self.drive_status_t_ns = NEVER_NS
+        self.drive_status_t_ns = self.warmth_t_ns = NEVER_NS
         # From the newer of the drive's input and its emergency message; from the I/O node's input.
         self.e_stop = self.io_e_stop = False
         self.bus_t_ns = self.rival_t_ns = self.io_t_ns = self._io_opened_ns = NEVER_NS
@@ -122,9 +137,9 @@ class Inbox:
         self.states: dict[int, int] = {}  # newest NMT state of each node
         self.heartbeats_t_ns: dict[int, int] = {}  # at first of the first tick: start-up has just reached all
         self._nodes = tuple(settings.canopen_nodes.values())
-        # Frames of cell, slope, drive, rail, drive status and drive speed since the first of each; SYNCs sent at that
-        # first frame.
-        self._counts, self._bases, self._syncs = [0] * 6, [-1] * 6, 0
+        # Frames of cell, slope, drive, rail, drive status, drive speed, cell temperature and second force path since
+        # the first of each; SYNCs sent at that first frame.
+        self._counts, self._bases, self._syncs = [0] * 8, [-1] * 8, 0
 
     def _handlers_of(self, settings: RigSettings) -> dict[int, Handler]:
         """Handlers by identifier."""
@@ -136,8 +151,10 @@ class Inbox:
             "cylinder": self._drive_handler,
             DRIVE_SPEED: self._drive_speed_handler,
             DRIVE_STATUS: self._drive_status_handler,
+            CELL_TEMPERATURE: self._temperature_handler,
             "rail_encoder": self._rail_handler,
             "io": self._inputs_handler,
+            SECOND_FORCE: self._second_handler,
         }
         ids = data.can_ids(settings)
         self._speed_comes_last = ids.get(DRIVE_SPEED, 0) > ids["cylinder"]  # the lower identifier is sent first
@@ -224,10 +241,18 @@ class Inbox:
 
         return on_cell
 
-    def correct(self, correction: Correction) -> None:
-        """Put another correction of the cell in force, for the newest sample too."""
-        self.correction = correction
-        self.tension_n = correction.applied(self.reading_n)
+    @property
+    def correction(self) -> Correction:
+        """The cell's correction in force."""
+        return self.cell.correction
+
+    def correct(self, correction: Correction, *, held_s: float = math.nan, history: CellHistory | None = None) -> None:
+        """Put another correction of the cell in force, for the newest sample too; see `CellCorrection.put`."""
+        self.cell.put(correction, held_s=held_s, history=history)
+        self.cell_n = self.cell.newest_n(self.reading_n)
+        if self.second is not None:
+            self.second.put(correction)
+        self.tension_n = self.cell_n if self.second is None else self.cell_n + self.second.offset_n
 
     def _take_cell(self, reading_n: float, quality: int, now_ns: int) -> None:
         """Take a tension; a reading beyond the cell's range is saturated even if the device reports it as good."""
@@ -235,8 +260,8 @@ class Inbox:
             quality = _SATURATED
         if not quality:
             self.reading_n = reading_n
-            correction = self.correction
-            self.tension_n = (reading_n - correction.zero_n) * correction.scale
+            self.cell_n = self.cell.tension_n(reading_n, now_ns)
+            self.tension_n = self.cell_n if self.second is None else self.cell_n + self.second.offset_n
         self.cell_quality = quality
         self.cell_t_ns = now_ns
         self.cell_fresh = quality == 0
@@ -311,9 +336,21 @@ class Inbox:
             if self._e_stop_bit:
                 self.e_stop = not inputs & self._e_stop_bit
             self.drive_status_t_ns = now_ns
+            if self._drive_warms_cell:
+                self.cell.feel(self.drive_temperature_c, now_ns)
             self._count(4)
 
         return on_drive_status
+
+    def _temperature_handler(self, _settings: RigSettings, layout: PdoLayout) -> Handler:
+        decode = codecs.temperature_decoder(layout)
+
+        def on_temperature(data: bytes | bytearray, now_ns: int) -> None:
+            self.cell.feel(decode(data), now_ns)
+            self.warmth_t_ns = now_ns
+            self._count(6)
+
+        return on_temperature
 
     def _inputs_handler(self, settings: RigSettings, layout: PdoLayout) -> Handler:
         assert settings.io is not None  # there is no frame without it
@@ -344,6 +381,19 @@ class Inbox:
             self._count(3)
 
         return on_rail
+
+    def _second_handler(self, settings: RigSettings, layout: PdoLayout) -> Handler:
+        section, second = settings.second_force, self.second
+        assert section is not None and second is not None  # there is no frame without it
+        per_mm = section.counts_per_mm
+        decode = codecs.tension_decoder(layout) if section.kind == "cell" else codecs.linear_decoder(layout, per_mm)
+
+        def on_second(data: bytes | bytearray, now_ns: int) -> None:
+            value, quality = decode(data)
+            second.take(value, quality, now_ns)
+            self._count(7)
+
+        return on_second
 
     def _plain_cell_handler(self, message: PlainMessage) -> Handler:
         decode = dbc.tension_decoder(message)
@@ -406,6 +456,8 @@ class Inbox:
             error = emergency.stands(code, register)
             if node == self._rail_node:
                 self._rail_in_error = error
+            elif self.second is not None and node == self.second.node:
+                self.second.in_error = error
             elif node == self._drive_node:
                 self.drive_emergency = node << 16 | code if error else 0
                 if code == od.EmcyCode.EXTERNAL and self._e_stop_bit:
@@ -428,6 +480,8 @@ class Inbox:
             if state == od.NmtState.BOOT_UP:
                 if node == self._rail_node:  # only the run-out table needs it
                     self._rail_restarted = True
+                elif self.second is not None and node == self.second.node:  # the cell leads without it
+                    self.second.restarted = True
                 else:
                     self.restarted = True
             if self.states.get(node) != state and len(self._notices.node_states) < MAX_NOTICES:

@@ -130,6 +130,11 @@ class InclinationFilter:
         self.normal.pass_ticks(periods)
 
     @property
+    def believed(self) -> bool:
+        """The last sample was used, on both axes."""
+        return not (self.tangential.rejects or self.normal.rejects)
+
+    @property
     def state(self) -> tuple[float, float, float, float]:
         """Tangential angle and rate, normal angle and rate, now; rad and rad/s."""
         t, tr, n, nr = self._x

@@ -45,9 +45,18 @@ class SignalRate:
 
 def rows(settings: RigSettings) -> tuple[Row, ...]:
     """A row per bound of each limit, in the rig file's order; then a row for each signal that may be missing."""
-    found = [row for limit in settings.limits for row in _rows_of(limit)]
+    found = [row for limit in (*settings.limits, *_of_margins(settings)) for row in _rows_of(limit)]
     unseen = {(row.text, row.action, row.modes): row for limit in settings.limits for row in _unseen(limit, settings)}
     return (*found, *unseen.values())
+
+
+def _of_margins(settings: RigSettings) -> list[LimitSettings]:
+    """The limit of the ``margins`` section."""
+    section = settings.margins
+    if section is None:
+        return []
+    high, action = section.ms_max, section.action
+    return [LimitSettings(signal="sensitivity_peak", high=high, action=action, modes=["COMPENSATING"])]
 
 
 def _unseen(limit: LimitSettings, settings: RigSettings) -> list[Row]:

@@ -12,17 +12,20 @@ from rigctl.control.homed import StrokeVerdict
 from rigctl.control.inbox import Inbox, Notices
 from rigctl.control.machine import Change, Machine
 from rigctl.control.modes import Refusal
+from rigctl.control.move_learning import News
 from rigctl.control.observer import Observer
 from rigctl.control.outbox import Outbox
 from rigctl.control.readback import Lost
 from rigctl.control.safety import Trip
 from rigctl.control.tension import TensionLaw
+from rigctl.control.trials import LoadBin
 from rigctl.ipc.record import RECORD, REPLY, Flag, Quality
 from rigctl.ipc.ring import RingReader, RingWriter
 from rigctl.ipc.runtime_folder import Runtime
 
 NOTICE_NS = 1_000_000_000
 NOTICES_KEPT = 64
+ZERO_C_K = 273.15
 _STALE = Quality.STALE.value
 _UNCONFIRMED = Flag.STROKE_UNCONFIRMED.value
 _ENABLED, _ARMING, _STOPPING = Flag.DRIVE_ENABLED.value, Flag.ARMING.value, Flag.STOPPING.value
@@ -63,6 +66,7 @@ class Logbook:
     def record(  # noqa: PLR0915 - one line for each field of the record
         self, t_ns: int, lateness_ns: int, work_ns: int, machine: Machine, observer: Observer, law: TensionLaw,
         outbox: Outbox, command_seq: int, hold_seq: int, causes: int, checks: int, *, arming: bool, stroke_known: bool,
+        move: int = 0,
     ) -> None:  # fmt: skip
         """The record of this tick.
 
@@ -85,6 +89,16 @@ class Logbook:
         values.flags = flags
         values.tension_n = inbox.tension_n
         values.reading_n = inbox.reading_n
+        measured = inbox.cell
+        second = inbox.second
+        values.second_n = second.tension_n if second is not None else math.nan
+        values.force_gap_n = second.gap_n if second is not None else 0.0
+        values.fused_n = second.offset_n if second is not None else 0.0
+        values.creep_n = measured.creep_n
+        values.crept_1_n, values.crept_2_n = measured.crept
+        values.zero_drift_n = measured.zero_drift_n
+        values.slack_zero_n = measured.slack_zero_n
+        values.cell_temperature_c = measured.temperature_c
         values.tension_age_ns = snapshot.cell_age_ns
         values.tension_quality = inbox.cell_quality | (_STALE if snapshot.cell_age_ns > self._stale_ns else 0)
         values.tangential_rad = inbox.tangential_rad
@@ -100,6 +114,11 @@ class Logbook:
         values.statusword = inbox.statusword
         values.controlword = outbox.controlword
         values.command_mm_s = law.command_mm_s
+        values.excitation_mm_s = law.added_mm_s
+        values.sensitivity_peak, values.sensitivity_peak_error = (
+            observer.sensitivity_peak,
+            observer.sensitivity_peak_error,
+        )
         values.target_n = law.target_n
         values.setpoint_n = law.rope_setpoint_n
         values.vertical_n = inbox.tension_n * observer.cosine
@@ -137,6 +156,8 @@ class Logbook:
         values.rail_rad = inbox.rail_rad
         values.rail_quality = inbox.rail_quality | (_STALE if observer.rail_age_ns > observer.rail_stale_ns else 0)
         values.run_out_mm_s = observer.run_out_mm_s
+        values.learned_mm_s = law.learned_mm_s
+        values.move = move
         values.drive_current_a = snapshot.drive_current_a
         values.drive_temperature_c = snapshot.drive_temperature_c
         values.checks = checks
@@ -175,9 +196,22 @@ class Logbook:
             )
         )
 
+    def load_bin(self, t_ns: int, part: LoadBin) -> None:
+        """A part of a record of the cell's creep."""
+        millikelvin = round(1e3 * (part.cell_c + ZERO_C_K)) if math.isfinite(part.cell_c) else 0
+        text = f"{part.rms_n:.5f}".encode()
+        self.event(t_ns, Kind.LOAD_STEP, part.samples, max(0, millikelvin), part.mean_n, part.after_s, text)
+
     def trip(self, t_ns: int, kind: Kind, trip: Trip) -> None:
         """A trip of a row of the safety table, with value, limit and action."""
         self.event(t_ns, kind, trip.fault, trip.action, trip.value, trip.limit, trip.text.encode()[:80])
+
+    def moves(self, t_ns: int, news: list[News]) -> None:
+        """What was learnt from a move, or why nothing was; empties ``news``."""
+        for told in news:
+            kind = Kind.LEARNT if not told.ended else Kind.NOT_LEARNT
+            self.event(t_ns, kind, told.number, told.taught, told.rms_n, number(told.first_n), told.ended.encode()[:80])
+        news.clear()
 
     def mode_changes(self, t_ns: int, changes: Sequence[Change], safe_frames: int) -> None:
         """Every change of mode, with the event behind it and the commands of no speed sent in a row before it."""

@@ -7,24 +7,29 @@ from collections.abc import Callable, Sequence
 import can
 
 from rigctl.config.settings import RigSettings
-from rigctl.control import arming
+from rigctl.control import arming, frequency_trial
+from rigctl.control.cell_correction import CellHistory
 from rigctl.control.checks import Check
 from rigctl.control.clock import Clock
 from rigctl.control.escalation import Escalator
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
+from rigctl.control.gain_table import GainTable
 from rigctl.control.homed import Homed, LastStroke
 from rigctl.control.inbox import Inbox
 from rigctl.control.limits import rows as limit_rows
 from rigctl.control.logbook import Logbook, Rings, number
 from rigctl.control.machine import NOTHING, Change, Machine
+from rigctl.control.margin_probe import MarginProbe
 from rigctl.control.modes import Event, Mode
+from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
 from rigctl.control.outbox import Outbox
 from rigctl.control.readback import Readback
 from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.signs import SignCheck
+from rigctl.control.slack_zero import SlackWatch
 from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.devices.drive import Power, next_controlword
@@ -39,6 +44,8 @@ SAFE_FRAMES = 10  # commands of no speed in a row before the drive is switched o
 COMMANDS_PER_TICK = HOLDS_PER_TICK = 4
 FAILING_TICKS = 100  # consecutive ticks that end in an exception, after which the drive stops and goes off
 SKIP_NOTICE = 5  # ticks skipped at once from which an event is written
+_CLOSED = frozenset({Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
+"""Modes in which the law holds the tension."""
 _KEEPS = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
 """Modes that keep the stroke."""
 LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]
@@ -62,6 +69,7 @@ class Loop:
         process_data: ProcessData | None = None,
         watched: Sequence[Watched] = (),
         last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen: nothing on record
+        cell_history: CellHistory | None = None,
     ) -> None:
         """``supervised``: start-up has verified that the drive stops by itself when we go silent.
 
@@ -69,6 +77,7 @@ class Loop:
         ``law``: makes another law for comparison with ours; the law may read the inbox.
         ``correction``: of the tension cell, from the ledger. ``watched``: objects start-up has verified in the devices.
         ``process_data``: as start-up found it; None: as the rig file has it. ``last_stroke``: the last known stroke.
+        ``cell_history``: of the cell's creep in the loop before; None: not known.
         """
         self.settings = settings
         self.machine = Machine(_stopping_ns(settings))
@@ -78,7 +87,14 @@ class Loop:
         self.inbox = Inbox(bus, settings, rings.frames, process_data, self.readback)
         self.outbox = Outbox(bus, settings, rings.frames, process_data)
         self.law = TensionLaw(settings, gains) if law is None else law(settings, gains, self.inbox)
+        self._table = GainTable.of(settings, gains) if law is None else None
+        self.learning = MoveLearning(settings, self.law) if settings.learning is not None else None
         self._signs, self._stroke_hold = SignCheck(settings), StrokeHold(settings)
+        slack_zero = settings.compensation.slack_zero if settings.compensation is not None else "off"
+        self._slack_watch = SlackWatch(settings) if slack_zero != "off" else None
+        self._corrects_zero = slack_zero == "correct"
+        frequency_trial.prepare(settings)
+        self._probe = MarginProbe(settings)
         self.observer = Observer(
             settings, self.inbox, self.outbox, self.machine, self.law, self.homed, self.readback, self._stroke_hold,
             self._signs,
@@ -95,7 +111,7 @@ class Loop:
         self._logbook = logbook = Logbook(settings, rings)
         self._orders = Orders(
             settings, self.machine, self.observer, self.law, self._watch, logbook, self.readback, self.homed,
-            supervised=supervised,
+            self.learning, supervised=supervised,
         )  # fmt: skip
         self._work_ns = self._stop_until = self._off_until = 0
         self._failing = 0  # ticks in a row that ended in an exception
@@ -103,7 +119,7 @@ class Loop:
         self._orders.host_checks = host_checks
         if correction is not None:
             self._orders.overdue = correction.overdue
-            self._orders.correct(correction, started_ns)
+            self._orders.correct(correction, started_ns, history=cell_history)
 
     @property
     def drive_off(self) -> bool:
@@ -145,6 +161,8 @@ class Loop:
             if found is not None:
                 self._logbook.stroke(now_ns, found)
         self._watch_stroke(now_ns)
+        if self._slack_watch is not None:
+            self._look_at_zero(self._slack_watch, now_ns)
         if not self._signs.passed and machine.mode is Mode.TENSIONING:
             self._check_signs(now_ns)
         observer.look_at_control(t_ns, self._commanded_ns, self._travel_from_mm)
@@ -199,6 +217,13 @@ class Loop:
 
     def _speed(self, estimate: Estimate) -> float:
         law, mode, cosine, trial = self.law, self.machine.mode, self.observer.cosine, self._orders.trial
+        free = mode is Mode.COMPENSATING and trial is None
+        law.added_mm_s = self._probe.speed_mm_s(self.observer.snapshot.vertical_error_n, free=free)
+        if trial is not None and trial.moves:
+            law.added_mm_s = trial.wanted_mm_s
+        untold_mm_s = 0.0  # added where the filter is to see its effect only, as that of a disturbance
+        if self.learning is not None:
+            law.learned_mm_s = self._learned(self.learning, mode)
         if not self.observer.snapshot.drive_enabled:
             law.follow_speed(0.0)
             law.hold(estimate, self._correction(powered=False))
@@ -206,15 +231,34 @@ class Loop:
         elif mode is Mode.TENSIONING:
             speed_mm_s = law.tensioning(estimate, cosine, self._signs.probe_mm_s)
         elif mode is Mode.COMPENSATING:
-            speed_mm_s = law.compensating(estimate, cosine)
+            speed_mm_s, untold_mm_s = law.compensating(estimate, cosine), law.added_mm_s
         elif mode is Mode.RELEASING:
             speed_mm_s = law.releasing(estimate, cosine)
         elif mode is Mode.HOLD and trial is not None and trial.moves:
-            speed_mm_s = law.limited(trial.wanted_mm_s, estimate.stroke_mm)
+            speed_mm_s = law.limited(law.added_mm_s, estimate.stroke_mm)
         else:
             speed_mm_s = law.hold(estimate, self._correction(powered=self.machine.drive_wanted))
-        self.observer.filter.command(speed_mm_s)
+        self.observer.filter.command(speed_mm_s - untold_mm_s)
+        if self._table is not None and mode in _CLOSED:
+            self._follow_table(self._table, estimate.stroke_mm)
         return speed_mm_s
+
+    def _follow_table(self, table: GainTable, stroke_mm: float) -> None:
+        """Put the entry of the table for this operating point in force."""
+        if self._orders.gains_ordered:  # they replace the table
+            self._table = None
+            return
+        observer, law = self.observer, self.law
+        entry = table.look(law.rope_setpoint_n, stroke_mm, observer.filter)
+        if entry is not None:
+            observer.filter = entry.filter
+            law.change_gains(entry.gains, entry.stiffness_n_mm)
+            self._logbook.event(observer.snapshot.t_ns, Kind.GAINS, text=entry.gains.text)
+
+    def _learned(self, learning: MoveLearning, mode: Mode) -> float:
+        observer, (tangential, _, normal, _) = self.observer, self.observer.inclination.state
+        ticks, stroke_mm = 1 + observer.just_skipped, observer.snapshot.stroke_mm
+        return learning.step(mode, ticks, observer.tension_n, stroke_mm, tangential, normal)
 
     def _send(self, t_ns: int, speed_mm_s: float) -> None:
         machine, snapshot, outbox = self.machine, self.observer.snapshot, self.outbox
@@ -240,8 +284,10 @@ class Loop:
         logbook.record(
             t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox,
             self._commands.cursor, self._holds.cursor, self._watch.standing, self._orders.shown_checks,
-            arming=arming, stroke_known=self.homed.known,
+            arming=arming, stroke_known=self.homed.known, move=0 if self.learning is None else self.learning.number,
         )  # fmt: skip
+        if self.learning is not None:
+            logbook.moves(t_ns, self.learning.news)
         done, self._done = self._done.then(machine.outcome()), NOTHING
         logbook.mode_changes(t_ns, done.changes, self.outbox.safe_frames)
         limits, causes = self._watch.reports()
@@ -277,6 +323,15 @@ class Loop:
             hold.watch(now_ns, snapshot, self.law.command_mm_s)
             if hold.left:
                 self._logbook.event(now_ns, Kind.STROKE_LEFT, machine.mode, value=hold.error_mm, limit=SAID_MM)
+
+    def _look_at_zero(self, watch: SlackWatch, now_ns: int) -> None:
+        """Compare the cell's zero with what a surely slack rope shows, and correct it if the rig file says so."""
+        found = watch.look(self.inbox, self.machine.mode, now_ns)
+        if found is not None:
+            cell = self.inbox.cell
+            applied = cell.see_slack_zero(found.tension_n, correct=self._corrects_zero)
+            limit_n = cell.slack_zero_limit_n
+            self._logbook.event(now_ns, Kind.SLACK_ZERO, int(applied), found.samples, cell.zero_found_n, limit_n)
 
     def _correction(self, *, powered: bool) -> float:
         """Speed in mm/s that brings a held stroke back to its latch."""

@@ -55,6 +55,8 @@ class Verb(IntEnum):
     IDENTIFY = 10
     GAINS = 11  # the new gains follow as LAW_GAINS, once their margins have been judged
     CONFIRM_STROKE = 12  # the measured stroke agrees with the drive's position
+    RESPONSE = 13  # frequency response by a multisine; a trial, as IDENTIFY
+    MOVE = 14  # a move of the mechanism begins, or the one under way has ended
 
 
 class Setting(IntEnum):
@@ -65,19 +67,25 @@ class Setting(IntEnum):
     OVERDUE = 130
     HOST_CHECKS = 134  # sent before every ARM; 131 to 133 are in older recordings, see rigctl.replay.former_commands
     LAW_GAINS = 135
+    MARGINS = 140  # the loop's sensitivity peak as measured while COMPENSATING
+    CREEP = 144
 
 
 VALUES: dict[int, tuple[str, ...]] = {
     Verb.ARM: ("near_end",),
     Verb.TARGET: ("target_n",),
-    Verb.CALIBRATE: ("weight_n",),
+    Verb.CALIBRATE: ("weight_n", "creep_s"),
     Verb.IDENTIFY: ("tight",),
     Verb.CONFIRM_STROKE: ("stroke_mm",),
-    Setting.ZERO: ("zero_n",),
-    Setting.SCALE: ("scale", "overdue"),
+    Verb.RESPONSE: ("regulated",),
+    Verb.MOVE: ("move",),
+    Setting.ZERO: ("zero_n", "zero_c", "zero_n_k", "second_zero_n"),
+    Setting.SCALE: ("scale", "overdue", "second_scale"),
     Setting.OVERDUE: ("overdue",),
     Setting.HOST_CHECKS: ("host_checks",),
     Setting.LAW_GAINS: ("k_tension", "k_speed", "k_integral"),
+    Setting.MARGINS: ("sensitivity_peak", "sensitivity_peak_error"),
+    Setting.CREEP: ("creep_1", "creep_1_s", "creep_2", "creep_2_s", "creep_held_s"),
 }
 """Fields of a ``COMMAND`` slot that a command or setting uses, beside time and id."""
 
@@ -114,9 +122,12 @@ class Refusal(IntEnum):
     SLACK = 14  # a slack rope shows nothing to identify
     STRAYED = 15  # tension or stroke left the bounds of the excitation
     FAULT_LATCHED = 16  # a limit ramps the tension down; only HOLD stops that
+    NO_STEP = 30  # neither was a weight hung on the cell nor taken off it
     STROKE_DIFFERS = 19  # the measured stroke is not the drive's position
     STOP_RUNNING = 21  # the drive is still stopping, or its brake is closing
     BRAKE_SLIPPED = 22  # the brake did not hold the load while the drive was off; value: mm
+    UNFELT = 23  # the cell does not show the motion of the stroke
+    NO_LEARNING = 24  # the rig file has no section learning
 
 
 @dataclass(frozen=True)
@@ -134,6 +145,9 @@ class Situation:
     wanted_n: float = 0.0  # target of a TARGET
     measured_mm: float = 0.0  # stroke of a CONFIRM_STROKE
     needs_tight: bool = False  # of an IDENTIFY
+    regulated: float = math.nan  # of a RESPONSE: 1 only while COMPENSATING, 0 only in HOLD, NaN in either
+    move: float = 0.0  # number of a MOVE
+    moves: int = 0  # highest number of a move; 0: nothing is learnt
     stroke_mm: float = math.nan  # NaN: unknown now
     target_min_n: float = 0.0
     target_max_n: float = 0.0
@@ -172,6 +186,14 @@ def target_in_bounds(situation: Situation) -> Refusal:
     return Refusal.NONE if inside else Refusal.OUT_OF_RANGE
 
 
+def move_known(situation: Situation) -> Refusal:
+    """The rig learns from moves, and the number is one of them, or 0."""
+    if not situation.moves:
+        return Refusal.NO_LEARNING
+    known = situation.move.is_integer() and 0 <= situation.move <= situation.moves
+    return Refusal.NONE if known else Refusal.OUT_OF_RANGE
+
+
 def rope_unloaded(situation: Situation) -> Refusal:
     """The cell reads no more than a tare may take away."""
     return Refusal.NONE if situation.unloaded else Refusal.LOADED
@@ -180,6 +202,18 @@ def rope_unloaded(situation: Situation) -> Refusal:
 def rope_tight_if_needed(situation: Situation) -> Refusal:
     """The rope is tight, or the identification does not need it to be."""
     return Refusal.SLACK if situation.needs_tight and situation.slack else Refusal.NONE
+
+
+def held_response(situation: Situation) -> Refusal:
+    """The rope is tight, and the response is not asked for while COMPENSATING only."""
+    if situation.regulated == 1.0:
+        return Refusal.WRONG_MODE
+    return Refusal.SLACK if situation.slack else Refusal.NONE
+
+
+def regulated_response(situation: Situation) -> Refusal:
+    """The response is not asked for in HOLD only."""
+    return Refusal.WRONG_MODE if situation.regulated == 0.0 else Refusal.NONE
 
 
 def stroke_as_measured(situation: Situation) -> Refusal:
@@ -244,6 +278,7 @@ TRIED_IN = {
     Verb.TARE: (Mode.DISARMED, Mode.HOLD),
     Verb.CALIBRATE: (Mode.DISARMED, Mode.HOLD),
     Verb.IDENTIFY: (Mode.HOLD,),
+    Verb.RESPONSE: (Mode.HOLD, Mode.COMPENSATING),
 }
 FILED = frozenset({*TRIED_IN, Verb.GAINS})  # their results are put on record before they take effect
 
@@ -253,10 +288,13 @@ WITHOUT_EVENT: dict[tuple[Mode, Verb], Guard | None] = {
     (Mode.DISARMED, Verb.ARM): preflight_passed,  # no event yet: ENABLED follows from the drive
     (Mode.DISARMED, Verb.RESET): drive_at_fault,
     **{(mode, Verb.CONFIRM_STROKE): stroke_as_measured for mode in (Mode.DISARMED, Mode.FAULT)},
+    (Mode.COMPENSATING, Verb.MOVE): move_known,
     (Mode.FAULT, Verb.DISARM): None,  # power off, brake closed; the fault stays latched
     **{(mode, Verb.TARGET): target_in_bounds for mode in Mode},
     **{(mode, Verb.GAINS): None for mode in Mode},
     **{(mode, verb): _TRIAL_GUARD.get(verb) for verb, modes in TRIED_IN.items() for mode in modes},
+    (Mode.HOLD, Verb.RESPONSE): held_response,
+    (Mode.COMPENSATING, Verb.RESPONSE): regulated_response,
 }
 """Commands that change no mode, or not at once, with their guards."""
 

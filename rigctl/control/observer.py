@@ -7,6 +7,7 @@ from collections import deque
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.arming import Standstill
+from rigctl.control.cell_correction import CellHistory
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.faults import Fault
 from rigctl.control.homed import Homed
@@ -21,7 +22,9 @@ from rigctl.control.run_out import RunOutTable, stale_ns
 from rigctl.control.safety import status_stale_ns
 from rigctl.control.signs import SignCheck
 from rigctl.control.snapshot import EStop, Snapshot
+from rigctl.control.stretch_lead import StretchLead
 from rigctl.control.stroke_hold import StrokeHold
+from rigctl.control.sync_timing import SyncTiming
 from rigctl.control.tension import Estimate, TensionLaw
 from rigctl.devices.objects import (
     OFF_STATES,
@@ -63,21 +66,28 @@ class Observer:
         self.snapshot = Snapshot(heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states)
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
-        self.tension_n = 0.0  # newest good sample
+        self.tension_n, self.tight_ns = 0.0, 0  # newest good sample; when the rope was last slack
         self.cosine = 1.0  # of the rope against the vertical
         self.run_out_mm_s = 0.0  # disturbance speed from the run-out table
         self.rail_age_ns = 0
         self.skipped = self.just_skipped = 0
+        self.sensitivity_peak = self.sensitivity_peak_error = math.nan  # of this COMPENSATING, from the gateway
         self._stretch = Stretch(settings.plant.rope_length_mm, 1.0 / settings.loop.rate_hz)
+        leads = settings.estimator.inclination_swing_hz is not None
+        self._stretch_lead = StretchLead(settings) if leads else None
         self._skips: deque[tuple[int, int]] = deque(maxlen=4096)
         self._errors: deque[tuple[int, int]] = deque(maxlen=4096)  # time, error frames up to then
         self._errors_before = 0  # error frames older than a second
         self._window_ns = settings.safety.overrun_window_ms * 1_000_000
         self._slack_n = settings.tension.slack_n
+        # Plain frames come at the device's own time: a SYNC says nothing about them.
+        by_sync = settings.tension_cell.dbc is None
+        self._sync_timing = SyncTiming(1.0 / settings.loop.rate_hz) if by_sync else None
+        self._grid_ns = self._last_grid_ns = 0
         rail, run_out = settings.rail_encoder, settings.run_out
         self.rail_stale_ns = stale_ns(rail) if rail is not None else 0
         self._status_stale_ns = status_stale_ns(settings)
-        self._io_fitted = settings.io is not None
+        self._io_fitted, self._warmth_fitted = settings.io is not None, settings.cell_temperature_divisor > 0
         self._e_stop_fitted = settings.cylinder.e_stop_input is not None
         self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
         self._standstill = Standstill(settings)
@@ -91,6 +101,8 @@ class Observer:
     def look(self, now_ns: int, skipped: int) -> None:
         """Make this tick's snapshot from the inbox; ``skipped`` ticks passed since the last one."""
         inbox, snapshot, statusword = self.inbox, self.snapshot, self.inbox.statusword
+        if inbox.second is not None:
+            inbox.second.look(inbox.cell_n, inbox.stroke_mm, inbox.speed_mm_s, now_ns)
         self.just_skipped = skipped
         snapshot.t_ns = now_ns
         if skipped:
@@ -119,8 +131,7 @@ class Observer:
         snapshot.off_ns = 0 if self._off_since_ns is None else now_ns - self._off_since_ns
         snapshot.still_ns = self._standstill.look(now_ns, inbox.stroke_mm, inbox.speed_mm_s, snapshot.drive_age_ns)
         self._look_at_drive_status(now_ns)
-        if self._io_fitted:
-            snapshot.io_age_ns = now_ns - inbox.io_t_ns
+        self._look_at_fitted(now_ns)
         snapshot.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
         snapshot.drive_warning = statusword & STATUS_WARNING != 0
         snapshot.drive_local = not statusword & STATUS_REMOTE
@@ -149,10 +160,15 @@ class Observer:
         reached.
         """
         snapshot, law, machine, now_ns = self.snapshot, self._law, self._machine, self.snapshot.t_ns
+        self._last_grid_ns, self._grid_ns = self._grid_ns, t_ns
         snapshot.lateness_ns, snapshot.command_age_ns = now_ns - t_ns, t_ns - commanded_ns
         compensating = machine.mode is Mode.COMPENSATING
         tight = (compensating or machine.mode is Mode.TENSIONING) and not self.slack
         snapshot.travel_mm = self.inbox.stroke_mm - travel_from_mm if compensating else 0.0
+        if not compensating:
+            self.sensitivity_peak = self.sensitivity_peak_error = math.nan
+        least = self.sensitivity_peak - self.sensitivity_peak_error
+        snapshot.least_peak = least if least > 0.0 else 0.0
         snapshot.vertical_error_n = self.inbox.tension_n * self.cosine - law.setpoint_n if tight else 0.0
         snapshot.stroke_limited = law.limits & _LIMITED_STROKE != 0
         snapshot.rope_lost = law.rope_lost
@@ -168,6 +184,7 @@ class Observer:
         snapshot.excursion_mm, snapshot.doubt_mm = self._stroke_hold.error_mm, self._stroke_hold.doubt_mm
         fault = self._signs.fault
         snapshot.drive_reversed, snapshot.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
+        snapshot.zero_found_n = self.inbox.cell.zero_found_n
         self.look_at_settings()
 
     def look_at_settings(self) -> None:
@@ -191,23 +208,41 @@ class Observer:
         snapshot.drive_current_a = math.nan if stale else inbox.drive_current_a
         snapshot.e_stop_unseen = stale and self._e_stop_fitted
 
+    def _look_at_fitted(self, now_ns: int) -> None:
+        """What only some rigs have."""
+        inbox, snapshot = self.inbox, self.snapshot
+        if inbox.second is not None:
+            snapshot.force_gap_n, snapshot.second_known = inbox.second.gap_n, inbox.second.known
+            snapshot.second_age_ns = now_ns - inbox.second.t_ns
+            snapshot.second_quality = inbox.second.quality
+        if self._warmth_fitted:
+            snapshot.warmth_age_ns = now_ns - inbox.warmth_t_ns
+        if self._io_fitted:
+            snapshot.io_age_ns = now_ns - inbox.io_t_ns
+
     def estimate(self, skipped: int, *, regulated: bool) -> Estimate:
         """The filters' estimate, predicted to when a command acts; ``regulated``: the run-out table may learn.
 
         Raises:
             ArithmeticError: the estimate is not finite; the filter has been reset.
         """
-        inbox, kalman, slope = self.inbox, self.filter, self.inclination
+        inbox, kalman, slope, ahead = self.inbox, self.filter, self.inclination, self._stretch_lead
         if inbox.slope_fresh:
             slope.update(inbox.tangential_rad, inbox.normal_rad)
+            if ahead is not None and slope.believed:
+                ahead.update(inbox.tangential_rad, inbox.normal_rad)
         else:
             slope.absent()
         tangential, _, normal, _ = slope.state
         self.cosine = max(LEAST_COSINE, math.cos(tangential) * math.cos(normal))
-        stretch_mm_s = self._stretch.speed_mm_s(self.cosine)
+        stretch_mm_s, lead_mm_s = self._stretch.speed_mm_s(self.cosine), 0.0
+        if ahead is not None:
+            stretch_mm_s, lead_mm_s = ahead.speeds_mm_s()
+            ahead.pass_ticks(1 + skipped)
         if inbox.cell_fresh:
             self.tension_n = inbox.tension_n
         if self.tension_n < self._slack_n:
+            self.tight_ns = self.snapshot.t_ns
             kalman.reset(self.tension_n, inbox.speed_mm_s)
             kalman.known_mm_s = self.run_out_mm_s = 0.0
             if self._run_out is not None:
@@ -216,6 +251,7 @@ class Observer:
             if self._run_out is not None:
                 self.run_out_mm_s = self._run_out_speed(self._run_out, 1 + skipped, regulated)
             kalman.known_mm_s = stretch_mm_s + self.run_out_mm_s
+            kalman.late_s = self._latched_late_s()
             kalman.update(
                 inbox.tension_n if inbox.cell_fresh else None, inbox.speed_mm_s if inbox.drive_fresh else None
             )
@@ -229,16 +265,21 @@ class Observer:
         snapshot.cell_nis = kalman.cell.nis
         tension_n, speed_mm_s, disturbance_mm_s = kalman.ahead()
         snapshot.disturbance_mm_s = disturbance_mm_s
-        if not math.isfinite(tension_n + speed_mm_s + disturbance_mm_s):
+        if not math.isfinite(tension_n + speed_mm_s + disturbance_mm_s + kalman.lead_mm_s + lead_mm_s):
             kalman.reset(self.tension_n, 0.0)
             raise ArithmeticError("the estimate is not finite")
         if self._run_out is not None:
             disturbance_mm_s += self._run_out.lead_mm_s
-        return Estimate(tension_n, speed_mm_s, disturbance_mm_s, inbox.stroke_mm)
+        return Estimate(tension_n, speed_mm_s, disturbance_mm_s, inbox.stroke_mm, kalman.lead_mm_s + lead_mm_s)
 
-    def correct(self, correction: Correction) -> None:
+    def _latched_late_s(self) -> float:
+        """How much later than usual the newest samples were latched; 0 where no SYNC latches them."""
+        timing = self._sync_timing
+        return 0.0 if timing is None else timing.late_s(self._outbox.synced_ns, self._last_grid_ns)
+
+    def correct(self, correction: Correction, *, held_s: float = math.nan, history: CellHistory | None = None) -> None:
         """Apply a correction and restart the filter there: the step it makes in the reading is no innovation."""
-        self.inbox.correct(correction)
+        self.inbox.correct(correction, held_s=held_s, history=history)
         if math.isfinite(self.inbox.tension_n):
             self.tension_n = self.inbox.tension_n
             self.filter.reset(self.tension_n, self.inbox.speed_mm_s)

@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 from rigctl.config.settings import RigSettings
 from rigctl.control import arming, modes, safety, trials
+from rigctl.control.cell_correction import CellHistory
 from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
@@ -16,16 +17,18 @@ from rigctl.control.homed import Homed
 from rigctl.control.logbook import Logbook, number
 from rigctl.control.machine import Answer, Machine
 from rigctl.control.modes import Mode, Refusal, Setting, Situation, Verb
+from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.readback import Readback
 from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.tension import Gains, TensionLaw
-from rigctl.ipc.correction import Correction, tare_limit_n
+from rigctl.ipc.correction import Correction, CreepTerm, creep_share, creep_text, tare_limit_n
 from rigctl.ipc.record import COMMAND_LIFETIME_NS
 
 _VERBS, _SETTINGS = frozenset(map(int, Verb)), frozenset(map(int, Setting))
 _Values = dict[str, float]  # of a command, by the names in `modes.VALUES`
 _NO_FIGURES: Mapping[str, float] = MappingProxyType({})
+MS_MOST = 1000.0  # a sensitivity peak above it is no measurement
 LOOK_NS = 500_000_000  # period of the preflight for display while the rig is not armed
 
 
@@ -46,6 +49,7 @@ class Orders:
         logbook: Logbook,
         readback: Readback,
         homed: Homed,
+        learning: MoveLearning | None,
         *,
         supervised: bool,
     ) -> None:
@@ -56,9 +60,10 @@ class Orders:
         self.trial: trials.Trial | None = None
         self.host_checks = self.shown_checks = 0
         self.overdue = False
+        self.gains_ordered = False  # gains have come as an order since the start
         self._settings, self._machine, self._observer = settings, machine, observer
         self._law, self._watch, self._logbook, self._supervised = law, watch, logbook, supervised
-        self._readback, self._homed = readback, homed
+        self._readback, self._homed, self._learning = readback, homed, learning
         self._arm: tuple[int, _Values, int] | None = None  # id, values and time of an ARM that waits for the read-back
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._look_ns = 0
@@ -108,6 +113,9 @@ class Orders:
             return
         if machine.trial is not None:
             verdict = trial.see(self._observer.inbox, self._observer.snapshot)
+            if isinstance(trial, trials.LoadStep):
+                for part in trial.take_bins():
+                    self._logbook.load_bin(t_ns, part)
             if verdict is None:
                 return
             self._found = trial.figures
@@ -149,6 +157,8 @@ class Orders:
                 checks = self._watch.blocking(self._observer.snapshot)
             elif given.refusal is Refusal.LOADED:
                 figures = {"reading_n": self._observer.inbox.reading_n}
+            elif given.verb is Verb.MOVE and self._learning is not None:
+                figures = {"taught": float(self._learning.taught)}
             elif given.verb is Verb.CONFIRM_STROKE:
                 figures = {"stroke_mm": self._observer.snapshot.stroke_mm}
             elif given.verb in (Verb.TARGET, Verb.TENSION):
@@ -157,10 +167,21 @@ class Orders:
                 figures = self._found
             self._reply(t_ns, given.id, given.refusal, checks, figures)
 
-    def correct(self, correction: Correction, t_ns: int) -> None:
-        """Put zero and scale of the cell in force."""
-        self._observer.correct(correction)
+    def correct(
+        self, correction: Correction, t_ns: int, *, held_s: float = math.nan, history: CellHistory | None = None
+    ) -> None:
+        """Put zero, scale and creep of the cell in force; for ``held_s`` and ``history`` see `CellCorrection.put`."""
+        cell, creeps = self._observer.inbox.cell, self._observer.inbox.cell.creeps
+        creep = cell.correction.creep
+        self._observer.correct(correction, held_s=held_s, history=history)
         self._logbook.event(t_ns, Kind.CORRECTION, value=correction.zero_n, limit=correction.scale)
+        if correction.second_zero_n is not None:
+            zero_n, scale = correction.second_zero_n, correction.second_scale
+            self._logbook.event(t_ns, Kind.SECOND_FORCE, value=zero_n, limit=scale)
+        if correction.creep != creep and (creeps or cell.creeps):
+            text = creep_text(correction.creep).encode()
+            known = history is not None or not math.isnan(held_s)
+            self._logbook.event(t_ns, Kind.CREEP, int(known), value=creep_share(correction.creep), text=text)
 
     def failed_checks(self, *, near_end: bool = False) -> Check:
         """Checks that bar arming now; ``near_end``: see `rigctl.control.safety.preflight`."""
@@ -230,6 +251,9 @@ class Orders:
             wanted_n=values.get("target_n", 0.0),
             measured_mm=values.get("stroke_mm", 0.0),
             needs_tight=bool(values.get("tight", 0.0)),
+            regulated=values.get("regulated", math.nan),
+            move=values.get("move", 0.0),
+            moves=0 if settings.learning is None else settings.learning.moves,
             stroke_mm=observer.snapshot.stroke_mm if observer.snapshot.drive_age_ns <= self._stale_ns else math.nan,
             cause_present=self._watch.present(observer.snapshot) is not Fault.NONE,
             drive_enabled=observer.snapshot.drive_enabled and machine.drive_wanted,
@@ -245,7 +269,17 @@ class Orders:
             self.shown_checks = situation.failed_checks
             machine.awaiting = True
             self._sequence.begin(t_ns)
-        self.trial = trials.begin(machine.trial, settings, observer.inbox) if machine.trial is not None else None
+        self.trial = None
+        if machine.trial is not None:
+            held, regulated = machine.mode is Mode.HOLD, machine.mode is Mode.COMPENSATING
+            self.trial = trials.begin(
+                machine.trial,
+                settings,
+                observer.inbox,
+                creep_s=values.get("creep_s", math.nan),
+                tight_ns=observer.tight_ns if held else None,
+                regulated=regulated,
+            )
         if fault is not machine.fault:
             snapshot = observer.snapshot
             slides = snapshot.off_ns >= arming.REACTION_NS and snapshot.still_ns < arming.STILL_NS  # on a closed brake
@@ -254,6 +288,10 @@ class Orders:
             self._logbook.event(t_ns, Kind.RESET, fault)
         if verb is Verb.TARGET and done:
             self._law.target_n = values["target_n"]
+        elif verb is Verb.MOVE and done and self._learning is not None:
+            tangential_rad, _, normal_rad, _ = observer.inclination.state
+            self._learning.begin(int(values["move"]), observer.snapshot.stroke_mm, tangential_rad, normal_rad)
+            self._logbook.event(t_ns, Kind.MOVE, int(values["move"]), self._learning.taught)
         elif verb is Verb.CONFIRM_STROKE and done:
             self._logbook.stroke(t_ns, self._homed.confirm(observer.snapshot.stroke_mm))
 
@@ -265,8 +303,12 @@ class Orders:
                 refusal = Refusal.NONE
             case Setting.HOST_CHECKS:
                 refusal = self._set_host_checks(values["host_checks"])
+            case Setting.MARGINS:
+                refusal = self._set_margins(values["sensitivity_peak"], values["sensitivity_peak_error"])
             case Setting.LAW_GAINS:
                 refusal = self._set_gains(Gains(**values), t_ns)
+            case Setting.CREEP:
+                refusal = self._set_creep(values, t_ns)
             case _:
                 refusal = self._set_correction(values, t_ns)
         figures = {"reading_n": self._observer.inbox.reading_n} if refusal is Refusal.LOADED else {}
@@ -280,12 +322,40 @@ class Orders:
         if "zero_n" in values and not abs(inbox.reading_n) <= tare_limit_n(self._settings):
             return Refusal.LOADED
         now, overdue = inbox.correction, values.get("overdue", math.nan)
-        wanted = replace(now, zero_n=values.get("zero_n", now.zero_n), scale=values.get("scale", now.scale))
+        wanted = replace(now, scale=values.get("scale", now.scale))
+        second_scale, second_zero_n = values.get("second_scale", math.nan), values.get("second_zero_n", math.nan)
+        if not math.isnan(second_scale):
+            wanted = replace(wanted, second_scale=second_scale)
+        if "zero_n" in values:
+            zero_c, zero_n_k = values["zero_c"], values["zero_n_k"]
+            wanted = replace(
+                wanted,
+                zero_n=values["zero_n"],
+                zero_c=None if math.isnan(zero_c) else zero_c,
+                zero_n_k=now.zero_n_k if math.isnan(zero_n_k) else zero_n_k,
+                second_zero_n=now.second_zero_n if math.isnan(second_zero_n) else second_zero_n,
+            )
         if not wanted.fits(self._settings):
             return Refusal.OUT_OF_RANGE
         if not math.isnan(overdue):
             self.overdue = overdue != 0.0
+        if "zero_n" in values:
+            inbox.cell.forget_slack_zero()
         self.correct(wanted, t_ns)
+        return Refusal.NONE
+
+    def _set_creep(self, values: _Values, t_ns: int) -> Refusal:
+        """Put the cell's creep in force, or none; the reading jumps a little, so only in DISARMED or HOLD."""
+        if self._machine.mode not in (Mode.DISARMED, Mode.HOLD) or self._machine.stopping:
+            return Refusal.WRONG_MODE
+        terms = (
+            CreepTerm(values["creep_1"], values["creep_1_s"]),
+            CreepTerm(values["creep_2"], values["creep_2_s"]),
+        )
+        wanted = replace(self._observer.inbox.correction, creep=terms if any(term.share for term in terms) else ())
+        if not wanted.fits(self._settings):
+            return Refusal.OUT_OF_RANGE
+        self.correct(wanted, t_ns, held_s=values["creep_held_s"])
         return Refusal.NONE
 
     def _set_host_checks(self, bits: float) -> Refusal:
@@ -295,13 +365,22 @@ class Orders:
         self.shown_checks = self.shown_checks & ~int(HOST_CHECKS) | self.host_checks
         return Refusal.NONE if known else Refusal.OUT_OF_RANGE
 
+    def _set_margins(self, ms: float, error: float) -> Refusal:
+        """Take the sensitivity peak measured in this COMPENSATING."""
+        if self._machine.mode is not Mode.COMPENSATING:
+            return Refusal.WRONG_MODE
+        if not (1.0 <= ms <= MS_MOST and 0.0 <= error <= MS_MOST):
+            return Refusal.OUT_OF_RANGE
+        self._observer.sensitivity_peak, self._observer.sensitivity_peak_error = ms, error
+        return Refusal.NONE
+
     def _set_gains(self, gains: Gains, t_ns: int) -> Refusal:
         """Put a set of gains in force, in any mode, bumpless."""
         if not all(math.isfinite(gain) and gain >= 0.0 for gain in gains.in_order):
             return Refusal.OUT_OF_RANGE
         self._law.change_gains(gains)
-        text = f"{gains.k_tension:.6g} {gains.k_speed:.6g} {gains.k_integral:.6g}".encode()
-        self._logbook.event(t_ns, Kind.GAINS, text=text)
+        self.gains_ordered = True
+        self._logbook.event(t_ns, Kind.GAINS, text=gains.text)
         return Refusal.NONE
 
     def _reply(

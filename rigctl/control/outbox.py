@@ -28,6 +28,7 @@ class Outbox:
         self._until_heartbeat = 1
         self._operational = bytes([od.NmtState.OPERATIONAL])
         self._now_ns = 0
+        self.synced_ns = 0  # when the newest SYNC was handed to the bus
         self.controlword = 0
         self.sent = self.failures = self.syncs = 0
         self.failure_text = ""
@@ -40,6 +41,7 @@ class Outbox:
         taken = self._send(self._command_id, self._encode(controlword, speed_mm_s))
         self.safe_frames = self.safe_frames + taken if speed_mm_s == 0.0 else 0
         self.syncs += self._send(od.SYNC_COB, b"")
+        self.synced_ns = now_ns
         self._until_heartbeat -= 1
         if not self._until_heartbeat:
             self._until_heartbeat = self._heartbeat_every

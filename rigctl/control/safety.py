@@ -112,6 +112,8 @@ NEGATIVE_NS = 10 * _MS
 NOT_HELD_MM, NOT_HELD_NS = 0.9, 2 * _MS
 DOUBT_MM = 0.5
 BRAKE_SLIP_MM_S, BRAKE_SLIP_NS = 0.2, 200 * _MS  # a stop under way is shorter
+WARMTH_MS = 60_000
+DISAGREE_NS = 100 * _MS  # of a difference that is low-passed by a second
 STATUS_PERIODS = 5  # status frames lost in a row: at 10 % loss once in 10^5 frames, or 1.4 h at 20 Hz
 
 
@@ -199,6 +201,9 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         *_node_rows(settings),
         Row(Fault.OVERRUN, FieldValue("skipped_in_window"), s.overrun_ticks - 1, 0, _ARMED, "ticks"),
         *_rail_rows(settings),
+        *_warmth_rows(settings),
+        *_zero_rows(settings),
+        *_second_rows(settings),
     )  # fmt: skip
 
 
@@ -229,6 +234,51 @@ def _rail_rows(settings: RigSettings) -> tuple[Row, ...]:
     )
 
 
+def _zero_limit_n(settings: RigSettings) -> float:
+    """Largest zero that a slack rope may show; none without the section."""
+    return settings.compensation.slack_zero_limit_n if settings.compensation is not None else math.inf
+
+
+def _zero_rows(settings: RigSettings) -> tuple[Row, ...]:
+    """A zero that moved is logged at once, and bars the next arming (`Check.CELL_ZERO`); the move under way goes on."""
+    if settings.compensation is None:
+        return ()
+    limit_n = _zero_limit_n(settings)
+    return (Row(Fault.LIMIT, _size("zero_found_n"), limit_n, 0, _ARMED, "N", Action.LOG, "slack_zero_n above"),)
+
+
+def _second_rows(settings: RigSettings) -> tuple[Row, ...]:
+    """Two paths that disagree: one is wrong, and the rig holds. A lost one is logged, and bars the next arming."""
+    section = settings.second_force
+    if section is None:
+        return ()
+    stale, node = section.stale_ms, section.node
+    return (
+        Row(Fault.FORCES_DISAGREE, _size("force_gap_n"), section.disagree_n, DISAGREE_NS, _ARMED, "N"),
+        Row(Fault.LIMIT, _in_ms(FieldValue("second_age_ns")), stale, 0, _ARMED, "ms", Action.LOG,
+            "second_force_age_ms above"),
+        Row(Fault.LIMIT, FieldValue("second_quality"), 0, 0, _ARMED, "", Action.LOG, "second_force_quality above"),
+        Row(Fault.LIMIT, _in_ms(_silence(node)), HEARTBEAT_SILENT_NS / _MS, 0, _ARMED, "ms", Action.LOG,
+            "second_force_heartbeat_age_ms above"),
+    )  # fmt: skip
+
+
+def _second_lost(snapshot: Snapshot, settings: RigSettings) -> bool:
+    section = settings.second_force
+    if section is None:
+        return False
+    stale = snapshot.second_age_ns > section.stale_ms * _MS
+    return stale or snapshot.second_quality != 0 or not snapshot.second_known
+
+
+def _warmth_rows(settings: RigSettings) -> tuple[Row, ...]:
+    """Without a new temperature the zero stays where it is: a cell warms over minutes, so the loss is only logged."""
+    if not settings.cell_temperature_divisor:
+        return ()
+    text = "cell_temperature_age_ms above"
+    return (Row(Fault.LIMIT, _in_ms(FieldValue("warmth_age_ns")), WARMTH_MS, 0, _ARMED, "ms", Action.LOG, text),)
+
+
 def _node_rows(settings: RigSettings) -> tuple[Row, ...]:
     """Heartbeats: a device may send samples and yet no heartbeat, or have left OPERATIONAL.
 
@@ -236,7 +286,7 @@ def _node_rows(settings: RigSettings) -> tuple[Row, ...]:
     """
     rows = []
     for device, node in settings.canopen_nodes.items():
-        if device != "rail_encoder":
+        if device not in ("rail_encoder", "second_force"):  # the loop works without them
             text = f"{_DEVICE_WORDS.get(device, device.replace('_', ' '))} (node {node})"
             rows.append(
                 Row(Fault.NODE_NOT_OPERATIONAL, _silence(node), HEARTBEAT_SILENT_NS, 0, _ARMED, "ns", text=text)
@@ -476,6 +526,9 @@ def preflight(
         Check.E_STOP_IO_UNSEEN: Fault.E_STOP_UNSEEN in beyond,
         Check.STATUS_STALE: Fault.STATUS_STALE in beyond,
         Check.DRIVE_REFUSES: Fault.DRIVE_REFUSES in beyond or snapshot.drive_unasked,
+        Check.CELL_ZERO: abs(snapshot.zero_found_n) > _zero_limit_n(settings),
+        Check.SECOND_FORCE: _second_lost(snapshot, settings),
+        Check.FORCES_DISAGREE: Fault.FORCES_DISAGREE in beyond,
         Check.NODE_NOT_OPERATIONAL: Fault.NODE_NOT_OPERATIONAL in beyond,
     }
     result = known

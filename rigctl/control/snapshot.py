@@ -60,6 +60,12 @@ class Snapshot:
     e_stop_unseen: bool = False  # the drive has the input, but its state is stale
     io_age_ns: int = 1 << 62  # of the I/O node's inputs, where one is fitted
     status_age_ns: int = 1 << 62  # of the drive's current, temperature and inputs, where configured
+    zero_found_n: float = 0.0  # of the cell beside tare and drift, on the last slack rope
+    warmth_age_ns: int = 1 << 62  # of the cell's temperature, where it comes from the cell
+    force_gap_n: float = 0.0  # second force path less cell, low-passed; where one is fitted, as the next three
+    second_age_ns: int = 1 << 62
+    second_quality: int = 0
+    second_known: bool = False  # its zero is on the ledger
     rail_age_ns: int = 1 << 62  # of the rail encoder's angle, where one is fitted
     bus_age_ns: int = 1 << 62
     error_frames: int = 0  # in the last second
@@ -95,6 +101,7 @@ class Snapshot:
     cell_repeats: int = 0
     cell_unrest_n: float = 0.0
     tension_rate_n_s: float = 0.0
+    least_peak: float = 0.0  # measured sensitivity peak less its uncertainty, 0 without one
 
 
 def reader(fields: Collection[str]) -> Callable[[Snapshot], tuple[Any, ...]]:

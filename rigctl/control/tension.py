@@ -2,10 +2,11 @@
 
 State feedback with integral action about a disturbance feed-forward,
 
-    u = -w + r/k - K_T (T - T_sp) - K_v (v + w - r/k) - I,    dI/dt = K_i sat(T - T_sp)
+    u = -w - l + r/k - K_T (T - T_sp) - K_v (v + w - r/k) - I,    dI/dt = K_i sat(T - T_sp)
 
-with T, v, w predicted to the instant at which ``u`` acts (delay compensation), r the slope of the set-point ramp.
-The operator's target is the vertical component, so the rope's set-point is ``target / (cos theta_x cos theta_y)``.
+with l the change of w while the drive lags, as far as a model of the disturbance knows it, and T, v, w predicted to the
+instant at which ``u`` acts (delay compensation), r the slope of the set-point ramp. The operator's target is the
+vertical component, so the rope's set-point is ``target / (cos theta_x cos theta_y)``.
 Every command passes the same limits: speed, acceleration, and the stroke left for stopping.
 """
 
@@ -40,14 +41,23 @@ class Gains:
         """The gains in the order in which they cross to the loop."""
         return self.k_tension, self.k_speed, self.k_integral
 
+    @property
+    def text(self) -> bytes:
+        """For an event."""
+        return f"{self.k_tension:.6g} {self.k_speed:.6g} {self.k_integral:.6g}".encode()
+
 
 class Estimate(NamedTuple):
-    """Input of the law: tension N, drive speed and disturbance speed mm/s, measured stroke mm."""
+    """Input of the law: tension N, drive speed and disturbance speed mm/s, measured stroke mm.
+
+    ``lead_mm_s``: change of the disturbance speed over the drive's lag.
+    """
 
     tension_n: float
     speed_mm_s: float
     disturbance_mm_s: float
     stroke_mm: float
+    lead_mm_s: float = 0.0
 
 
 class TensionLaw:
@@ -76,6 +86,8 @@ class TensionLaw:
         self.integral_mm_s = 0.0
         self._error_n = self._speed_error_mm_s = 0.0  # of the last closed tick
         self.command_mm_s = 0.0
+        self.added_mm_s = 0.0  # to the closed law's command, by a trial or probe
+        self.learned_mm_s = 0.0  # to the closed law's command, by `rigctl.control.move_learning`
         self.limits = 0  # bits, see rigctl.ipc.record.Flag
         self._slack_stroke_mm: float | None = None
         self._tight = False
@@ -94,11 +106,19 @@ class TensionLaw:
         self._tight = self.rope_lost = False
         self.start_ramp(vertical_n, speed_mm_s)
 
-    def change_gains(self, gains: Gains) -> None:
-        """Use other gains from the next tick on, bumpless.
+    @property
+    def gains(self) -> Gains:
+        """The gains in force."""
+        return self._gains
+
+    def change_gains(self, gains: Gains, stiffness_n_mm: float | None = None) -> None:
+        """Use other gains from the next tick on, bumpless; and another stiffness, if it is given.
 
         The integral takes over the change of the feedback of the last tick's errors.
         """
+        if stiffness_n_mm is not None:
+            self._stiffness = stiffness_n_mm
+            self._integrand_n = INTEGRAL_STRETCH_MM * stiffness_n_mm
         before = self._gains
         self.integral_mm_s += (before.k_tension - gains.k_tension) * self._error_n
         self.integral_mm_s += (before.k_speed - gains.k_speed) * self._speed_error_mm_s
@@ -184,6 +204,7 @@ class TensionLaw:
         speed_error = estimate.speed_mm_s - feed_forward
         self._error_n, self._speed_error_mm_s = error, speed_error
         wanted = feed_forward - gains.k_tension * error - gains.k_speed * speed_error - self.integral_mm_s
+        wanted += self.added_mm_s + self.learned_mm_s - estimate.lead_mm_s
         command = self.limited(wanted, estimate.stroke_mm)
         # Anti-windup: integrate only what the limits let through, or what leads back inside them.
         if command == wanted or (wanted - command) * error > 0.0:

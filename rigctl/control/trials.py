@@ -7,9 +7,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Protocol
 
 from rigctl.config.settings import RigSettings
+from rigctl.control.frequency_trial import FrequencyTrial
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Refusal, Verb
 from rigctl.control.snapshot import Snapshot
@@ -30,6 +32,11 @@ LEG_S, SHORTEST_LEG_S, SLOWEST_MM_S = 0.25, 0.05, 0.1  # longest, shortest time 
 REST_S = 0.15  # for the drive to settle
 QUIET_S = 0.5  # at rest before the first step, to measure the noise
 PAIRS = 7  # the whole trial fits into the 10 s of records that any rig file keeps
+CREEP_SETTLE_S = 2.0  # after the step: a weight that was hung swings
+CREEP_BINS = 40  # each longer than the one before: an exponential is as well seen in each decade of time
+CREEP_STALE_NS = 1_000_000_000
+STEP_WAIT_S, BEFORE_S = 120.0, 2.0  # for the weight to be hung; length of a bin before that
+CREEP_SHORTEST_S, CREEP_LONGEST_S = 20.0, 14_400.0
 DITHER = 0.02  # each pair is shorter than the one before, so that rounding in the drive's position averages out
 
 
@@ -61,16 +68,26 @@ class Average:
         self._largest_n = largest_n
         self._left = round(AVERAGED_S * settings.loop.rate_hz)
         self._stale_ns = settings.safety.stale_ms * 1_000_000
+        self._compensates = settings.compensation is not None
+        self._has_second = settings.second_force is not None
         cell = settings.tension_cell
         self._spread_n = max(SPREAD_NOISES * cell.noise_n, SPREAD_RANGE * cell.range_n)
-        self._first = self._sum = self._squares = 0.0
+        self._first = self._sum = self._squares = self._creep = self._second = 0.0
+        self._doubt_n, self._beside_n, self._cell_c = 0.0, 0.0, math.nan
         self.samples = 0
         self.wanted_mm_s = 0.0
 
     @property
     def figures(self) -> dict[str, float]:
-        """Mean and rms about it."""
-        return {"reading_n": self.mean_n, "rms_n": self.rms_n}
+        """Mean and rms about it, and what the loop took out of the tension meanwhile."""
+        found = {"reading_n": self.mean_n, "rms_n": self.rms_n, "samples": float(self.samples)}
+        if self.samples and self._compensates:
+            found |= {"creep_n": self._creep / self.samples, "creep_doubt_n": self._doubt_n}
+            found |= {"zero_drift_n": self._beside_n}
+            found |= {"cell_c": self._cell_c} if math.isfinite(self._cell_c) else {}
+        if self.samples and self._has_second and math.isfinite(self._second):
+            found |= {"second_n": self._second / self.samples}
+        return found
 
     @property
     def mean_n(self) -> float:
@@ -100,11 +117,18 @@ class Average:
             self.samples += 1
             self._sum += beyond
             self._squares += beyond * beyond
+            self._creep += inbox.cell.creep_n
+            if inbox.second is not None:  # without a good sample of it the mean is NaN, and not used
+                second = inbox.second
+                self._second += second.reading_n if second.usable(snapshot.t_ns) else math.nan
         self._left -= 1
         if self._left > 0:
             return None
         if self.samples < FEWEST_SAMPLES:
             return Refusal.NO_SAMPLES
+        cell = inbox.cell
+        self._doubt_n, self._cell_c = cell.doubt_n, cell.temperature_c
+        self._beside_n = cell.offset_n - cell.correction.zero_n
         return Refusal.UNSTEADY if self.rms_n > self._spread_n else Refusal.NONE
 
 
@@ -189,8 +213,154 @@ class Excitation:
         return stroke_mm if self._felt else min(stroke_mm, self._unfelt_mm)
 
 
-def begin(verb: Verb, settings: RigSettings, inbox: Inbox) -> Trial:
-    """The trial of a command."""
+@dataclass(frozen=True)
+class LoadBin:
+    """Samples of the cell's reading after the load's step: how many, their mean and rms in N, mean time in s.
+
+    ``after_s`` is negative before the step. ``cell_c``: temperature of the cell, NaN where it is not known.
+    """
+
+    samples: int
+    mean_n: float
+    rms_n: float
+    after_s: float
+    cell_c: float
+
+
+class LoadStep:
+    """Records the reading after a step of the load for `rigctl.commission.creep`, in bins that grow with time.
+
+    In DISARMED a known weight is hung on the cell, or taken off it, within `STEP_WAIT_S`. In HOLD the step is the
+    tensioning that went before: then rope and spring relax too.
+    """
+
+    moves = False
+
+    def __init__(self, settings: RigSettings, inbox: Inbox, seconds: float, tight_ns: int | None) -> None:
+        """``seconds``: how long from the step on. ``tight_ns``: HOLD, when the tension came; None: a weight."""
+        assert settings.calibration is not None  # the gateway refuses it without
+        self._half_n = 0.5 * settings.calibration.reference_n
+        self._seconds, self._tight_ns = seconds, tight_ns
+        cell = settings.tension_cell
+        self._spread_n = max(SPREAD_NOISES * cell.noise_n, SPREAD_RANGE * cell.range_n)
+        self._loaded = abs(inbox.tension_n) > self._half_n
+        self._begun_ns = self._step_ns = -1
+        self._bin_s, self._seen_before = 0.0, False
+        ramp_s = abs(inbox.tension_n) / settings.tension.ramp_n_s
+        self._half_ramp_ns = round(0.5e9 * ramp_s) if math.isfinite(ramp_s) else 0
+        self._edges_s = [
+            CREEP_SETTLE_S * (seconds / CREEP_SETTLE_S) ** (i / CREEP_BINS) for i in range(1, CREEP_BINS + 1)
+        ]
+        self._place = 0
+        self._first_n = self._sum = self._squares = self._times_s = 0.0
+        self._samples = 0
+        self._mean_n = self._rms_n = math.nan
+        self._ended: list[LoadBin] = []
+        self.wanted_mm_s = 0.0
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Duration, and mean and rms of the last bin."""
+        return {"duration_s": self._seconds, "reading_n": self._mean_n, "rms_n": self._rms_n}
+
+    def take_bins(self) -> list[LoadBin]:
+        """Bins that have ended since the last call."""
+        ended, self._ended = self._ended, []
+        return ended
+
+    def see(self, inbox: Inbox, snapshot: Snapshot) -> Refusal | None:
+        """Take this tick's sample, if one came."""
+        now_ns = snapshot.t_ns
+        refusal = self._begin(now_ns) if self._begun_ns < 0 else None
+        if refusal is not None:
+            return refusal
+        if snapshot.cell_quality or snapshot.cell_age_ns > CREEP_STALE_NS:
+            return Refusal.NO_SAMPLES
+        if abs(inbox.speed_mm_s) > STILL_MM_S:
+            return Refusal.UNSTEADY
+        if self._step_ns < 0:
+            return self._await_step(inbox, now_ns)
+        after_s = (now_ns - self._step_ns) * 1e-9
+        return self._record(inbox, after_s) if after_s >= CREEP_SETTLE_S else None
+
+    def _begin(self, now_ns: int) -> Refusal | None:
+        if not CREEP_SHORTEST_S <= self._seconds <= CREEP_LONGEST_S:
+            return Refusal.OUT_OF_RANGE
+        self._begun_ns = now_ns
+        if self._tight_ns is None:
+            return None
+        self._step_ns = self._tight_ns + self._half_ramp_ns
+        return None if self._loaded else Refusal.SLACK
+
+    def _record(self, inbox: Inbox, after_s: float) -> Refusal | None:
+        if (abs(inbox.tension_n) > self._half_n) is not self._loaded:
+            return Refusal.UNSTEADY
+        while self._place < CREEP_BINS and after_s >= self._edges_s[self._place]:
+            self._place += 1
+            if self._samples:
+                self._end_bin(inbox)
+                if self._rms_n > self._spread_n:
+                    return Refusal.UNSTEADY
+        if self._place == CREEP_BINS:
+            return Refusal.NONE
+        if inbox.cell_fresh:
+            self._add(inbox.reading_n, after_s)
+        return None
+
+    def _await_step(self, inbox: Inbox, now_ns: int) -> Refusal | None:
+        """Average what comes before the step, `BEFORE_S` at a time; the part that the step cuts short is left out."""
+        since_s = (now_ns - self._begun_ns) * 1e-9
+        if since_s > STEP_WAIT_S:
+            return Refusal.NO_STEP
+        if (abs(inbox.tension_n) > self._half_n) is not self._loaded:
+            self._loaded, self._step_ns = not self._loaded, now_ns
+            self._samples = 0
+            return None if self._seen_before else Refusal.NO_STEP
+        if inbox.cell_fresh:
+            self._add(inbox.reading_n, since_s)
+        if since_s >= self._bin_s + BEFORE_S:
+            self._bin_s = since_s
+            if self._samples:
+                self._end_bin(inbox, before=True)
+                self._seen_before = True
+        return None
+
+    def _add(self, reading_n: float, at_s: float) -> None:
+        if not self._samples:
+            self._first_n, self._sum, self._squares, self._times_s = reading_n, 0.0, 0.0, 0.0
+        beyond = reading_n - self._first_n
+        self._samples += 1
+        self._sum += beyond
+        self._squares += beyond * beyond
+        self._times_s += at_s
+
+    def _end_bin(self, inbox: Inbox, *, before: bool = False) -> None:
+        mean = self._sum / self._samples
+        self._mean_n = self._first_n + mean
+        self._rms_n = math.sqrt(max(0.0, self._squares / self._samples - mean * mean))
+        after_s = -STEP_WAIT_S if before else self._times_s / self._samples
+        self._ended.append(LoadBin(self._samples, self._mean_n, self._rms_n, after_s, inbox.cell.temperature_c))
+        self._samples = 0
+
+
+def begin(
+    verb: Verb,
+    settings: RigSettings,
+    inbox: Inbox,
+    *,
+    creep_s: float = math.nan,
+    tight_ns: int | None = None,
+    regulated: bool = False,
+) -> Trial:
+    """The trial of a command.
+
+    ``creep_s`` and ``tight_ns``: of a CALIBRATE that records the creep, see `LoadStep`. ``regulated``: of a RESPONSE,
+    while COMPENSATING.
+    """
+    if verb is Verb.CALIBRATE and creep_s > 0.0:
+        return LoadStep(settings, inbox, creep_s, tight_ns)
+    if verb is Verb.RESPONSE:
+        return FrequencyTrial(settings, inbox, regulated=regulated)
     if verb is Verb.IDENTIFY:
         return Excitation(settings, inbox)
     if verb is Verb.TARE:

@@ -208,7 +208,7 @@ def _connect(daemon: subprocess.Popen[bytes], rig: subprocess.Popen[bytes], sett
 def rig_file(settings: RigSettings, folder: pathlib.Path) -> pathlib.Path:
     """The rig file to run with, with absolute paths of device files."""
     data = settings.model_dump(mode="json", exclude={"directory", "plain"}, exclude_none=False)
-    for device in ("tension_cell", "inclinometer", "cylinder", "rail_encoder", "io"):
+    for device in ("tension_cell", "inclinometer", "cylinder", "rail_encoder", "io", "second_force"):
         if not data[device]:
             continue
         data[device]["eds"] = str(settings.file(data[device]["eds"]))

@@ -17,8 +17,8 @@ from rigctl.config.settings import DemoSettings, RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.demo.script import DemoError, Moment, Show, play
 from rigctl.demo.summary import Summary, summarise
-from rigctl.design.gain_file import design_in_use
 from rigctl.design.gains import DesignError
+from rigctl.design.in_use import adopted, design_in_use
 from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.recorder.continuous import Continuous
 
@@ -98,12 +98,12 @@ def play_lockstep(settings: RigSettings, demo: DemoSettings, show: Show) -> Summ
         DemoError: it could not be played to its end.
     """
     try:
-        design = design_in_use(settings)
+        design, believed = design_in_use(settings), adopted(settings)
     except DesignError as error:
         raise DemoError(f"no design: {error}") from None
     if not design.accepted:
         raise DemoError(design.verdict())
-    with lockstep(settings, design.gains) as rig:
+    with lockstep(believed, design.gains, built=settings) as rig:
         stage = LockstepStage(rig, _recorded(rig, design.as_dict()) if settings.recording.enabled else None)
         stage.pass_time(0.2)
         play(stage, demo, show)

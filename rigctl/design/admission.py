@@ -46,8 +46,8 @@ def admit(runtime: Runtime, text: str, name: str) -> dict[str, Any]:
 
 
 def _judge(directory: str, name: str, text: bytes) -> dict[str, Any]:
-    from rigctl.design.gain_file import design_while_running  # imports python-control
     from rigctl.design.gains import DesignError
+    from rigctl.design.in_use import design_while_running  # imports python-control
 
     try:
         settings = RigSettings.model_validate(Runtime(directory).read_json("active.json").get("settings"))

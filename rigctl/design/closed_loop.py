@@ -1,8 +1,9 @@
 """The controller of the loop as one linear system, and that system closed around a plant.
 
 Tick n reads the sample latched in tick n - 1, corrects the state of tick n - 1, predicts it to tick n and ahead to
-the instant the command acts, and sends ``u = -w - K_T T - K_v (v + w) - I`` (set-point zero, no limits). With the
-filter at its steady gain that is linear; the margins are of this system, and a test compares it with the loop's code.
+the instant the command acts, and sends ``u = -w - l - K_T T - K_v (v + w) - I`` (set-point zero, no limits; l the lead
+of a swing). With the filter at a steady gain that is linear; the margins are of this system, and a test compares it
+with the loop's code.
 """
 
 from __future__ import annotations
@@ -15,30 +16,29 @@ from rigctl.control.estimator import Array, FilterModel
 from rigctl.control.tension import Gains
 from rigctl.design.plant_family import ComplexArray, Member
 
-_STATE, _SAMPLE, _SENT = slice(0, 3), slice(3, 5), 5  # positions in the controller's state; the integral is last
-
 
 @dataclass(frozen=True)
 class Controller:
     """``x' = a x + b y``, ``u = c x`` from the samples y = (tension N, speed mm/s) to the command u mm/s.
 
-    State: filter state carried to the last tick (3), last tick's sample (2), commands sent u(n - 1 - d) to
-    u(n - 1) (d + 1), integral (1). Shapes (m, m), (m, 2), (m,) with m = 7 + d.
+    State: filter state carried to the last tick (n = 3 or 4), last tick's sample (2), commands sent u(n - 1 - d) to
+    u(n - 1) (d + 1), integral (1). Shapes (m, m), (m, 2), (m,) with m = n + 4 + d.
     """
 
     a: Array
     b: Array
     c: Array
+    states: int = 3  # n
 
     def response(self, z: ComplexArray) -> ComplexArray:
         """Command per tension (mm/s per N) and per speed (1), shape (2, len(z)).
 
-        The commands already sent are delays of u itself; without them six states remain to be solved for, for any
+        The commands already sent are delays of u itself; without them n + 3 states remain to be solved for, for any
         transport delay.
         """
         size = len(self.a)
-        sent = np.arange(_SENT, size - 1)
-        kept = np.array([0, 1, 2, 3, 4, size - 1])
+        sent = np.arange(self.states + 2, size - 1)
+        kept = np.array([*range(self.states + 2), size - 1])
         pencil = z[:, None, None] * np.eye(len(kept)) - self.a[np.ix_(kept, kept)]
         row = np.broadcast_to(self.c[kept].astype(np.complex128)[:, None], (len(z), len(kept), 1))
         through = np.linalg.solve(pencil.transpose(0, 2, 1), row)[:, :, 0]  # c (zI - a)^-1
@@ -49,28 +49,41 @@ class Controller:
 
 
 def controller(model: FilterModel, gains: Gains, filter_gain: Array) -> Controller:
-    """``TensionFilter`` and ``TensionLaw`` over one tick, with the filter's settled gain (shape (3, 2))."""
-    delay = model.delay_ticks
-    size = 7 + delay
-    corrected = np.zeros((3, size))
-    corrected[:, _STATE] = np.eye(3) - filter_gain @ np.eye(2, 3)
-    corrected[:, _SAMPLE] = filter_gain
+    """``TensionFilter`` and ``TensionLaw`` over one tick, with a settled gain of the filter (shape (n, 2))."""
+    return _controller(model, gains, filter_gain)[0]
+
+
+def law_errors(model: FilterModel, gains: Gains, filter_gain: Array) -> Array:
+    """Rows that give the law's errors of tension (N) and speed (mm/s) from the controller's state, shape (2, m)."""
+    ahead = _controller(model, gains, filter_gain)[1]
+    rows: Array = np.stack([ahead[0], ahead[1] + ahead[2]])
+    return rows
+
+
+def _controller(model: FilterModel, gains: Gains, filter_gain: Array) -> tuple[Controller, Array]:
+    """The controller, and the filter's state at the instant at which the command acts, by the controller's state."""
+    delay, n = model.delay_ticks, len(model.f)
+    state, sample, sent = slice(0, n), slice(n, n + 2), n + 2  # positions in its state; the integral is last
+    size = n + 4 + delay
+    corrected = np.zeros((n, size))
+    corrected[:, state] = np.eye(n) - filter_gain @ np.eye(2, n)
+    corrected[:, sample] = filter_gain
     predicted = model.f @ corrected
-    predicted[:, _SENT] += model.b[:, 0]
+    predicted[:, sent] += model.b[:, 0]
     ahead = predicted
     for tick in range(delay):
         ahead = model.f @ ahead
-        ahead[:, _SENT + 1 + tick] += model.b[:, 0]
-    command = -np.array([gains.k_tension, gains.k_speed, 1.0 + gains.k_speed]) @ ahead
+        ahead[:, sent + 1 + tick] += model.b[:, 0]
+    command = -np.array([gains.k_tension, gains.k_speed, 1.0 + gains.k_speed, model.lead_s])[:n] @ ahead
     command[-1] -= 1.0
     a, b = np.zeros((size, size)), np.zeros((size, 2))
-    a[_STATE] = predicted
-    b[_SAMPLE] = np.eye(2)
-    a[_SENT : size - 2, _SENT + 1 : size - 1] = np.eye(delay)
+    a[state] = predicted
+    b[sample] = np.eye(2)
+    a[sent : size - 2, sent + 1 : size - 1] = np.eye(delay)
     a[size - 2] = command
     a[-1] = gains.k_integral * model.period_s * ahead[0]
     a[-1, -1] += 1.0
-    return Controller(a, b, command)
+    return Controller(a, b, command, n), ahead
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,8 @@ needs matplotlib, which the rig's computer does without.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from rigctl.config.settings import RigSettings
@@ -47,13 +49,31 @@ def design(settings: RigSettings) -> Gains:
     return Gains(k_tension, k_speed, k_integral)
 
 
+OPEN, QUIET = "open", "quiet"
+
+
+def filter_gains(model: FilterModel) -> dict[str, Array]:
+    """The settled gain of each setting of the filter, see `filter_gain`; ``open`` alone, or ``open`` and ``quiet``.
+
+    Of the quiet setting's gain only the column of the tension is in use.
+
+    Raises:
+        DesignError: as `filter_gain`.
+    """
+    gains = {OPEN: filter_gain(model)}
+    if model.quiet_q is not None:
+        quiet = filter_gain(replace(model, q=model.quiet_q))
+        gains[QUIET] = np.column_stack([quiet[:, 0], gains[OPEN][:, 1]])
+    return gains
+
+
 def filter_gain(model: FilterModel) -> Array:
-    """Settled gain of the Kalman filter, states by (tension, speed), shape (3, 2): ``x += gain (y - H x)``.
+    """Settled gain of the filter when open, states by (tension, speed), shape (n, 2): ``x += gain (y - H x)``.
 
     Raises:
         DesignError: the Riccati equation has no solution, or no finite one.
     """
-    h = np.eye(2, 3)
+    h = np.eye(2, len(model.f))
     r = np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
     try:
         before = _riccati(model.f.T, h.T, model.q, r)

@@ -19,7 +19,7 @@ from rigctl.design.closed_loop import controller
 from rigctl.design.design_text import GAINS
 from rigctl.design.gains import filter_gain
 from rigctl.design.margins import Responses, frequency_grid, responses
-from rigctl.design.plant_family import ComplexArray, Member
+from rigctl.design.plant_family import ComplexArray, Family, Member
 from rigctl.design.verdict import Design, MemberMargins
 
 SIZE_INCHES, DOTS_PER_INCH = (12.0, 13.0), 110
@@ -49,22 +49,22 @@ class Curve:
             axis.plot(x, y, color=self.colour, linestyle=style, linewidth=0.8, alpha=0.8)
 
 
-def draw(settings: RigSettings, found: Design, file: pathlib.Path) -> None:
-    """Write the picture; the name's suffix gives its format (.png, .svg, .pdf).
+def draw(settings: RigSettings, found: Design, file: pathlib.Path, family: Family | None = None) -> None:
+    """Write the picture; the name's suffix gives its format (.png, .svg, .pdf). ``family``: None for the assumed one.
 
     Raises:
         OSError: it cannot be written.
     """
     model = filter_model(settings)
-    members = plant_family.family(settings)
+    members = list((family or plant_family.assumed(settings)).members)
     hz = frequency_grid(members, model.period_s)
     hz = hz[hz >= SHOWN_HZ]
-    law = controller(model, found.gains, filter_gain(model))
+    law = controller(model, found.gains, filter_gain(model))  # open
     answers = responses(members, law, hz[:-1], model.period_s)  # at Nyquist itself a phase is 0 or 180 by rounding
     colours = dict(zip(dict.fromkeys(plant.k_m for plant in members), COLOURS, strict=False))
-    own = (settings.plant.mechanism_n_mm, 1.0, 1)
+    own = _nearest(members, settings.plant.mechanism_n_mm)
     curves = [
-        Curve(plant, margins, answer, colours[plant.k_m], (plant.k_m, plant.k_scale, plant.delay_scale) == own)
+        Curve(plant, margins, answer, colours[plant.k_m], plant is own)
         for plant, margins, answer in zip(members, found.margins, answers, strict=True)
     ]
     figure = Figure(figsize=SIZE_INCHES, layout="constrained")
@@ -78,6 +78,12 @@ def draw(settings: RigSettings, found: Design, file: pathlib.Path) -> None:
     _disturbance(axes[2, 0], curves, hz[:-1], model.period_s)
     figure.legend(handles=_legend(curves), loc="outside lower center", ncols=5, fontsize=9)
     figure.savefig(file, dpi=DOTS_PER_INCH, format=file.suffix[1:].lower())
+
+
+def _nearest(members: list[Member], k_m: float | None) -> Member:
+    """The plant of the family that is nearest to the one in the settings."""
+    alike = [plant for plant in members if plant.k_m == k_m] or members
+    return min(alike, key=lambda p: abs(p.k_scale - 1.0) + abs(p.lag_scale - 1.0) + abs(p.delay_scale - 1.0))
 
 
 def _bode(gain: Axes, phase: Axes, curves: list[Curve], hz: Array) -> None:
@@ -152,9 +158,10 @@ def _legend(curves: list[Curve]) -> list[Line2D]:
     handles = [Line2D([], [], color="black", linewidth=2.4, label="plant in the file")]
     seen: dict[float | None, str] = {curve.plant.k_m: curve.colour for curve in curves}
     for k_m, colour in seen.items():
-        handles.append(Line2D([], [], color=colour, label="rigid" if k_m is None else f"K_m {k_m:g} N/mm"))
-    handles.append(Line2D([], [], color="grey", linestyle="-", label=f"delay x {nominal.plant.delay_scale}"))
-    handles.append(Line2D([], [], color="grey", linestyle="--", label="delay x 2"))
+        handles.append(Line2D([], [], color=colour, label="rigid" if k_m is None else f"K_m {k_m:.4g} N/mm"))
+    longest = max(curve.plant.delay_scale for curve in curves)
+    handles.append(Line2D([], [], color="grey", linestyle="-", label=f"delay x {nominal.plant.delay_scale:.3g}"))
+    handles.append(Line2D([], [], color="grey", linestyle="--", label=f"delay x {longest:.3g}"))
     if not all(curve.margins.stable for curve in curves):
         handles.append(Line2D([], [], color="grey", linestyle=":", label="unstable"))
     return handles

@@ -8,25 +8,30 @@ closed. With plant responses P_T, P_v and controller responses C_T, C_v (positiv
 Ms is the largest modulus of S from MIN_HZ to the Nyquist frequency. Gain, phase and delay margin are of
 ``L = -(C_T P_T + C_v P_v)`` at the plant's input. S_output is also the effect of a disturbance on the true tension,
 over its effect with the stroke locked.
+
+A filter with a quiet setting is judged in both settings and half-way between them, and with the proof that no change
+from one to another makes the loop unstable (`rigctl.design.switching`). Of each figure the worst one counts.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import filter_model
+from rigctl.control.estimator import FilterModel, filter_model
 from rigctl.control.tension import Gains
 from rigctl.design import plant_family
 from rigctl.design.closed_loop import Controller, closed_loop, controller
-from rigctl.design.gains import design, filter_gain
-from rigctl.design.performance import performance
-from rigctl.design.plant_family import Array, ComplexArray, Member
-from rigctl.design.verdict import Design, GainSource, MemberMargins
+from rigctl.design.gains import OPEN, QUIET, design, filter_gains
+from rigctl.design.learning_margin import require_convergence
+from rigctl.design.performance import Performance, performance
+from rigctl.design.plant_family import Array, ComplexArray, Family, Member
+from rigctl.design.switching import circle_margins, common_lyapunov
+from rigctl.design.verdict import Design, GainSource, MemberMargins, SettingMargins
 
 MIN_HZ = 0.01
 POINTS_PER_DECADE = 150
@@ -34,31 +39,48 @@ RESONANCE_POINTS, RESONANCE_BAND = 41, 0.1  # extra points within +-10 % of each
 REAL_RAD = 1e-6
 
 
-def design_and_check(settings: RigSettings) -> Design:
+def design_and_check(settings: RigSettings, family: Family | None = None) -> Design:
     """Compute the gains, close the loop around every member of the family, and judge the result.
 
     Raises:
         DesignError: there are no gains for these settings.
     """
-    return judge(settings, design(settings))
+    return judge(settings, design(settings), family=family)
 
 
-def judge(settings: RigSettings, gains: Gains, source: GainSource | None = None) -> Design:
+def judge(
+    settings: RigSettings, gains: Gains, source: GainSource | None = None, family: Family | None = None
+) -> Design:
     """Close the loop with these gains around every member of the family, against the limit in the settings.
+
+    ``family``: None for the assumed one.
 
     Raises:
         DesignError: the filter has no steady state.
     """
     model = filter_model(settings)
-    law = controller(model, gains, filter_gain(model))
-    members, beside = plant_family.family(settings), plant_family.reported(settings)
+    laws = controllers(model, gains)
+    family = family or plant_family.assumed(settings)
+    members, beside = list(family.members), list(family.reported)
     grid = frequency_grid([*members, *beside], model.period_s)
-    margins = tuple(margins_over(members, law, grid, model.period_s))
-    reported = tuple(margins_over(beside, law, grid, model.period_s))
+    plants = plant_responses([*members, *beside], grid, model.period_s)
+    found = {name: margins_over([*members, *beside], law, grid, model.period_s, plants) for name, law in laws.items()}
+    worst = [_worst(each) for each in zip(*found.values(), strict=True)]
+    margins, reported = tuple(worst[: len(members)]), tuple(worst[len(members) :])
+    of_file = [at for at, plant in enumerate(members) if plant.k_m == settings.plant.mechanism_n_mm]
+    own = all(margins[at].stable for at in of_file)
+    switching = None
+    if QUIET in laws and all(member.stable for member in margins):
+        proofs = circle_margins(plants[: len(members)], laws[QUIET], laws[OPEN], grid, model.period_s)
+        own = own and min(proofs[at] for at in of_file) > 0.0
+        certified = common_lyapunov(
+            plant_family.member(settings, settings.plant.mechanism_n_mm), laws[QUIET], laws[OPEN]
+        )
+        switching = min(proofs) if certified is not None else min(0.0, *proofs)
+    require_convergence(settings, gains, list(laws.values()), members)
     ms_max = max(member.ms_worst for member in margins)
     limit = settings.design.ms_max
-    robust = ms_max <= limit
-    own = all(member.stable for member in margins if member.k_m == settings.plant.mechanism_n_mm)
+    robust = ms_max <= limit and (QUIET not in laws or (switching is not None and switching > 0.0))
     waiver = None if robust or (source is not None and source.edited) else settings.design.waiver
     return Design(
         gains,
@@ -68,8 +90,65 @@ def judge(settings: RigSettings, gains: Gains, source: GainSource | None = None)
         limit,
         accepted=robust or (own and waiver is not None),
         waiver=waiver,
-        performance=performance(settings, law) if own else None,
+        performance=_performance(settings, laws) if own else None,
         source=source,
+        settings=tuple(
+            SettingMargins(
+                name,
+                max(member.ms_worst for member in found[name][: len(members)]),
+                performance(settings, law) if own else None,
+            )
+            for name, law in laws.items()
+        )
+        if QUIET in laws
+        else (),
+        switching=switching,
+        family=family.name,
+    )
+
+
+HALF_OPEN = "half open"
+
+
+def controllers(model: FilterModel, gains: Gains) -> dict[str, Controller]:
+    """The controller in each setting of the filter: ``open``; with a quiet setting also ``quiet`` and ``half open``.
+
+    Raises:
+        DesignError: the filter has no steady state.
+    """
+    of_setting = filter_gains(model)
+    if QUIET in of_setting:
+        of_setting[HALF_OPEN] = 0.5 * (of_setting[OPEN] + of_setting[QUIET])
+    return {name: controller(model, gains, gain) for name, gain in of_setting.items()}
+
+
+def _worst(margins: tuple[MemberMargins, ...]) -> MemberMargins:
+    """The worst figure of each kind, of one plant in every setting."""
+    first, *others = margins
+    for other in others:
+        first = replace(
+            first,
+            ms=max(first.ms, other.ms),
+            ms_output=max(first.ms_output, other.ms_output),
+            gm_db=min(first.gm_db, other.gm_db),
+            pm_deg=min(first.pm_deg, other.pm_deg),
+            dm_ms=min(first.dm_ms, other.dm_ms),
+            stable=first.stable and other.stable,
+        )
+    return first
+
+
+def _performance(settings: RigSettings, laws: dict[str, Controller]) -> Performance:
+    """Disturbances with the open filter, noise at rest with the quiet one."""
+    opened = performance(settings, laws[OPEN])
+    if QUIET not in laws:
+        return opened
+    quiet = performance(settings, laws[QUIET])
+    return replace(
+        opened,
+        command_noise_mm_s=quiet.command_noise_mm_s,
+        command_noise_per_speed=quiet.command_noise_per_speed,
+        tension_noise_n=quiet.tension_noise_n,
     )
 
 
@@ -95,29 +174,37 @@ class Responses:
     disturbance: ComplexArray  # true tension per disturbance speed with the stroke locked, N s/mm
 
 
-def responses(members: list[Member], law: Controller, grid_hz: Array, period_s: float) -> Iterator[Responses]:
-    """Responses of every member with one controller."""
+def plant_responses(members: list[Member], grid_hz: Array, period_s: float) -> list[ComplexArray]:
+    """`Member.response` of every member on the grid."""
     z = np.exp(2j * np.pi * grid_hz * period_s)
-    per_tension, per_speed = law.response(z)
-    for plant in members:
-        tension, speed, disturbance = plant.response(z)
+    return [plant.response(z) for plant in members]
+
+
+def responses(
+    members: list[Member], law: Controller, grid_hz: Array, period_s: float, plants: list[ComplexArray] | None = None
+) -> Iterator[Responses]:
+    """Responses of every member with one controller; ``plants``: their own, if they are known."""
+    per_tension, per_speed = law.response(np.exp(2j * np.pi * grid_hz * period_s))
+    for tension, speed, disturbance in plants or plant_responses(members, grid_hz, period_s):
         loop = -(per_tension * tension + per_speed * speed)
         sensitivity = 1.0 / (1.0 + loop)
         yield Responses(loop, sensitivity, (1.0 - per_speed * speed) * sensitivity, disturbance)
 
 
-def margins_over(members: list[Member], law: Controller, grid_hz: Array, period_s: float) -> list[MemberMargins]:
-    """Margins of every member with one controller; ``grid_hz`` from ``frequency_grid``."""
+def margins_over(
+    members: list[Member], law: Controller, grid_hz: Array, period_s: float, plants: list[ComplexArray] | None = None
+) -> list[MemberMargins]:
+    """Margins of every member with one controller; ``grid_hz`` from ``frequency_grid``, plants as in `responses`."""
     omega = 2.0 * np.pi * grid_hz
     found = []
-    for plant, answer in zip(members, responses(members, law, grid_hz, period_s), strict=True):
-        names = (plant.k_m, plant.k_scale, plant.delay_scale)
+    for plant, answer in zip(members, responses(members, law, grid_hz, period_s, plants), strict=True):
+        names, lag_scale = (plant.k_m, plant.k_scale, plant.delay_scale), plant.lag_scale
         if closed_loop(plant, law).spectral_radius >= 1.0:
-            found.append(MemberMargins(*names, math.inf, math.inf, 0.0, 0.0, 0.0, stable=False))
+            found.append(MemberMargins(*names, math.inf, math.inf, 0.0, 0.0, 0.0, stable=False, lag_scale=lag_scale))
             continue
         gm_db, pm_deg, dm_ms = classical_margins(answer.loop, omega)
         ms, ms_output = (float(np.abs(at).max()) for at in (answer.s_input, answer.s_output))
-        found.append(MemberMargins(*names, ms, ms_output, gm_db, pm_deg, dm_ms, stable=True))
+        found.append(MemberMargins(*names, ms, ms_output, gm_db, pm_deg, dm_ms, stable=True, lag_scale=lag_scale))
     return found
 
 

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import Array
+from rigctl.control.kalman import stationary_covariance
 from rigctl.design.closed_loop import Controller, closed_loop
 from rigctl.design.plant_family import member
 
 VERTICAL_MM, VERTICAL_HZ = 10.0, 0.1  # the payload's slow vertical motion, by which a design is judged
 SHAKE_HZ = (3.0, 8.0)  # floor and building vibration
-DOUBLINGS = 24  # 2^24 ticks are hours at the slowest rate, in which the slowest mode dies out
 
 
 @dataclass(frozen=True)
@@ -50,15 +49,3 @@ def performance(settings: RigSettings, law: Controller) -> Performance:
         command_noise_per_speed=float(np.sqrt(loop.command @ by_speed @ loop.command)),
         tension_noise_n=float(np.sqrt(by_cell[0, 0])),
     )
-
-
-def stationary_covariance(a: Array, q: Array) -> Array:
-    """Covariance of ``x' = a x + noise`` with noise covariance ``q``, of a stable ``a``.
-
-    The sum of ``a^i q a^iT`` by doubling; unlike scipy's bilinear solver it cannot become negative by rounding.
-    """
-    total, power = q, a
-    for _ in range(DOUBLINGS):
-        total = total + power @ total @ power.T
-        power = power @ power
-    return total

@@ -8,7 +8,15 @@ from rigctl.config.plain import PlainMessage
 from rigctl.config.settings import RigSettings
 from rigctl.devices import objects as od
 from rigctl.devices import sdo
-from rigctl.devices.process_data import COMMAND, DRIVE_SPEED, DRIVE_STATUS, ProcessData, wanted
+from rigctl.devices.process_data import (
+    CELL_TEMPERATURE,
+    COMMAND,
+    DRIVE_SPEED,
+    DRIVE_STATUS,
+    SECOND_FORCE,
+    ProcessData,
+    wanted,
+)
 
 LIMIT = 0.8
 
@@ -33,7 +41,9 @@ def traffic(settings: RigSettings, process_data: ProcessData | None = None) -> l
     size = {name: layout.size for name, layout in (process_data or wanted(settings)).frames.items()}
     plain = settings.plain_messages
     cell, slope = plain.get("tension_cell"), plain.get("inclinometer")
+    warm = settings.cell_temperature_divisor
     rail, status, io = settings.rail_encoder, settings.cylinder.status_rate_hz, settings.io
+    second = settings.second_force
     return [
         Traffic("SYNC", 0, rate),
         Traffic("command", size[COMMAND], rate),
@@ -43,8 +53,10 @@ def traffic(settings: RigSettings, process_data: ProcessData | None = None) -> l
         _plain("inclination", slope, settings)
         if slope
         else Traffic("inclination", size["inclinometer"], float(settings.inclinometer.rate_hz)),
+        *([Traffic("cell temperature", size[CELL_TEMPERATURE], rate / warm)] if warm else []),
         *([Traffic("drive inputs", size[DRIVE_STATUS], float(status))] if status else []),
         *([Traffic("rail angle", size["rail_encoder"], float(rail.rate_hz))] if rail else []),
+        *([Traffic("second force path", size[SECOND_FORCE], float(second.rate_hz))] if second else []),
         *([Traffic("I/O inputs", size["io"], 1000.0 / io.inhibit_ms)] if io else []),
         Traffic("settings read back, request", sdo.SIZE, rate / sdo.every_ticks(settings)),
         Traffic("settings read back, answer", sdo.SIZE, rate / sdo.every_ticks(settings)),

@@ -41,6 +41,12 @@ def tension_decoder(layout: PdoLayout) -> Callable[[Data], tuple[float, int]]:
     return decode
 
 
+def temperature_decoder(layout: PdoLayout) -> Callable[[Data], float]:
+    """Temperature of the tension cell in deg C (CiA 404: 0x9130:02)."""
+    read = layout.reader((od.AI_PROCESS_VALUE, 2))
+    return lambda data: read(data)[0] * od.C_PER_CELL_UNIT
+
+
 def inclination_decoder(layout: PdoLayout) -> Callable[[Data], tuple[float, float, int]]:
     """Tangential and normal rope angle in rad, and quality (CiA 410: 0x6010, 0x6020)."""
     read = layout.reader((od.SLOPE_LONG, 0), (od.SLOPE_LATERAL, 0))
@@ -64,6 +70,12 @@ def encoder_decoder(layout: PdoLayout, counts_per_turn: int) -> Callable[[Data],
         return float(counts * math.tau / counts_per_turn)
 
     return decode
+
+
+def linear_decoder(layout: PdoLayout, counts_per_mm: float) -> Callable[[Data], tuple[float, int]]:
+    """Position of a linear encoder in mm (CiA 406: 0x6004), and quality 0: its errors come as emergencies."""
+    read = layout.reader((od.ENCODER_POSITION, 0))
+    return lambda data: (read(data)[0] / counts_per_mm, 0)
 
 
 def drive_decoder(layout: PdoLayout, units: DriveUnits) -> Callable[[Data], tuple[int, float, float]]:

@@ -45,6 +45,8 @@ AI_DECIMAL_DIGITS = 0x6132
 AI_STATUS = 0x6150
 SI_UNIT_NEWTON = 0x00210000  # CiA 303-2: newton, no prefix
 CELL_DECIMAL_DIGITS = 3
+SI_UNIT_CELSIUS = 0x002D0000  # CiA 303-2: degree Celsius, no prefix; of the second channel, the cell's temperature
+CELSIUS_DECIMAL_DIGITS = 2
 
 
 class AiStatus(IntFlag):
@@ -68,6 +70,9 @@ DEVICE_TYPE_406 = 0x00010196  # absolute rotary encoder, single turn, profile 40
 ENCODER_COUNTS_PER_TURN = 0x6001  # UNSIGNED32
 ENCODER_TOTAL_RANGE = 0x6002  # UNSIGNED32, counts after which the position begins at 0 again
 ENCODER_POSITION = 0x6004  # UNSIGNED32, counts
+DEVICE_TYPE_406_LINEAR = 0x00080196  # absolute linear encoder
+ENCODER_STEP = 0x6005  # :01 UNSIGNED32, measuring step in nm
+NM_PER_MM = 1_000_000
 
 # -- CiA 401: generic I/O node ------------------------------------------------------------------------------------
 DEVICE_TYPE_401 = 0x00010191  # digital inputs, profile 401
@@ -126,6 +131,7 @@ C_PER_TEMPERATURE_UNIT = 0.1
 A_PER_RATED_CURRENT_UNIT = 1e-3
 PER_CURRENT_UNIT = 1e-3  # of the rated current
 N_PER_CELL_UNIT = 10.0**-CELL_DECIMAL_DIGITS
+C_PER_CELL_UNIT = 10.0**-CELSIUS_DECIMAL_DIGITS
 
 
 class Controlword(IntEnum):
@@ -301,6 +307,7 @@ class PdoLayout:
 
 
 CELL_TPDO = PdoLayout(TPDO1_BASE, ((AI_PROCESS_VALUE, 1, "i"), (AI_STATUS, 1, "B")))
+CELL_TPDO2 = PdoLayout(TPDO2_BASE, ((AI_PROCESS_VALUE, 2, "i"),))
 SLOPE_TPDO = PdoLayout(TPDO1_BASE, ((SLOPE_LONG, 0, "h"), (SLOPE_LATERAL, 0, "h")))
 ENCODER_TPDO = PdoLayout(TPDO1_BASE, ((ENCODER_POSITION, 0, "I"),))
 DRIVE_TPDO = PdoLayout(TPDO1_BASE, ((STATUSWORD, 0, "H"), (POSITION_ACTUAL, 0, "i"), (VELOCITY_ACTUAL_16, 0, "h")))

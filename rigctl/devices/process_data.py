@@ -18,6 +18,9 @@ from rigctl.devices.objects import PdoLayout
 
 COMMAND = "command"
 DRIVE_SPEED, DRIVE_STATUS = "cylinder_speed", "cylinder_status"
+CELL_TEMPERATURE = "tension_cell_temperature"
+SECOND_FORCE = "second_force"
+_OWNERS = {CELL_TEMPERATURE: "tension_cell"}  # the others without a section of their name are the drive's
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,10 @@ class DriveUnits:
 
 @dataclass(frozen=True)
 class ProcessData:
-    """PDOs by name: the rig file's section, `DRIVE_SPEED` and `DRIVE_STATUS` of the drive's others, `COMMAND`."""
+    """PDOs by name: the rig file's section, `DRIVE_SPEED` and `DRIVE_STATUS` of the drive's others, `COMMAND`.
+
+    `CELL_TEMPERATURE`: the second channel of the tension amplifier.
+    """
 
     frames: Mapping[str, PdoLayout]
     units: DriveUnits = field(default_factory=DriveUnits)
@@ -39,7 +45,10 @@ class ProcessData:
     def can_ids(self, settings: RigSettings) -> dict[str, int]:
         """CAN identifier of each."""
         nodes = settings.canopen_nodes
-        return {name: layout.cob_base + nodes.get(name, nodes["cylinder"]) for name, layout in self.frames.items()}
+        return {
+            name: layout.cob_base + nodes.get(_OWNERS.get(name, name), nodes["cylinder"])
+            for name, layout in self.frames.items()
+        }
 
     def as_json(self) -> dict[str, Any]:
         """For control.json."""
@@ -60,6 +69,10 @@ def wanted(settings: RigSettings) -> ProcessData:
     cylinder, nodes = settings.cylinder, settings.canopen_nodes
     sections = {"tension_cell": od.CELL_TPDO, "inclinometer": od.SLOPE_TPDO, "rail_encoder": od.ENCODER_TPDO}
     frames = {name: layout for name, layout in sections.items() if name in nodes}
+    if settings.cell_temperature_divisor:
+        frames[CELL_TEMPERATURE] = od.CELL_TPDO2
+    if settings.second_force is not None:
+        frames[SECOND_FORCE] = od.CELL_TPDO if settings.second_force.kind == "cell" else od.ENCODER_TPDO
     if settings.io is not None:
         frames["io"] = od.inputs_tpdo(settings.io.block)
     speed = ((cylinder.velocity_object, 0, "i" if cylinder.velocity_object == od.VELOCITY_ACTUAL else "h"),)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -21,9 +21,11 @@ from rigctl.devices import busload
 from rigctl.devices import objects as od
 from rigctl.devices.objects import DEVICE_HEARTBEAT_MS
 from rigctl.devices.process_data import (
+    CELL_TEMPERATURE,
     COMMAND,
     DRIVE_SPEED,
     DRIVE_STATUS,
+    SECOND_FORCE,
     DriveUnits,
     ProcessData,
     in_increments,
@@ -43,6 +45,7 @@ _DEVICES = {
     "tension_cell": ("tension cell", od.DEVICE_TYPE_404),
     "inclinometer": ("inclinometer", od.DEVICE_TYPE_410),
     "rail_encoder": ("rail encoder", od.DEVICE_TYPE_406),
+    "second_force": ("second force path", od.DEVICE_TYPE_404),
     "io": ("I/O node", od.DEVICE_TYPE_401),
     "cylinder": ("cylinder drive", od.DEVICE_TYPE_402),
 }
@@ -140,18 +143,19 @@ def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[s
         node.await_boot(until_s, say)
     pdos = wanted(settings).frames
     frames = {}
-    devices = [node.identity(_DEVICES[device][1]) for device, node in nodes.items()]
+    devices = [node.identity(_device_type(settings, device)) for device, node in nodes.items()]
     if cell := nodes.get("tension_cell"):
         cell.expect(od.SI_UNIT_NEWTON, od.AI_PHYSICAL_UNIT, 1)
         cell.expect(od.CELL_DECIMAL_DIGITS, od.AI_DECIMAL_DIGITS, 1)
         frames["tension_cell"] = cell.map_pdo(pdos["tension_cell"], 1)
+        if CELL_TEMPERATURE in pdos:
+            cell.expect(od.SI_UNIT_CELSIUS, od.AI_PHYSICAL_UNIT, 2)
+            cell.expect(od.CELSIUS_DECIMAL_DIGITS, od.AI_DECIMAL_DIGITS, 2)
+            frames[CELL_TEMPERATURE] = cell.map_pdo(pdos[CELL_TEMPERATURE], settings.cell_temperature_divisor)
     if slope := nodes.get("inclinometer"):
         slope.expect(od.SLOPE_RESOLUTION_MDEG, od.SLOPE_RESOLUTION)
         frames["inclinometer"] = slope.map_pdo(pdos["inclinometer"], settings.inclinometer_divisor)
-    if encoder := nodes.get("rail_encoder"):
-        frames["rail_encoder"] = _check_encoder(encoder, settings, pdos["rail_encoder"])
-    if settings.io is not None:
-        frames["io"] = _map_inputs(nodes["io"], settings.io, pdos["io"])
+    frames |= _map_fitted(nodes, settings, pdos)
     drive = nodes["cylinder"]
     units = _units(drive, settings)
     frames["cylinder"] = drive.map_pdo(pdos["cylinder"], 1)
@@ -172,6 +176,20 @@ def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[s
         node.remote.nmt.state = "OPERATIONAL"
     watched = [item for node in (drive, *(n for n in nodes.values() if n is not drive)) for item in node.verified]
     return StartupReport((*devices, *_plain_devices(settings)), supervision, process_data, tuple(watched))
+
+
+def _map_fitted(
+    nodes: Mapping[str, RemoteNode], settings: RigSettings, pdos: Mapping[str, od.PdoLayout]
+) -> dict[str, od.PdoLayout]:
+    """Configure the devices that only some rigs have."""
+    frames = {}
+    if encoder := nodes.get("rail_encoder"):
+        frames["rail_encoder"] = _check_encoder(encoder, settings, pdos["rail_encoder"])
+    if second := nodes.get(SECOND_FORCE):
+        frames[SECOND_FORCE] = _check_second(second, settings, pdos[SECOND_FORCE])
+    if settings.io is not None:
+        frames["io"] = _map_inputs(nodes["io"], settings.io, pdos["io"])
+    return frames
 
 
 def _check_load(settings: RigSettings, process_data: ProcessData) -> None:
@@ -261,6 +279,25 @@ def _check_encoder(encoder: RemoteNode, settings: RigSettings, layout: od.PdoLay
         )
     divisor = settings.loop.rate_hz // rail.rate_hz
     return encoder.map_pdo(layout, divisor)
+
+
+def _device_type(settings: RigSettings, device: str) -> int:
+    """Device type a section's device must have."""
+    section = settings.second_force
+    stretches = device == SECOND_FORCE and section is not None and section.kind == "stretch"
+    return od.DEVICE_TYPE_406_LINEAR if stretches else _DEVICES[device][1]
+
+
+def _check_second(node: RemoteNode, settings: RigSettings, layout: od.PdoLayout) -> od.PdoLayout:
+    """Check the unit of the second force path: mN of a cell, the rig file's step of an encoder."""
+    section = settings.second_force
+    assert section is not None  # the node exists only with this section
+    if section.kind == "cell":
+        node.expect(od.SI_UNIT_NEWTON, od.AI_PHYSICAL_UNIT, 1)
+        node.expect(od.CELL_DECIMAL_DIGITS, od.AI_DECIMAL_DIGITS, 1)
+    else:
+        node.expect(round(od.NM_PER_MM / section.counts_per_mm), od.ENCODER_STEP, 1)
+    return node.map_pdo(layout, settings.loop.rate_hz // section.rate_hz)
 
 
 def _map_inputs(node: RemoteNode, io: IoSettings, layout: od.PdoLayout) -> od.PdoLayout:

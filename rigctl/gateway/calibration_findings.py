@@ -6,20 +6,27 @@ Pure functions of the request, the loop's figures and the ledger's standing; not
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy.typing as npt
 
+from rigctl.commission import creep as creep_fit
 from rigctl.commission import proposal
+from rigctl.commission.cell_uncertainty import drift, scale_u, zero_u_n
+from rigctl.commission.creep import CreepError, CreepFit, course
 from rigctl.commission.identification import IdentificationError
 from rigctl.config.settings import CalibrationSettings, RigSettings
-from rigctl.control.modes import Setting, SettingOrder, Verb
+from rigctl.control.modes import Mode, Setting, SettingOrder, Verb
 from rigctl.control.tension import Gains
-from rigctl.ipc.correction import SCALE_BOUND, Correction
+from rigctl.control.trials import CREEP_LONGEST_S, CREEP_SHORTEST_S, LoadBin
+from rigctl.ipc.correction import CREEP_FASTEST_S, CREEP_TERMS, SCALE_BOUND, Correction, CreepTerm
 from rigctl.ipc.ledger import Entry, Standing, entry
 from rigctl.wire.command_request import Request
 
+MISFIT = 3.0  # residuals over scatter from which a record is said not to be two exponentials
 EMPTY_SHARE = 0.1
 """Share of the reference below which a cell carries no weight; a cell out of tolerance is wrong by a few percent."""
 
@@ -35,7 +42,34 @@ class Measured:
     mean_n: float
     rms_n: float
     wall_ns: int
-    duration_s: float = math.nan  # IDENTIFY
+    duration_s: float = math.nan  # IDENTIFY, RESPONSE, and CALIBRATE of a creep
+    samples: float = 1.0
+    creep_n: float = 0.0  # of the tension, taken out meanwhile
+    creep_doubt_n: float = 0.0
+    beside_n: float = 0.0  # zero in force beside the tare's
+    cell_c: float | None = None
+    held: bool = False  # in HOLD: a creep's load hangs on the rope
+    second_n: float = math.nan  # mean reading of the second force path
+
+    @property
+    def when(self) -> datetime:
+        """The wall-clock time."""
+        return datetime.fromtimestamp(self.wall_ns / 1e9, UTC)
+
+    @classmethod
+    def of(cls, reply: Any, wall_ns: int) -> Measured:
+        """Figures of a ``REPLY`` slot."""
+
+        def known(name: str, otherwise: float = 0.0) -> float:
+            value = float(reply[name])
+            return value if math.isfinite(value) else otherwise
+
+        cell_c = float(reply["cell_c"])
+        return cls(
+            float(reply["reading_n"]), float(reply["rms_n"]), wall_ns, float(reply["duration_s"]),
+            known("samples", 1.0), known("creep_n"), known("creep_doubt_n"), known("zero_drift_n"),
+            cell_c if math.isfinite(cell_c) else None, int(reply["mode"]) == Mode.HOLD, known("second_n", math.nan),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -57,6 +91,8 @@ def impossible(settings: RigSettings, request: Request) -> str | None:
         return "the rig file has no calibration section"
     if request.shunt and section.shunt_n is None:
         return "calibration.shunt_n is not in the rig file"
+    if math.isfinite(request.creep_s) and (why := _impossible_creep(settings, request)) is not None:
+        return why
     if request.shunt and (request.adopt or math.isfinite(request.value)):
         return "the shunt has its reference in the rig file, and tells nothing of the cell's scale"
     if math.isfinite(request.value) and not 0.0 < request.value <= settings.tension_cell.range_n:
@@ -64,15 +100,122 @@ def impossible(settings: RigSettings, request: Request) -> str | None:
     return None
 
 
-def tare(settings: RigSettings, request: Request, now: Standing, measured: Measured) -> CalibrationFinding:
-    """The mean reading becomes the cell's zero."""
-    after = replace(now, zero_n=round(measured.mean_n, 6))
-    written = entry(
-        settings, "tare", request.operator, measured.wall_ns,
-        before=_pair(now), after=_pair(after), figures={"mean_n": measured.mean_n, "rms_n": measured.rms_n},
-    )  # fmt: skip
+def _impossible_creep(settings: RigSettings, request: Request) -> str | None:
+    if not CREEP_SHORTEST_S <= request.creep_s <= CREEP_LONGEST_S:
+        return f"the creep is recorded for {CREEP_SHORTEST_S:g} to {CREEP_LONGEST_S:g} s"
+    if request.shunt:
+        return "a shunt does not creep"
+    if request.adopt and (settings.compensation is None or not settings.compensation.creep):
+        return "compensation.creep is not on in the rig file: record the creep without adopting it"
+    return None
+
+
+def tare(
+    settings: RigSettings, request: Request, now: Standing, measured: Measured, entries: Sequence[Entry] = ()
+) -> CalibrationFinding:
+    """The mean reading, less the creep of an earlier load, becomes the cell's zero; ``entries``: those before."""
+    zero_n = measured.mean_n - measured.creep_n / now.scale
+    known_u_n = zero_u_n(settings, now, measured.rms_n, measured.samples, measured.creep_doubt_n)
+    after = replace(now, zero_n=round(zero_n, 6), zero_u_n=known_u_n, zero_c=measured.cell_c)
+    figures: dict[str, Any] = {"mean_n": measured.mean_n, "rms_n": measured.rms_n}
+    figures |= {"creep_n": measured.creep_n} if measured.creep_n else {}
+    if math.isfinite(measured.second_n):
+        after = replace(after, second_zero_n=round(measured.second_n, 6))
+        figures |= {"second_n": measured.second_n}
     text = f"zero {now.zero_n:+z.3f} -> {after.zero_n:+z.3f} N (rms {measured.rms_n:.3f} N)"
-    return CalibrationFinding(written, text, order=SettingOrder(Setting.ZERO, (after.zero_n,)))
+
+    def of(standing: Standing) -> Entry:
+        return entry(
+            settings, "tare", request.operator, measured.wall_ns,
+            before=_pair(now), after=_pair(standing), figures=figures,
+        )  # fmt: skip
+
+    section = settings.compensation
+    if section is not None and section.temperature is not None and section.zero_n_k is None:
+        told = drift([*entries, of(after)])
+        if told is not None:
+            after = replace(after, zero_n_k=told.zero_n_k, zero_u_n_k=told.zero_u_n_k)
+            figures |= {"drift": str(told)}
+            text += f"; {told}"
+    return CalibrationFinding(of(after), text, order=zero_order(after))
+
+
+def zero_order(now: Standing) -> SettingOrder:
+    """Puts the zero in force in the loop, with its temperature and drift where they are known."""
+    if now.zero_c is None and now.second_zero_n is None:
+        return SettingOrder(Setting.ZERO, (now.zero_n,))
+    celsius = (math.nan, math.nan) if now.zero_c is None else (now.zero_c, now.zero_n_k)
+    second = math.nan if now.second_zero_n is None else now.second_zero_n
+    return SettingOrder(Setting.ZERO, (now.zero_n, *celsius, second))
+
+
+def scale_order(now: Standing) -> SettingOrder:
+    """Puts the scale in force in the loop, and the calibration is not overdue."""
+    second = () if now.second_zero_n is None else (now.second_scale,)
+    return SettingOrder(Setting.SCALE, (now.scale, 0.0, *second))
+
+
+def creep_order(now: Standing, held_s: float = math.nan) -> SettingOrder:
+    """Puts the creep in force in the loop; ``held_s``: see `rigctl.control.cell_correction.CellCorrection.put`."""
+    terms = now.creep or (CreepTerm(0.0, CREEP_FASTEST_S),) * CREEP_TERMS
+    return SettingOrder(Setting.CREEP, (*(value for term in terms for value in term), held_s))
+
+
+def creep(
+    settings: RigSettings, request: Request, now: Standing, measured: Measured, bins: Sequence[LoadBin]
+) -> CalibrationFinding:
+    """The cell's creep from the parts of its record; with ``adopt`` it is taken out from now on.
+
+    Raises:
+        FindingError: no creep can be fitted, or it may not be adopted.
+    """
+    section, compensation = settings.calibration, settings.compensation
+    assert section is not None  # `impossible` refuses a rig file without it
+    followed = compensation is not None and compensation.temperature is not None and now.zero_u_n_k is not None
+    known = {"zero_n_k": now.zero_n_k, "u_n_k": now.zero_u_n_k or 0.0} if followed else {}
+    try:
+        found = creep_fit.fit(bins, zero_n=now.zero_n + measured.beside_n, **known)
+    except CreepError as error:
+        raise FindingError(str(error)) from None
+    weight_n = _reference_n(section, request)
+    hangs = not measured.held and abs(abs(found.step_n) / weight_n - 1.0) <= SCALE_BOUND
+    verdict = _creep_verdict(found, now, weight_n, held=measured.held, hangs=hangs)
+    good = found.told and hangs
+    figures = {
+        "step_n": found.step_n, "seen_s": found.seen_s, "total_pct": 100 * found.total,
+        "total_u_pct": 100 * found.total_u, "share_u": list(found.share_u), "time_u_s": list(found.time_u_s),
+        "drift_n": found.drift_n, "misfit": found.misfit, "verdict": verdict, "applied": request.adopt,
+        "parts": [[part.after_s, part.mean_n, part.samples, part.rms_n] for part in bins],
+    }  # fmt: skip
+    after = replace(now, creep=found.terms, creep_u=found.creep_u, creep_seen_s=found.seen_s)
+    text = f"{creep_fit.in_words(found)}; {verdict}"
+    if request.adopt and not (good and found.step_n > 0.0 and after.correction.fits(settings)):
+        raise FindingError(f"{text}; nothing was changed")
+    written = entry(
+        settings, "creep", request.operator, measured.wall_ns,
+        before=now.crept, after=after.crept if request.adopt else {}, figures=figures,
+    )  # fmt: skip
+    order = creep_order(after, found.seen_s) if request.adopt else None
+    return CalibrationFinding(written, text, good=good, order=order)
+
+
+def _creep_verdict(found: CreepFit, now: Standing, weight_n: float, *, held: bool, hangs: bool) -> str:
+    """What the record tells, and what it cannot."""
+    if held:
+        return "of cell, rope, spring and mechanism together: a held rope does not tell them apart"
+    if not hangs:
+        return f"the load's step of {found.step_n:z.2f} N is not the weight ({weight_n:g} N): not told from a rope's"
+    if not found.told:
+        return f"not told from noise and from a drift of the zero by {found.drift_n:.3f} N"
+    words = "of the cell alone: nothing else carries the weight"
+    if found.misfit > MISFIT:
+        words += f", but two exponentials miss the record by {found.misfit:.1f} times its scatter"
+    if now.creep:
+        apart = abs(found.total - course(now.creep, found.seen_s))
+        known = math.hypot(found.total_u, now.creep_u or 0.0)
+        words += f"; {'agrees' if apart <= known else 'does NOT agree'} with the creep in force"
+        words += f" ({100 * apart:.4f} % apart, uncertainty {100 * known:.4f} %)"
+    return words
 
 
 def calibrate(settings: RigSettings, request: Request, now: Standing, measured: Measured) -> CalibrationFinding:
@@ -84,7 +227,7 @@ def calibrate(settings: RigSettings, request: Request, now: Standing, measured: 
     section = settings.calibration
     assert section is not None  # `impossible` refuses a rig file without it
     reference_n = _reference_n(section, request)
-    reading_n = Correction(now.zero_n, now.scale).applied(measured.mean_n)
+    reading_n = Correction(now.zero_n + measured.beside_n, now.scale).applied(measured.mean_n) - measured.creep_n
     if abs(reading_n) < EMPTY_SHARE * reference_n:
         raise FindingError(
             f"the cell reads {reading_n:z.2f} N against a reference of {reference_n:g} N: "
@@ -99,19 +242,40 @@ def calibrate(settings: RigSettings, request: Request, now: Standing, measured: 
             f"{1 - SCALE_BOUND:g} to {1 + SCALE_BOUND:g}; nothing was changed"
         )
     passed = request.adopt or abs(deviation_pct) <= section.tolerance_pct
-    figures = {
+    figures: dict[str, Any] = {
         "reference_n": reference_n, "reading_n": reading_n, "deviation_pct": deviation_pct, "rms_n": measured.rms_n,
         "tolerance_pct": section.tolerance_pct, "against": "shunt" if request.shunt else "weight",
     }  # fmt: skip
+    known_u = None if request.shunt else scale_u(
+        settings, now, measured.rms_n, measured.samples, measured.creep_doubt_n, measured.cell_c, measured.when,
+        reference_n,
+    )  # fmt: skip
+    if known_u is not None and not request.adopt:  # a deviation that is known and not corrected (JCGM 100, F.2.4.5)
+        known_u += abs(deviation_pct) / 100.0
+    after = replace(now, scale=scale, scale_u=now.scale_u if request.shunt else known_u)
+    second_text = ""
+    if math.isfinite(measured.second_n) and now.second_zero_n is not None and not request.shunt:
+        second_n = (measured.second_n - now.second_zero_n) * now.second_scale
+        figures |= {"second_n": second_n}
+        second_text = f"; second force path {second_n:z.2f} N"
+        if request.adopt and second_n > EMPTY_SHARE * reference_n:
+            after = replace(after, second_scale=now.second_scale * reference_n / second_n)
+            second_text += f", scale {now.second_scale:.5f} -> {after.second_scale:.5f}"
+            if not after.correction.fits(settings):
+                raise FindingError(
+                    f"the scale of the second force path would be {after.second_scale:.4f}: nothing changed"
+                )
+    figures |= {} if known_u is None else {"u_pct": 100.0 * known_u}
     written = entry(
         settings, "calibrate", request.operator, measured.wall_ns,
-        before=_pair(now), after=_pair(replace(now, scale=scale)), figures=figures, passed=passed,
+        before=_pair(now), after=_pair(after), figures=figures, passed=passed,
     )  # fmt: skip
     found = f"read {reading_n:z.2f} N, reference {reference_n:g} N: {deviation_pct:+.3f} %"
+    found += "" if known_u is None else f", uncertainty {100.0 * known_u:.3f} % (k = 2)"
     if request.adopt:
-        found += f", scale {now.scale:.5f} -> {scale:.5f}"
-        return CalibrationFinding(written, found, order=SettingOrder(Setting.SCALE, (scale, 0.0)))
-    found += f", {'within' if passed else 'NOT within'} {section.tolerance_pct:g} %"
+        found += f", scale {now.scale:.5f} -> {scale:.5f}{second_text}"
+        return CalibrationFinding(written, found, order=scale_order(after))
+    found += f"{second_text}, {'within' if passed else 'NOT within'} {section.tolerance_pct:g} %"
     blocked = not passed and section.waiver is None
     return CalibrationFinding(written, found, good=passed, order=SettingOrder(Setting.OVERDUE, (float(blocked),)))
 
@@ -132,6 +296,15 @@ def identify(settings: RigSettings, request: Request, records: npt.NDArray[Any],
         figures={"rows": found, "applied": False, "tension_n": float(records["tension_n"].mean())},
     )  # fmt: skip
     return CalibrationFinding(written, proposal.in_words(found))
+
+
+def response(settings: RigSettings, request: Request, found: dict[str, Any], wall_ns: int) -> CalibrationFinding:
+    """A frequency response as `rigctl.gateway.evaluation.response` found it; changes nothing."""
+    written = entry(
+        settings, "response", request.operator, wall_ns,
+        before=found["before"], after=found["after"], figures=found["figures"],
+    )  # fmt: skip
+    return CalibrationFinding(written, str(found["text"]))
 
 
 def gains(
@@ -158,7 +331,7 @@ def withdrawn(settings: RigSettings, given: Entry, wall_ns: int) -> Entry:
 
 
 def _pair(standing: Standing) -> dict[str, float | None]:
-    return {"zero_n": standing.zero_n, "scale": standing.scale}
+    return standing.pair
 
 
 def _reference_n(section: CalibrationSettings, request: Request) -> float:

@@ -7,6 +7,7 @@ the loop then refuses is withdrawn by another entry.
 from __future__ import annotations
 
 import contextlib
+import math
 import queue
 import sys
 import threading
@@ -17,12 +18,16 @@ from typing import Any
 
 import numpy.typing as npt
 
+from rigctl.commission.load_record import bins_of
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Setting, SettingOrder, Verb
+from rigctl.control.trials import LoadBin
 from rigctl.design.admission import NotAdmittedError, admit
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway import left_over
 from rigctl.gateway.calibration_findings import CalibrationFinding, FindingError, Measured
+from rigctl.gateway.evaluation import EvaluationError, evaluate
+from rigctl.gateway.excited_records import ExcitedRecords
 from rigctl.gateway.left_over import LeftOver
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import IN_FORCE, Entry, LedgerError, Standing, in_force
@@ -56,6 +61,7 @@ class CalibrationService:
         self._read_ns = self._settle_ns = 0
         self._ledger_compared = self._overdue_changed = False
         self._left_over: LeftOver | None = None
+        self.excited = ExcitedRecords(runtime, settings.loop.rate_hz)
         self.standing = in_force(runtime)
         self._thread.start()
 
@@ -70,8 +76,7 @@ class CalibrationService:
 
     def file(self, request: Request, reply: Any, done: Callable[[Filed], None]) -> None:
         """Put on record what the loop's ``reply`` says, then call ``done`` in the calibration service's thread."""
-        mean_n, rms_n, duration_s = (float(reply[name]) for name in ("reading_n", "rms_n", "duration_s"))
-        measured = Measured(mean_n, rms_n, time.time_ns(), duration_s)
+        measured = Measured.of(reply, time.time_ns())
         t_ns = int(reply["t_ns"])
         self._work.put(lambda: done(self._file(request, measured, t_ns)))
 
@@ -96,6 +101,7 @@ class CalibrationService:
         if now_ns < self._read_ns:
             return ()
         self._read_ns = now_ns + READ_NS
+        self.excited.poll()
         self.standing = in_force(self._runtime, self.standing)
         due = [*self._bring_together(now_ns, wall_ns)]
         passed = self.standing.due is not None and self.standing.due <= ledger.utc(wall_ns)
@@ -115,7 +121,7 @@ class CalibrationService:
             return ()
         self._ledger_compared = True
         try:
-            entries, has = ledger.read(self._settings), left_over.loop_has(self._runtime)
+            entries, has = ledger.read(self._settings), left_over.loop_has(self._settings, self._runtime)
         except (LedgerError, RingError, OSError) as error:
             self._say(str(error))
             return ()
@@ -130,7 +136,7 @@ class CalibrationService:
 
     def _settle(self, found: LeftOver, now_ns: int) -> Sequence[SettingOrder]:
         """Show a left-over entry as in force once the loop uses it; withdraw the entry if the loop does not take it."""
-        if left_over.loop_has(self._runtime) == found.pair:
+        if left_over.loop_has(self._settings, self._runtime) == found.wanted:
             self._say(f"{found}, left over from before, is in force")
             self._show(found.standing)
         elif now_ns < self._settle_ns:
@@ -162,18 +168,25 @@ class CalibrationService:
         try:
             if request.verb is Verb.IDENTIFY:
                 finding = findings.identify(settings, request, self._records_of(measured, t_ns), measured.wall_ns)
+            elif request.verb is Verb.RESPONSE:
+                excited = self.excited.between(t_ns - round(measured.duration_s * 1e9), t_ns)
+                found = evaluate(self._runtime, "response", excited)
+                finding = findings.response(settings, request, found, measured.wall_ns)
             elif request.verb is Verb.GAINS:
                 design = admit(self._runtime, request.gain_file, request.name)
                 before = self._runtime.read_json(ACTIVE)["design"]
                 finding = findings.gains(settings, request, before, design, measured.wall_ns)
+            elif math.isfinite(request.creep_s):
+                finding = findings.creep(settings, request, self.standing, measured, self._bins_of(t_ns))
+            elif request.verb is Verb.TARE:
+                finding = findings.tare(settings, request, self.standing, measured, ledger.read(settings))
             else:
-                find = findings.tare if request.verb is Verb.TARE else findings.calibrate
-                finding = find(settings, request, self.standing, measured)
+                finding = findings.calibrate(settings, request, self.standing, measured)
             if settings.ledger is None:
                 finding = replace(finding, text=f"{finding.text} (not on record: no calibration section)")
                 return Filed(finding, design=design)
             entries = ledger.append(settings, finding.entry)
-        except FindingError as error:
+        except (FindingError, EvaluationError) as error:
             return Filed(reason="out_of_bounds", text=str(error))
         except NotAdmittedError as error:
             return Filed(reason="not_admitted", text=str(error))
@@ -188,6 +201,11 @@ class CalibrationService:
         """Records of an excitation that ended at ``t_ns``."""
         records = self._runtime.records.reader(from_start=True).read()
         return records[(records["t_ns"] <= t_ns) & (records["t_ns"] > t_ns - round(measured.duration_s * 1e9))]
+
+    def _bins_of(self, t_ns: int) -> list[LoadBin]:
+        """Parts of the record of a load's step that ended at ``t_ns``, from the last one before the step on."""
+        events = self._runtime.events.reader(from_start=True).read()
+        return bins_of(events[events["t_ns"] <= t_ns])
 
     def _withdraw(self, filed: Filed) -> None:
         if filed.finding is not None:

@@ -6,6 +6,7 @@ One thread serves many commands at once.
 from __future__ import annotations
 
 import contextlib
+import math
 import queue
 import threading
 import time
@@ -20,7 +21,9 @@ import zenoh
 
 from rigctl.commission.preflight import Preflight
 from rigctl.config.one_line import on_one_line
+from rigctl.control.frequency_trial import LONGEST_S
 from rigctl.control.modes import FILED, Setting, SettingOrder, Verb, command_slot
+from rigctl.control.trials import STEP_WAIT_S
 from rigctl.gateway.calibration_service import CalibrationService, Filed
 from rigctl.gateway.command_proofs import CommandProofs, ProofStanding, refusal_text
 from rigctl.gateway.command_rate import Flow
@@ -44,6 +47,7 @@ WAIT_NS = {
     Verb.TARE: ANSWER_NS + 2_000_000_000,
     Verb.CALIBRATE: ANSWER_NS + 2_000_000_000,
     Verb.IDENTIFY: ANSWER_NS + 10_000_000_000,
+    Verb.RESPONSE: ANSWER_NS + round(LONGEST_S * 1e9),
 }
 READ_BACK_NS = 15_000_000_000  # added while the record shows ARMING: the loop reads the devices' settings back first
 _PENDING_MAX = 64  # commands without an answer, HOLD not counted
@@ -269,8 +273,11 @@ class CommandServer:
             return
         if request.verb is Verb.ARM:  # the preflight must not use host checks of an earlier time
             self._write(Setting.HOST_CHECKS, float(self._preflight.verdict(now).host_checks))
-        number = self._write(request.verb, request.number)
-        self._pending[number] = Pending(GivenCommand(given.query, admitted), now + WAIT_NS.get(request.verb, ANSWER_NS))
+        number = self._write(request.verb, *request.numbers)
+        wait_ns = WAIT_NS.get(request.verb, ANSWER_NS)
+        if math.isfinite(request.creep_s):
+            wait_ns += round((request.creep_s + STEP_WAIT_S) * 1e9)
+        self._pending[number] = Pending(GivenCommand(given.query, admitted), now + wait_ns)
         self._log.given(now, number, request.command, request.operator, self._holder(), request.number)
 
     def _give_holds(self, now_ns: int) -> None:

@@ -30,6 +30,7 @@ from rigctl.gateway.command_proofs import CommandProofs
 from rigctl.gateway.command_server import CommandServer
 from rigctl.gateway.foreign_messages import ForeignMessages
 from rigctl.gateway.lease_service import LeaseService
+from rigctl.gateway.margin_service import MarginService
 from rigctl.gateway.published_position import Cursor
 from rigctl.gateway.refused_access import RefusedAccess, ZenohLog
 from rigctl.gateway.run_keys import run_keys
@@ -228,6 +229,7 @@ class Gateway:
         limits_n = (settings.tension.target_min_n, settings.tension.target_max_n)
         self._newest = newest = runtime.records.reader()
         self._calibration = calibration = CalibrationService(runtime, settings)
+        self._margins = MarginService(runtime, settings, calibration.excited)
         self._preflight = Preflight(runtime, settings, lambda: calibration.standing, self._view.check_details.read)
         self._read_ns, self._outdated = 0, False
         self._host_checks_ns = now  # earliest time at which the host checks are sent to the loop again
@@ -267,7 +269,7 @@ class Gateway:
         self._fast.publish(self._per_call, now)
         record = self._newest.latest()
         self._events.read(time.time_ns() - now, now, int(record["t_ns"]) if record is not None else 0)
-        for order in self._calibration.settings_due(now, time.time_ns()):
+        for order in (*self._calibration.settings_due(now, time.time_ns()), *self._margins.settings_due()):
             self._commands.give_setting(order)
         verdict = self._preflight.verdict(now)
         self._send_host_checks(verdict, now)

@@ -8,17 +8,21 @@ next start of the daemon.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.modes import Setting, SettingOrder
+from rigctl.gateway.calibration_findings import creep_order, zero_order
 from rigctl.ipc import ledger
+from rigctl.ipc.correction import creep_text
 from rigctl.ipc.ledger import Entry, Standing, in_force
 from rigctl.ipc.runtime_folder import Runtime
 
-Pair = tuple[float, float]
+InForce = tuple[float, float, str]
+"""Zero in N, scale, and the creep in words; without ``compensation.creep`` the creep is empty."""
 
 
 @dataclass(frozen=True)
@@ -29,38 +33,52 @@ class LeftOver:
     standing: Standing
     orders: tuple[SettingOrder, ...] | None
 
-    @property
-    def pair(self) -> Pair:
-        """Zero in N and scale, as on record."""
-        return self.standing.zero_n, self.standing.scale
+    wanted: InForce
 
     def __str__(self) -> str:
         """The entry's name for messages."""
         return f"the {self.entry.what} by {self.entry.operator} of {self.entry.when}"
 
 
-def loop_has(runtime: Runtime) -> Pair:
-    """Zero in N and scale that the loop uses, from its newest CORRECTION event."""
+def loop_has(settings: RigSettings, runtime: Runtime) -> InForce:
+    """What the loop uses, from its newest CORRECTION and CREEP events; without such events what was last in force."""
     events = runtime.events.reader(from_start=True).read()
-    corrections = events[events["kind"] == Kind.CORRECTION]
+    zero_n, scale, creep = _of(settings, in_force(runtime))
+    corrections, creeps = (events[events["kind"] == kind] for kind in (Kind.CORRECTION, Kind.CREEP))
     if len(corrections):
-        return float(corrections["value"][-1]), float(corrections["limit"][-1])
-    standing = in_force(runtime)
-    return standing.zero_n, standing.scale
+        zero_n, scale = float(corrections["value"][-1]), float(corrections["limit"][-1])
+    if len(creeps) and settings.compensation is not None and settings.compensation.creep:
+        creep = bytes(creeps["text"][-1]).rstrip(b"\0").decode(errors="replace")
+    return zero_n, scale, creep
 
 
-def find(settings: RigSettings, entries: Sequence[Entry], has: Pair, now: Standing, wall_ns: int) -> LeftOver | None:
+def find(settings: RigSettings, entries: Sequence[Entry], has: InForce, now: Standing, wall_ns: int) -> LeftOver | None:
     """The ledger's newest entry if the loop does not use it; ``has``: what it uses, ``now``: what was last in force."""
     if not entries or settings.calibration is None:
         return None
-    wanted = ledger.standing(settings, entries, wall_ns)
-    pair, newest = (wanted.zero_n, wanted.scale), entries[-1]
-    if (*pair, wanted.due) == (now.zero_n, now.scale, now.due) and pair == has:
+    standing, newest = ledger.standing(settings, entries, wall_ns), entries[-1]
+    wanted = _of(settings, standing)
+    if (wanted, standing.due) == (_of(settings, now), now.due) and wanted == has:
         return None
-    before = newest.before.get("zero_n"), newest.before.get("scale")
-    own = newest.what in ("tare", "calibrate") and has in (before, pair)
-    if not own:
-        return LeftOver(newest, wanted, None)
-    changed = zip((Setting.ZERO, Setting.SCALE), pair, has, strict=True)
-    orders = tuple(SettingOrder(setting, (value,)) for setting, value, old in changed if value != old)
-    return LeftOver(newest, wanted, orders)
+    orders = []
+    if newest.what == "creep" and wanted[:2] == has[:2]:
+        orders = [creep_order(standing)]
+    elif newest.what in ("tare", "calibrate") and wanted[2] == has[2]:
+        before = newest.before.get("zero_n"), newest.before.get("scale")
+        if has[:2] not in (before, wanted[:2]):
+            return LeftOver(newest, standing, None, wanted)
+        orders += [zero_order(standing)] if wanted[0] != has[0] else []
+        orders += (
+            [SettingOrder(Setting.SCALE, (standing.scale, math.nan, standing.second_scale))]
+            if wanted[1] != has[1]
+            else []
+        )
+    else:
+        return LeftOver(newest, standing, None, wanted)
+    return LeftOver(newest, standing, tuple(orders), wanted)
+
+
+def _of(settings: RigSettings, standing: Standing) -> InForce:
+    section = settings.compensation
+    creep = creep_text(standing.creep) if section is not None and section.creep else ""
+    return standing.zero_n, standing.scale, creep

@@ -8,6 +8,7 @@ is believed.
 from __future__ import annotations
 
 import hashlib
+import math
 import pathlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,10 +22,21 @@ from rigctl.config import input_file
 from rigctl.config.one_line import printable
 from rigctl.config.settings import RigSettings
 from rigctl.ipc import seal, whole_file
-from rigctl.ipc.correction import SCALE_BOUND, Correction, tare_limit_n
+from rigctl.ipc.correction import (
+    CREEP_BOUND,
+    CREEP_FASTEST_S,
+    CREEP_SLOWEST_S,
+    SCALE_BOUND,
+    Correction,
+    CreepTerm,
+    creep_fits,
+    tare_limit_n,
+)
 from rigctl.ipc.runtime_folder import Runtime
 
 IN_FORCE = "calibration.json"  # in the runtime folder
+CREEP = ("creep_1", "creep_1_s", "creep_2", "creep_2_s")
+"""Names of the creep's shares and time constants in an entry."""
 _SEALED = seal.LEDGER  # what the seal is about
 _LARGEST_BYTES = 64 << 20  # a hundred years of a tare an hour
 CLOCKS_DIFFER = timedelta(days=1)  # at most, between the wall clocks of two starts
@@ -37,8 +49,9 @@ class LedgerError(RuntimeError):
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One entry: action, time, operator, correction before and after, and the figures behind it.
 
-    ``after`` holds ``zero_n`` and ``scale`` where they are in force from then on; ``passed`` is None for an entry
-    that is no check. ``settings`` is the digest of the settings then in use.
+    ``after`` holds ``zero_n`` and ``scale`` where they are in force from then on, the creep where that is (`CREEP`),
+    and their expanded uncertainties (k = 2) where they are known; ``passed`` is None for an entry that is no check.
+    ``settings`` is the digest of the settings then in use.
     """
 
     what: str
@@ -66,7 +79,12 @@ class _LedgerFile(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True
 
 @dataclass(frozen=True)
 class Standing:
-    """The ledger's values now. ``due`` and ``tared``: ISO 8601 UTC, None without a passed check or without a tare."""
+    """The ledger's values now. ``due`` and ``tared``: ISO 8601 UTC, None without a passed check or without a tare.
+
+    Uncertainties are expanded (k = 2), None where the ledger has none: ``zero_u_n`` of the tare, ``zero_u_n_k`` of the
+    drift with temperature, ``scale_u`` and ``creep_u`` as shares of the load. ``zero_c``: the cell's temperature at the
+    tare. ``creep_seen_s``: how long the creep was recorded, and so known.
+    """
 
     zero_n: float = 0.0
     scale: float = 1.0
@@ -74,11 +92,43 @@ class Standing:
     overdue: bool = False
     waiver: str | None = None
     tared: str | None = None
+    zero_u_n: float | None = None
+    zero_c: float | None = None
+    zero_n_k: float = 0.0
+    zero_u_n_k: float | None = None
+    scale_u: float | None = None
+    creep: tuple[CreepTerm, ...] = ()
+    creep_u: float | None = None
+    creep_seen_s: float | None = None
+    second_zero_n: float | None = None
+    second_scale: float = 1.0
 
     @property
     def correction(self) -> Correction:
         """The correction for the loop."""
-        return Correction(self.zero_n, self.scale, self.overdue and self.waiver is None)
+        overdue = self.overdue and self.waiver is None
+        return Correction(
+            self.zero_n, self.scale, overdue, self.creep, self.zero_c, self.zero_n_k, self.second_zero_n,
+            self.second_scale,
+        )  # fmt: skip
+
+    @property
+    def pair(self) -> dict[str, float | None]:
+        """Zero and scale with what belongs to them, as entries hold them; what is not known is not in it."""
+        known = {"zero_n": self.zero_n, "scale": self.scale, "zero_u_n": self.zero_u_n, "zero_c": self.zero_c}
+        known |= {"zero_n_k": self.zero_n_k or None, "zero_u_n_k": self.zero_u_n_k, "scale_u": self.scale_u}
+        if self.second_zero_n is not None:
+            known |= {"second_zero_n": self.second_zero_n, "second_scale": self.second_scale}
+        return {name: value for name, value in known.items() if value is not None}
+
+    @property
+    def crept(self) -> dict[str, float | None]:
+        """The creep as entries hold it, two shares of 0 for none."""
+        terms = self.creep or (CreepTerm(0.0, CREEP_FASTEST_S),) * 2
+        values = [value for term in terms for value in term]
+        found: dict[str, float | None] = dict(zip(CREEP, values, strict=True))
+        known = {"creep_u": self.creep_u, "creep_seen_s": self.creep_seen_s}
+        return found | {name: value for name, value in known.items() if value is not None}
 
 
 def in_force(runtime: Runtime, before: Standing | None = None) -> Standing:
@@ -125,13 +175,15 @@ def entry_digest(item: Entry) -> str:
     return hashlib.sha256(msgspec.json.encode(item, order="sorted")).hexdigest()
 
 
-def read(settings: RigSettings) -> list[Entry]:
+def read(settings: RigSettings, file: pathlib.Path | None = None) -> list[Entry]:
     """Every entry, oldest first; none without a calibration section or before the first.
+
+    ``file``: a copy of the rig's ledger elsewhere, whose seal cannot be verified there and is not.
 
     Raises:
         LedgerError: unreadable, not a ledger, another rig's, or with a zero or scale out of bounds.
     """
-    path = settings.ledger
+    path = file or settings.ledger
     if path is None:
         return []
     try:
@@ -146,7 +198,8 @@ def read(settings: RigSettings) -> list[Entry]:
         raise LedgerError(f"{path}: found the ledger of {found.rig!r}, expected that of {settings.rig!r}")
     for number, item in enumerate(found.entries, 1):
         _check(path, number, item, settings)
-    _check_seal(settings, path, found)
+    if file is None:
+        _check_seal(settings, path, found)
     return found.entries
 
 
@@ -170,16 +223,34 @@ def _check(path: pathlib.Path, number: int, item: Entry, settings: RigSettings) 
         moment(item.when)
     except ValueError:
         raise LedgerError(f"{path}: entry {number}: found the date {item.when!r}, expected ISO 8601") from None
+    creep = _creep_of(item.after)
+    if creep is not None and not creep_fits(creep):
+        raise LedgerError(
+            f"{path}: entry {number}: found creep {item.after}, expected shares within {CREEP_BOUND:g} and times of "
+            f"{CREEP_FASTEST_S:g} to {CREEP_SLOWEST_S:g} s"
+        )
     pair = item.after.get("zero_n"), item.after.get("scale")
     if pair == (None, None):
         return
     zero_n, scale = pair
-    if zero_n is None or scale is None or not Correction(zero_n, scale).fits(settings):
+    if not _correction_fits(item.after, settings):
         limit = tare_limit_n(settings)
         raise LedgerError(
             f"{path}: entry {number}: found zero {zero_n} N and scale {scale}, expected {-limit:g} to {limit:g} N and "
             f"{1 - SCALE_BOUND:g} to {1 + SCALE_BOUND:g}"
         )
+
+
+def _correction_fits(after: dict[str, float | None], settings: RigSettings) -> bool:
+    zero_n, scale = after.get("zero_n"), after.get("scale")
+    if zero_n is None or scale is None:
+        return False
+    drift_n_k = after.get("zero_n_k") or 0.0
+    second_scale = after.get("second_scale")
+    return Correction(
+        zero_n, scale, zero_c=after.get("zero_c"), zero_n_k=drift_n_k, second_zero_n=after.get("second_zero_n"),
+        second_scale=1.0 if second_scale is None else second_scale,
+    ).fits(settings)  # fmt: skip
 
 
 def append(settings: RigSettings, new: Entry) -> list[Entry]:
@@ -208,17 +279,51 @@ def standing(settings: RigSettings, entries: Sequence[Entry], wall_ns: int) -> S
     """Values at ``wall_ns``: the newest zero and scale, and the due date of the newest check if it passed."""
     if settings.calibration is None:
         return Standing()
-    zero_n, scale, due = 0.0, 1.0, None
+    due = None
+    pair: dict[str, float | None] = {"zero_n": 0.0, "scale": 1.0}
+    crept: dict[str, float | None] = {}
     now = datetime.fromtimestamp(wall_ns / 1e9, UTC)
     for item in entries:
-        if (zero := item.after.get("zero_n")) is not None and (factor := item.after.get("scale")) is not None:
-            zero_n, scale = zero, factor
+        if item.after.get("zero_n") is not None and item.after.get("scale") is not None:
+            pair = item.after
+        if _creep_of(item.after) is not None:
+            crept = item.after
         if item.passed is not None:
             done = moment(item.when)
             credible = item.passed and done <= now + CLOCKS_DIFFER  # a check dated in the future would hold too long
             due = done + timedelta(days=settings.calibration.due_days) if credible else None
     shown = f"{due:%Y-%m-%dT%H:%M:%SZ}" if due is not None else None
-    return Standing(zero_n, scale, shown, due is None or due <= now, settings.calibration.waiver, _tared(entries))
+    section = settings.compensation
+    zero_n_k, zero_u_n_k = pair.get("zero_n_k") or 0.0, pair.get("zero_u_n_k")
+    if section is not None and section.zero_n_k is not None:
+        zero_n_k, zero_u_n_k = section.zero_n_k, section.zero_u_n_k
+    return Standing(
+        pair["zero_n"] or 0.0,
+        1.0 if pair["scale"] is None else pair["scale"],
+        shown,
+        due is None or due <= now,
+        settings.calibration.waiver,
+        _tared(entries),
+        zero_u_n=pair.get("zero_u_n"),
+        zero_c=pair.get("zero_c"),
+        zero_n_k=zero_n_k,
+        zero_u_n_k=zero_u_n_k,
+        scale_u=pair.get("scale_u"),
+        creep=_creep_of(crept) or (),
+        creep_u=crept.get("creep_u"),
+        creep_seen_s=crept.get("creep_seen_s"),
+        second_zero_n=pair.get("second_zero_n"),
+        second_scale=1.0 if pair.get("second_scale") is None else pair["second_scale"] or 1.0,
+    )
+
+
+def _creep_of(values: dict[str, float | None]) -> tuple[CreepTerm, ...] | None:
+    """The creep in the values of an entry: no terms where both shares are 0, None where the entry is about none."""
+    found = [values.get(name) for name in CREEP]
+    if all(value is None for value in found):
+        return None
+    first, first_s, second, second_s = (math.nan if value is None else value for value in found)
+    return () if first == second == 0.0 else (CreepTerm(first, first_s), CreepTerm(second, second_s))
 
 
 def _tared(entries: Sequence[Entry]) -> str | None:

@@ -25,6 +25,11 @@ HEADERS = {
     "cross-origin-opener-policy": "same-origin",
     "cache-control": "no-cache",
 }
+DOCS_HEADERS = {
+    **HEADERS,
+    "content-security-policy": HEADERS["content-security-policy"].replace("img-src 'self'", "img-src 'self' data:"),
+}
+"""Headers of the documentation, whose style sheets carry their icons."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from rigctl.wire import state_words as figures
 
 _NUMBERS = (
     "vertical_n", "tension_n", "target_n", "error_n", "error_pct", "stroke_mm", "speed_mm_s", "tangential_deg",
-    "normal_deg", "tick", "skipped", "wall_ns",
+    "normal_deg", "tick", "skipped", "wall_ns", "move", "learned_mm_s",
 )  # fmt: skip
 
 
@@ -49,6 +49,7 @@ def state_message(picture: Picture, holds_lease: bool) -> dict[str, Any]:
         "bus_bad": any(state[name] for name in ("frames_lost", "frames_refused", "send_failures", "error_frames")),
         "checks": figures.checks(state),
         "design": state.get("design"),
+        "margins": figures.margins(state),
     }
 
 

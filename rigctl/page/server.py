@@ -16,24 +16,28 @@ from starlette.applications import Starlette
 from starlette.datastructures import Headers
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response
-from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.responses import FileResponse, PlainTextResponse, Response
+from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from rigctl.page.browser_stream import BrowserStream
-from rigctl.page.guard import HEADERS, Guard
+from rigctl.page.guard import DOCS_HEADERS, HEADERS, Guard
 from rigctl.page.history import WINDOWS_S
 from rigctl.page.page_commands import Answer, PageCommands, RefusedError
 from rigctl.page.picture import Picture
 from rigctl.page.sign_in import PROTOCOL, protocols_of
 
 STATIC = pathlib.Path(__file__).parent / "static"
+SITE = pathlib.Path(__file__).parent / "site"
+"""The documentation, built by ``make docs``; the wheel carries it."""
+DOCS = "/docs"
 BODY_BYTES = 4096
 _READ_ONLY = "this page is read-only: rigctl page --operator NAME is one that may command"
 _NO_SESSION = "this browser has not signed in: open a link of rigctl page (rigctl page --link prints another)"
 _USED_LINK = "the link was used before, is too old, or is another server's: rigctl page --link prints another"
+_NO_DOCS = "the documentation is not built in this checkout: run `make docs`"
 _OTHER_PAGE = "requests are taken from this server's own page alone"
 
 
@@ -76,7 +80,8 @@ class SecurityHeaders:
 
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                message["headers"] += [(name.encode(), value.encode()) for name, value in HEADERS.items()]
+                headers = DOCS_HEADERS if scope["path"].startswith(f"{DOCS}/") else HEADERS
+                message["headers"] += [(name.encode(), value.encode()) for name, value in headers.items()]
             await send(message)
 
         app = _refusal(_OTHER_PAGE, 403) if self._guard.is_foreign_page(headers) else self._app
@@ -116,6 +121,7 @@ class Page:
                 Route("/api/session", self._session, methods=["POST"]),
                 Route("/api/sign-out", self._sign_out, methods=["POST"]),
                 Mount("/static", StaticFiles(directory=STATIC)),
+                _documentation(),
             ],
             middleware=[Middleware(SecurityHeaders, guard=guard)],
         )
@@ -198,6 +204,17 @@ class Page:
         self._threads.shutdown(wait=False, cancel_futures=True)
         if self._commands is not None:
             self._commands.close()
+
+
+def _documentation() -> BaseRoute:
+    """The documentation under /docs, readable by everybody."""
+    if (SITE / "index.html").is_file():
+        return Mount(DOCS, StaticFiles(directory=SITE, html=True))
+
+    async def missing(_request: Request) -> Response:
+        return PlainTextResponse(f"{_NO_DOCS}\n", 404)
+
+    return Route(f"{DOCS}{{path:path}}", missing)
 
 
 async def _body_of(request: Request) -> bytes:

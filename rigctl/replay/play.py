@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from rigctl.config.settings import RigSettings
 from rigctl.config.strict_yaml import Document
 from rigctl.config.wording import Wording
+from rigctl.control.cell_correction import CellHistory
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.homed import LastStroke
@@ -48,6 +49,7 @@ class ProcessSpan:
     supervised: bool
     watched: tuple[Watched, ...]
     last_stroke: LastStroke
+    cell_history: CellHistory | None
     host_checks: int
     process_data: ProcessData | None  # None: an older recording without it, made with the default one
     cut_short: str  # why it ends before the end of the process, "" if it does not
@@ -95,6 +97,7 @@ def _span(recording: Recording, records: Slots) -> ProcessSpan:
         found = control.get("process_data")
         process_data = ProcessData.of_json(found) if found is not None else None
         last = msgspec.convert(control.get("last_stroke", {}), LastStroke)
+        history = msgspec.convert(control.get("cell_history"), CellHistory | None)
         watched = msgspec.convert(control.get("watched", []), tuple[Watched, ...])
         correction = (msgspec.json.decode(standing, type=Standing) if standing else Standing()).correction
     except ValidationError as error:
@@ -107,8 +110,8 @@ def _span(recording: Recording, records: Slots) -> ProcessSpan:
     taken = int(started[-1].details.get("a", 0)), int(started[-1].details.get("b", 0))
     host = int(control.get("host_checks", Check.HOST))
     return ProcessSpan(
-        whole, started[-1].t_ns, taken, settings, gains, correction, supervised, watched, last, host, process_data,
-        cut_short,
+        whole, started[-1].t_ns, taken, settings, gains, correction, supervised, watched, last, history, host,
+        process_data, cut_short,
     )  # fmt: skip
 
 
@@ -151,7 +154,7 @@ def play(
         loop = Loop(
             settings, gains, bus, clock, Rings.of(runtime),
             supervised=span.supervised, host_checks=span.host_checks, correction=span.correction, watched=span.watched,
-            last_stroke=span.last_stroke, process_data=span.process_data,
+            last_stroke=span.last_stroke, process_data=span.process_data, cell_history=span.cell_history,
         )  # fmt: skip
         replayed, orders, holds = runtime.records.reader(), runtime.commands.writer(), runtime.holds.writer()
         batch: list[Tick] = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from typing import Any
 
 import msgspec
@@ -124,7 +125,7 @@ def find(recording: Recording) -> Findings:
         trips=happenings.trips(recording),
         modes=happenings.mode_spans(records),
         operators=happenings.operators(recording),
-        budget=sensor_budget.budget(settings, target_n) if settings is not None else [],
+        budget=_budget(recording, settings, target_n, at_ns) if settings is not None else [],
         verdict=verdict.judge(records, judged, whole, settings, rate_hz),
         remarks=_remarks(recording, settings),
     )
@@ -148,6 +149,20 @@ def _gains(active: dict[str, Any]) -> Gains | None:
         return msgspec.convert(design.get("gains"), Gains) if isinstance(design, dict) else None
     except msgspec.MsgspecError:
         return None
+
+
+def _budget(
+    recording: Recording, settings: RigSettings, target_n: float | None, at_ns: int
+) -> list[sensor_budget.Error]:
+    """The budget of the cell as calibrated and compensated then; of its class where nothing is known."""
+    before = [standing for since_ns, standing in _standings(recording) if since_ns <= at_ns]
+    if not before:
+        return sensor_budget.budget(settings, target_n)
+    try:
+        at = datetime.fromtimestamp((at_ns + recording.wall_offset_ns) / 1e9, UTC)
+    except (ValueError, OverflowError, OSError):
+        return sensor_budget.budget(settings, target_n)
+    return sensor_budget.compensated(settings, before[-1], target_n, at)
 
 
 def _standings(recording: Recording) -> list[tuple[int, Standing]]:

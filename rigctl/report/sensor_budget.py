@@ -1,17 +1,34 @@
-"""The tension cell's systematic errors at the target, which no control law can detect."""
+"""The tension cell's systematic errors at the target, which no control law can detect: expanded uncertainties (k = 2).
+
+`budget` is that of the cell's class; `compensated` puts in its place what this rig has measured and takes out: zero
+from tare or slack rope, scale from a known weight, creep and drift by their models. What was not measured stays as it
+is in the class.
+"""
 
 from __future__ import annotations
 
 import math
+from datetime import UTC, datetime
 from typing import NamedTuple
 
+from rigctl.commission.cell_uncertainty import (
+    BIAS_OF_RANGE_PCT,
+    CREEP_PCT,
+    GAIN_PCT,
+    GAIN_PCT_K,
+    TEMPERATURE_N_H,
+    WARMING_H,
+    mean_u_n,
+)
 from rigctl.config.settings import RigSettings
+from rigctl.control.slack_zero import REST_S
+from rigctl.ipc.ledger import Standing, moment
 
-BIAS_OF_RANGE_PCT = 0.03  # zero error between two tares, of a cell of class C3 in a hall
-GAIN_PCT = 0.02  # OIML R 60 class C3: linearity and hysteresis of a calibrated cell
-CREEP_PCT = 0.0245  # OIML R 60 class C3: of the load in 30 min
-WARMING_H = 8.0  # a shift without a new tare
-TEMPERATURE_N_H = 0.01  # as in the rig file: 0.02 % of 500 N per 10 K, 1 K an hour
+WARMING_K_H = 1.0  # of a hall
+SLACK_H = 1.0  # between two slack ropes: a move and its preparation
+SPAN_K = 5.0  # between the cell's temperature at its calibration and now
+REPEATED_PCT = 0.01  # of the load, data sheets of class C3: a load that comes back
+"""What is left of linearity and hysteresis where the scale is from a weight near the target, hung as the rope pulls."""
 
 
 class Error(NamedTuple):
@@ -35,6 +52,54 @@ def budget(rig: RigSettings, target_n: float | None = None) -> list[Error]:
     ]
 
 
+def compensated(
+    rig: RigSettings, standing: Standing, target_n: float | None = None, at: datetime | None = None
+) -> list[Error]:
+    """What is left of the same errors after tare, calibration and compensation; ``at``: when, None for now."""
+    target_n = rig.tension.target_n if target_n is None else target_n
+    found = {error.name: error for error in budget(rig, target_n)}
+    section = rig.compensation
+    slack = section is not None and section.slack_zero == "correct"
+    known_creep = section is not None and section.creep and bool(standing.creep) and standing.creep_u is not None
+    creep_u = standing.creep_u if known_creep and standing.creep_u is not None else None
+    zeroed = None if slack else _hours_since_tare(standing, at or datetime.now(UTC))
+    if slack:
+        mean_n = mean_u_n(rig.tension_cell.noise_n, REST_S * rig.loop.rate_hz)
+        left_n = target_n * (CREEP_PCT / 100 if creep_u is None else creep_u)
+        found["bias"] = Error("bias", math.hypot(mean_n, left_n), "zero of the slack rope, and creep left from before")
+    elif standing.zero_u_n is not None and zeroed is not None and zeroed <= WARMING_H:
+        found["bias"] = Error("bias", standing.zero_u_n, f"tare of {standing.tared}")
+    followed = section is not None and section.temperature is not None and standing.zero_u_n_k is not None
+    hours = SLACK_H if slack else WARMING_H
+    since = f"{hours:g} h, from one {'slack rope' if slack else 'tare'} to the next"
+    if followed and standing.zero_u_n_k is not None:
+        drift_n, per = standing.zero_u_n_k * WARMING_K_H * hours, f"{standing.zero_u_n_k:.2g} N/K left, {since}"
+        found["drift"] = Error("drift", drift_n, per)
+    elif slack:
+        found["drift"] = Error("drift", TEMPERATURE_N_H * hours, f"{TEMPERATURE_N_H:g} N/h for {since}")
+    if creep_u is not None:
+        seen = "" if standing.creep_seen_s is None else f", recorded for {standing.creep_seen_s / 60:.0f} min"
+        found["creep"] = Error("creep", target_n * creep_u, f"left of the model{seen}")
+    if standing.scale_u is not None and rig.calibration is not None:
+        warm = GAIN_PCT_K / 100 * SPAN_K
+        gain_n = target_n * math.hypot(standing.scale_u, warm)
+        found["gain"] = Error("gain", gain_n, f"known weight; {GAIN_PCT_K:g} % per K over {SPAN_K:g} K")
+        apart = abs(target_n / rig.calibration.reference_n - 1.0)
+        repeated_n = target_n * math.hypot(REPEATED_PCT, GAIN_PCT * min(1.0, apart)) / 100
+        words = f"{REPEATED_PCT:g} % of the load; linearity from the weight to the target"
+        found["repetition"] = Error("repetition", repeated_n, words)
+    return list(found.values())
+
+
+def _hours_since_tare(standing: Standing, at: datetime) -> float | None:
+    return None if standing.tared is None else abs((at - moment(standing.tared)).total_seconds()) / 3600.0
+
+
 def combined_n(errors: list[Error]) -> float:
     """Root of the sum of squares (JCGM 100: independent contributions)."""
     return math.sqrt(math.fsum(error.newtons**2 for error in errors))
+
+
+def sum_n(errors: list[Error]) -> float:
+    """All at once and of one sign."""
+    return math.fsum(error.newtons for error in errors)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
 import yaml
 
 from rigctl.config.quantity import unit_of
@@ -91,6 +92,12 @@ def timing_rows(found: Findings) -> list[tuple[str, ...]]:
         (name, *(f"{values[key]:.0f}" for key in PERCENTILES))
         for name, values in (("lateness", figures.lateness_us), ("work", figures.work_us))
     ]
+
+
+def move_rows(found: Findings) -> list[tuple[str, str]]:
+    """Marked moves: when each ended, and what was learnt from it or why nothing was."""
+    told = ("learnt", "not learnt")
+    return [(found.utc(event.t_ns), event.text) for event in found.events if event.what in told]
 
 
 def budget_rows(found: Findings) -> list[tuple[str, str, str, str]]:
@@ -192,6 +199,19 @@ def margin_rows(found: Findings) -> list[tuple[str, ...]]:
             number(member.get("pm_deg"), 3), number(member.get("dm_ms"), 3), "worst" if peak == max(peaks) else "",
         ))  # fmt: skip
     return rows
+
+
+def measured_rows(found: Findings) -> list[tuple[str, ...]]:
+    """Each measurement of the margins while COMPENSATING: when it came, Ms, its uncertainty."""
+    records = found.recording.records
+    if "sensitivity_peak" not in (records.dtype.names or ()):
+        return []
+    peak, error = records["sensitivity_peak"], records["sensitivity_peak_error"]
+    new = peak > 0.0  # before the first measurement it is NaN
+    new[1:] &= (peak[1:] != peak[:-1]) | (error[1:] != error[:-1])
+    return [
+        (found.utc(int(records["t_ns"][i])), f"{peak[i]:.3f}", f"{error[i]:.3f}") for i in np.flatnonzero(new).tolist()
+    ]
 
 
 def design_words(found: Findings) -> list[str]:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from rigctl.config.limits_section import LimitSettings
 from rigctl.config.settings import RigSettings
 from rigctl.metrics.error_statistics import ErrorStatistics, error_n, longest_beyond_s
+from rigctl.metrics.innovations import innovation_statistics
 from rigctl.metrics.phases import JudgedPhase
 
 REQUIREMENT_PCT = 5.0
@@ -67,6 +68,11 @@ def judge(
     rows.append(Criterion("phases ended by a trip", f"{len(faulted)}" + (f" (phase {said})" if said else ""), "0",
                           not faulted, "a trip ends the test"))  # fmt: skip
     gone = whole.missing + whole.without_value
+    for sensor in innovation_statistics(records, phases):
+        rows.append(Criterion(f"filter, {sensor.sensor}: NIS", sensor.nis_words(), "-", None,
+                              "squared innovation over its variance"))  # fmt: skip
+        rows.append(Criterion(f"filter, {sensor.sensor}: whiteness", sensor.white_words(), "-", None,
+                              "5 % by chance; more: what the filter leaves of a disturbance"))  # fmt: skip
     rows.append(Criterion("records missing, without value", str(gone), "0", gone == 0, "within the judged time"))
     return ReportVerdict(PASSED if all(row.met is not False for row in rows) else FAILED, rows)
 

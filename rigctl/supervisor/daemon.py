@@ -246,8 +246,8 @@ class Supervisor:
             raise CannotRunError(self._no_room(error)) from None
 
     def _design(self) -> None:
-        from rigctl.design.gain_file import design_in_use  # slow import (python-control), while the children start
         from rigctl.design.gains import DesignError
+        from rigctl.design.in_use import design_in_use  # slow import (python-control), while the children start
 
         try:
             design = design_in_use(self.settings)
@@ -327,7 +327,8 @@ class Supervisor:
     def _send_gains(self) -> None:
         """Send the control process the gains in force, which may have changed since the start."""
         stdin: IO[bytes] | None = self._children["control"].process.stdin
-        gains = self._active["design"]["gains"]
+        design = self._active["design"]
+        gains = {**design["gains"], **(design.get("schedule") or {})}
         if stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 stdin.write(msgspec.json.encode(gains) + b"\n")

@@ -24,6 +24,7 @@ ROLE_OF_VERB = {
     Verb.CALIBRATE: Role.MAINTAINER,
     Verb.IDENTIFY: Role.MAINTAINER,
     Verb.GAINS: Role.MAINTAINER,
+    Verb.RESPONSE: Role.MAINTAINER,
 }
 """Role that a verb needs; operators may give every other verb, and HOLD among them."""
 

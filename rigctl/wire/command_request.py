@@ -24,6 +24,8 @@ from rigctl.wire.meanings import VERBS as MEANINGS
 from rigctl.wire.state_message import ALIVE_NS
 
 VERBS = {verb.name.lower(): verb for verb in Verb}
+REGULATED = {"hold": 0.0, "compensating": 1.0}
+"""Where a RESPONSE may be measured, and the number in its slot."""
 _OPERATOR_LENGTH = 64
 PAYLOAD_BYTES = 16_384  # room for a gain file
 _ALLOWED = '{"operator": "NAME"}'
@@ -31,8 +33,10 @@ _ALLOWED_MORE = {
     Verb.ARM: '{"operator": "NAME"} and "near_end": true',
     Verb.TARGET: '{"operator": "NAME", "value": NEWTONS}',
     Verb.CONFIRM_STROKE: '{"operator": "NAME", "value": MILLIMETRES}',
-    Verb.CALIBRATE: '{"operator": "NAME"} and "value": NEWTONS or "shunt": true, "adopt": true',
+    Verb.MOVE: '{"operator": "NAME", "value": NUMBER}',
+    Verb.CALIBRATE: '{"operator": "NAME"} and "value": NEWTONS or "shunt": true, "adopt": true, "creep_s": SECONDS',
     Verb.IDENTIFY: '{"operator": "NAME"} and "tight": true',
+    Verb.RESPONSE: '{"operator": "NAME"} and "where": "hold" or "compensating"',
     Verb.GAINS: '{"operator": "NAME", "gain_file": TEXT, "name": "FILE"}',
 }
 
@@ -49,6 +53,8 @@ class _CommandPayload(msgspec.Struct, forbid_unknown_fields=True):
     adopt: bool = False
     tight: bool = False
     near_end: bool = False
+    creep_s: float | None = None
+    where: str = ""
     gain_file: str = ""
     name: str = ""
     run_id: str = ""
@@ -58,9 +64,12 @@ class _CommandPayload(msgspec.Struct, forbid_unknown_fields=True):
 class Request:
     """A command as an operator gives it.
 
-    ``value``: target of TARGET or known weight of CALIBRATE in N, stroke of CONFIRM_STROKE in mm, else NaN.
-    ``shunt``: CALIBRATE compares with the shunt. ``adopt``: it sets a new scale. ``tight``: IDENTIFY needs a tight
-    rope. ``near_end``: ARM at an end of the stroke, to drive away from it.
+    ``value``: target of TARGET or known weight of CALIBRATE in N, stroke of CONFIRM_STROKE in mm,
+    number of a MOVE, else NaN.
+    ``shunt``: CALIBRATE compares with the shunt. ``adopt``: it sets a new scale, or the creep. ``creep_s``: it records
+    the creep for so long, NaN for a mean. ``tight``: IDENTIFY needs a tight rope. ``near_end``: ARM at an end of the
+    stroke, to drive away from it. ``where``: RESPONSE only in that mode, hold or compensating; empty for the mode that
+    it is in.
     ``gain_file``, ``name``: text and name of a gain file, for GAINS.
     ``lease``: id of the lease it is given under, None without one; ``new``: the lease it may be granted. Neither is in
     the payload: the gateway knows them from the proofs beside it.
@@ -77,8 +86,10 @@ class Request:
     gain_file: str = ""
     name: str = ""
     near_end: bool = False
+    where: str = ""
     run_id: str = ""
     new: NewLease | None = None
+    creep_s: float = math.nan
 
     @property
     def command(self) -> str:
@@ -86,9 +97,17 @@ class Request:
         return self.verb.name.lower()
 
     @property
+    def numbers(self) -> tuple[float, ...]:
+        """The numbers in the command's slot, in the order of `rigctl.control.modes.VALUES`."""
+        return (self.number, self.creep_s) if self.verb is Verb.CALIBRATE else (self.number,)
+
+    @property
     def number(self) -> float:
         """The number in the command's slot of the ring."""
-        options = {Verb.IDENTIFY: float(self.tight), Verb.ARM: float(self.near_end)}
+        options = {
+            Verb.IDENTIFY: float(self.tight), Verb.ARM: float(self.near_end),
+            Verb.RESPONSE: REGULATED.get(self.where, math.nan),
+        }  # fmt: skip
         return options.get(self.verb, self.value)
 
 
@@ -156,19 +175,23 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
     found = decoded(payload, _CommandPayload, allowed)
     operator = operator_of(found.operator)
     _, options = MEANINGS[verb]
-    for name in ("value", "shunt", "adopt", "tight", "near_end", "gain_file", "name"):
+    for name in ("value", "shunt", "adopt", "tight", "near_end", "creep_s", "where", "gain_file", "name"):
         if name not in options and getattr(found, name) not in (None, False, ""):
             raise RequestError(f"found {name}, expected {allowed}")
     if verb is Verb.GAINS and not (found.gain_file and found.name and found.name.isprintable()):
         raise RequestError(f"found no gain file with a name, expected {allowed}")
-    if found.value is None and verb in (Verb.TARGET, Verb.CONFIRM_STROKE):
+    if found.where not in ("", *REGULATED):
+        raise RequestError(f"found where: {found.where[:40]!r}, expected {' or '.join(REGULATED)}")
+    if found.value is None and verb in (Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE):
         raise RequestError(f"found no value, expected {allowed}")
-    if found.value is not None and not math.isfinite(found.value):
-        raise RequestError(f"found value {found.value}, expected a finite number")
+    for number in (found.value, found.creep_s):
+        if number is not None and not math.isfinite(number):
+            raise RequestError(f"found value {number}, expected a finite number")
     value = math.nan if found.value is None else found.value
     if verb is not Verb.HOLD:  # HOLD needs no lease, so one that is sent must not refuse it
         refuse_lease(found.lease)
-    given = msgspec.structs.asdict(found) | {"operator": operator, "value": value, "lease": None}
+    creep_s = math.nan if found.creep_s is None else found.creep_s
+    given = msgspec.structs.asdict(found) | {"operator": operator, "value": value, "creep_s": creep_s, "lease": None}
     return Request(verb, **given)
 
 
@@ -210,7 +233,9 @@ _DONE = {
     Verb.TARE: "the cell reads {value:z.3f} N, {mode}",
     Verb.CALIBRATE: "the cell reads {value:z.3f} N, {mode}",
     Verb.IDENTIFY: "excited for {value:.1f} s, {mode}, stroke {stroke}",
+    Verb.RESPONSE: "excited for {value:.0f} s, {mode}",
     Verb.CONFIRM_STROKE: "the stroke is {value:z.2f} mm, {mode}",
+    Verb.MOVE: "learnt from {value:.0f} moves so far, {mode}",
     Verb.GAINS: "{mode}",
 }
 

@@ -52,6 +52,14 @@ KINDS: dict[Kind, str] = {
     Kind.LOCAL_HOLD: "HOLD was taken from the local socket; a: user id, b: process, text: operator; see the MODE event",
     Kind.CLOCK: "the loop could not keep its rate; a: ticks skipped at once",
     Kind.CORRECTION: "tare or calibration in force; value: zero in N, limit: scale",
+    Kind.SLACK_ZERO: "zero of the cell on a surely slack rope; a: 1 in force from now on, 0 only seen, b: samples, "
+    "value: it in N beside tare and drift, limit: the largest that may be in force",
+    Kind.LOAD_STEP: "part of a record of the cell's creep; a: samples, b: temperature of the cell in mK, 0 for not "
+    "known, value: their mean reading in N, limit: their mean time after the load's step in s, negative before it, "
+    "text: rms in N",
+    Kind.SECOND_FORCE: "zero and scale of the second force path in force; value: zero in N, limit: scale",
+    Kind.CREEP: "creep of the cell taken out from now on; a: 1 the load's history is known, 0 it is taken as always "
+    "the present load, value: whole share of the load, text: shares and time constants in s",
     Kind.GAINS: "gains changed; text: K_T, K_v, K_i now in force",
     Kind.LIMIT: "a limit of the rig file that only logs is exceeded; a: fault, b: action, value, limit",
     Kind.LIMIT_OVER: "such a limit is kept again; as limit",
@@ -68,6 +76,9 @@ KINDS: dict[Kind, str] = {
     Kind.STROKE_LEFT: "a stroke that is to stay left its latch; a: mode, value: distance in mm, limit: what is told",
     Kind.DRIVE_CREEPS: "the drive creeps when told 0, and is corrected; value: creep in mm/s, limit: what is told",
     Kind.ESCALATION: "the reaction to a fault did not help; a: fault, b: symptom, value and limit in its unit",
+    Kind.MOVE: "a marked move begins; a: its number, 0 it has ended, b: moves its table was learnt from",
+    Kind.LEARNT: "learnt from a move; a: number, b: moves so far, value: its rms error in N, limit: the first's",
+    Kind.NOT_LEARNT: "a move taught nothing; as learnt, text: why; b 0: its table is dropped",
     Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
 }
 NOTES: dict[Note, str] = {
@@ -86,11 +97,18 @@ NOTES: dict[Note, str] = {
 
 PAYLOAD: Rows = (
     ("operator", "string", "", "who gives it; required"),
-    ("value", "number", "", "the target or the known weight of calibrate in N; the stroke of confirm_stroke in mm"),
+    (
+        "value",
+        "number",
+        "",
+        "the target or the known weight of calibrate in N; the stroke of confirm_stroke in mm; the number of a move",
+    ),
     ("shunt", "boolean", "", "calibrate against the shunt"),
-    ("adopt", "boolean", "", "calibrate sets the scale"),
+    ("adopt", "boolean", "", "calibrate sets the scale, or with creep_s the creep"),
+    ("creep_s", "number", "s", "calibrate records the cell's creep for so long after the load's step"),
     ("tight", "boolean", "", "identify only a tight rope"),
     ("near_end", "boolean", "", "arm at an end of the stroke, to drive away from it"),
+    ("where", "string", "", "response only in that mode: hold or compensating"),
     ("gain_file", "string", "", "text of a gain file"),
     ("name", "string", "", "its name, for the record"),
     ("run_id", "string", "", "run of the daemon it is meant for, from the active configuration; any other refuses it"),
@@ -110,7 +128,7 @@ ANSWER: Rows = (
     ("waived", "object", "", "of an arm: what does not count, and why"),
     ("mode", "string", "", "mode after the command"),
     ("t_ns", "integer", "ns", "when the loop answered, CLOCK_MONOTONIC"),
-    ("value", "number?", "", "what it is about: target, tension or reading in N; identify: s"),
+    ("value", "number?", "", "what it is about: target, tension or reading in N; identify, response: s"),
     ("entry", "object", "", "what the calibration ledger was given"),
     ("lease", "object?", "", "who holds it: holder, since_ns, until_ns, held_s, left_s, proven; nonce of a new lease"),
 )
@@ -124,9 +142,11 @@ VERBS: dict[Verb, tuple[str, tuple[str, ...]]] = {
     Verb.RESET: ("acknowledge a latched fault whose cause is gone", ()),
     Verb.TARGET: ("set the target of the vertical tension", ("value",)),
     Verb.TARE: ("the unloaded cell's mean over 1 s becomes its zero", ()),
-    Verb.CALIBRATE: ("compare the cell with a known weight or the shunt", ("value", "shunt", "adopt")),
+    Verb.CALIBRATE: ("compare the cell with a known weight or the shunt", ("value", "shunt", "adopt", "creep_s")),
     Verb.IDENTIFY: ("excite the plant for some seconds and measure it", ("tight",)),
+    Verb.RESPONSE: ("excite the plant with a multisine and measure its frequency response", ("where",)),
     Verb.CONFIRM_STROKE: ("the stroke, measured at the cylinder, is what the drive's position says", ("value",)),
+    Verb.MOVE: ("a move of the mechanism begins; 0: the one under way has ended", ("value",)),
     Verb.GAINS: ("put other gains in force, once judged", ("gain_file", "name")),
 }
 ACTS: dict[LeaseAct, tuple[str, tuple[str, ...]]] = {

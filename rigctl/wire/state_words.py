@@ -95,6 +95,12 @@ def calibration(state: dict[str, Any]) -> tuple[str, str]:
     return (f"{text}, due {found['due'][:10]}" if found.get("due") else text), ""
 
 
+def margins(state: dict[str, Any]) -> str:
+    """The sensitivity peak measured last, with its uncertainty; empty without one."""
+    peak, error = state.get("sensitivity_peak"), state.get("sensitivity_peak_error")
+    return "" if peak is None or error is None else f"measured Ms {peak:.2f} +- {error:.2f} (95 %, over a minute)"
+
+
 def lease(state: dict[str, Any]) -> str:
     """The holder of the lease, since when and for how much longer."""
     found = state.get("lease")

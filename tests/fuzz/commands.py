@@ -26,8 +26,10 @@ _OPTIONS: dict[Verb, dict[str, Any]] = {
     Verb.ARM: {"near_end": False},
     Verb.TARGET: {"value": 290.0},
     Verb.CONFIRM_STROKE: {"value": 1.0},
+    Verb.MOVE: {"value": 1.0},
     Verb.CALIBRATE: {"value": 300.0, "adopt": False},
     Verb.IDENTIFY: {"tight": True},
+    Verb.RESPONSE: {"where": "hold"},
     Verb.GAINS: {"gain_file": "gains: {}\n", "name": "gains.yaml"},
 }
 _NAMES = ("", "Arm", "arm ", "arm/..", "*", "**", "lease_take", "lease_return", "é" * 300, "a\nb", "none", "0")

@@ -267,7 +267,7 @@ ONWARD = {
     Mode.DISARMED: (Verb.ARM, Verb.ARM, Verb.CONFIRM_STROKE),
     Mode.HOLD: (Verb.TENSION, Verb.TENSION, Verb.RELEASE, Verb.IDENTIFY),
     Mode.TENSIONING: (Verb.TARGET,),
-    Mode.COMPENSATING: (Verb.TARGET, Verb.TARGET, Verb.RELEASE),
+    Mode.COMPENSATING: (Verb.TARGET, Verb.TARGET, Verb.RELEASE, Verb.MOVE),
     Mode.RELEASING: (Verb.TENSION, Verb.TARGET),
     Mode.FAULT: (Verb.RESET, Verb.RESET, Verb.CONFIRM_STROKE),
 }

@@ -41,11 +41,12 @@ def gains(settings: RigSettings) -> Gains:
 def test_whatever_comes_from_the_bus_what_leaves_for_the_drive_is_finite_and_inside_its_limits(
     settings: RigSettings, gains: Gains
 ) -> None:
-    found = frames.play(settings, gains, 100_000, seed=3)
-    assert found.wrong == []
-    assert found.modes == {mode.name for mode in Mode}, "it reached every mode"
-    assert len(found.faults) > 5, "NONE and five ways to trip"
-    assert "LOOP_EXCEPTION" not in found.faults
+    runs = [frames.play(settings, gains, 100_000, seed=seed) for seed in (3, 4)]  # one run trips in few ways
+    modes, faults = set[str]().union(*(run.modes for run in runs)), set[str]().union(*(run.faults for run in runs))
+    assert [run.wrong for run in runs] == [[], []]
+    assert modes == {mode.name for mode in Mode}, "they reached every mode"
+    assert len(faults) > 5, "NONE and five ways to trip"
+    assert "LOOP_EXCEPTION" not in faults
 
 
 def test_whatever_an_io_node_sends_what_leaves_for_the_drive_stays_inside_its_limits(

@@ -69,7 +69,7 @@ def test_the_control_process_needs_no_extra_and_few_modules() -> None:
 
 @pytest.mark.parametrize(
     "module", ["supervisor.daemon", "control.control_process", "gateway.gateway_process", "hold.service",
-               "recorder.recorder_process", "page.serve", "cli.app", "design.gain_file", "commission.preflight"],
+               "recorder.recorder_process", "page.serve", "cli.app", "design.in_use", "commission.preflight"],
 )  # fmt: skip
 def test_the_rigs_computer_runs_without_plots_and_simulation(module: str) -> None:
     answer = without("ops", "sim", run=f"import rigctl.{module}")
@@ -79,7 +79,7 @@ def test_the_rigs_computer_runs_without_plots_and_simulation(module: str) -> Non
 def test_gains_are_designed_without_plots_and_simulation() -> None:
     run = (
         "from rigctl.config import rig_file\n"
-        "from rigctl.design.gain_file import design_in_use\n"
+        "from rigctl.design.in_use import design_in_use\n"
         "print(design_in_use(rig_file.load('config/rig.yaml')).accepted)"
     )
     answer = without("ops", "sim", run=run)

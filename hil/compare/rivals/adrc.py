@@ -21,9 +21,12 @@ class Adrc(Feedback):
     input delayed as the plant's is (Zhao, Gao, ISA Transactions 2014).
     """
 
-    def __init__(self, model: Model) -> None:
-        self.bandwidth_rad_s = BANDWIDTH_DELAY / model.delay_s
-        self.observer_rad_s = OBSERVER_RATIO * self.bandwidth_rad_s
+    def __init__(
+        self, model: Model, bandwidth_rad_s: float | None = None, observer_ratio: float = OBSERVER_RATIO
+    ) -> None:
+        """``bandwidth_rad_s`` of the controller, and ``observer_ratio``: that of the observer over it."""
+        self.bandwidth_rad_s = bandwidth_rad_s or BANDWIDTH_DELAY / model.delay_s
+        self.observer_rad_s = observer_ratio * self.bandwidth_rad_s
         self._dt = model.period_s
         self._b0 = model.stiffness_n_mm / model.lag_s
         beta = math.exp(-self.observer_rad_s * model.period_s)

@@ -6,7 +6,7 @@ import math
 from collections import deque
 
 from hil.compare.rivals.feedback import Feedback, Model, Sample
-from hil.compare.rivals.proportional import ProportionalIntegral
+from hil.compare.rivals.proportional import INTEGRAL_RATIO, ProportionalIntegral
 
 BANDWIDTH_DELAY = 1.0 / 3.0
 """Bandwidth of Q times delay: there the delay costs 19 deg of phase."""
@@ -22,9 +22,16 @@ class DisturbanceObserver(Feedback):
     that its crossover ``1 / (tau_c + theta)`` is a fifth of g; at ``tau_c = theta`` Ms would be 1.8.
     """
 
-    def __init__(self, model: Model) -> None:
-        self.bandwidth_rad_s = BANDWIDTH_DELAY / model.delay_s
-        self._inner = ProportionalIntegral(model, RATIO / self.bandwidth_rad_s)
+    def __init__(
+        self,
+        model: Model,
+        bandwidth_rad_s: float | None = None,
+        slowness_s: float | None = None,
+        integral_ratio: float = INTEGRAL_RATIO,
+    ) -> None:
+        """``bandwidth_rad_s`` of Q, and the two parameters of the PI, replace those of the rules."""
+        self.bandwidth_rad_s = bandwidth_rad_s or BANDWIDTH_DELAY / model.delay_s
+        self._inner = ProportionalIntegral(model, slowness_s or RATIO / self.bandwidth_rad_s, integral_ratio)
         self._share = 1.0 - math.exp(-self.bandwidth_rad_s * model.period_s)
         self._rate = self._share / model.period_s  # of the sampled low-pass: its own difference is its derivative
         self._stiffness, self._lag_s = model.stiffness_n_mm, model.lag_s

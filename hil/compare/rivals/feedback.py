@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.inbox import Inbox
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 
 
@@ -68,10 +67,19 @@ class Feedback(ABC):
         """Integrate this tick's error (set-point less tension); not called while it would wind up."""
 
 
+class Newest(Protocol):
+    """The newest measurements: the loop's inbox."""
+
+    tension_n: float
+    speed_mm_s: float
+    tangential_rad: float
+    normal_rad: float
+
+
 class Rival(TensionLaw):
     """A feedback law in the place of ours: ramps, set-point, limits and modes are those of `TensionLaw`."""
 
-    def __init__(self, settings: RigSettings, gains: Gains, inbox: Inbox, feedback: Feedback) -> None:
+    def __init__(self, settings: RigSettings, gains: Gains, inbox: Newest, feedback: Feedback) -> None:
         super().__init__(settings, gains)
         self._inbox = inbox
         self._feedback = feedback

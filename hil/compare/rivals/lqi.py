@@ -27,34 +27,53 @@ class Lqi(Feedback):
     The measured error is integrated, so that the filter's model errors leave no bias.
     """
 
-    def __init__(self, settings: RigSettings) -> None:
+    def __init__(
+        self,
+        settings: RigSettings,
+        stretch_mm: float = STRETCH_MM,
+        held_s: float = HELD_S,
+        disturbance_mm_s: float | None = None,
+    ) -> None:
+        """``disturbance_mm_s``: rms that the filter expects, the speed limit by default."""
         model = filter_model(settings)
-        self.gains = bryson(settings)
+        self.gains = bryson(settings, stretch_mm, held_s)
         self._dt, self._stiffness = model.period_s, settings.plant.stiffness_n_mm
-        self._kalman = kalman_gain(settings)
-        self._f, self._b = model.f[:2, :2], model.b[:2, 0]
+        # Plain floats: numpy takes ten times as long for two rows.
+        self._kalman = kalman_gain(settings, disturbance_mm_s).tolist()
+        rows = np.hstack([model.f[:2, :2], model.b[:2, :1]])
+        self._step = tuple(tuple(row) for row in rows.tolist())
         self._under_way = [0.0] * (model.delay_ticks + 1)
-        self._x = np.zeros(2)
+        self._x = (0.0, 0.0)
         self._integral_mm_s = 0.0
 
     def start(self, sample: Sample) -> None:
         """See `Feedback`."""
-        self._x = np.array([sample.tension_n, sample.speed_mm_s])
+        self._x = (sample.tension_n, sample.speed_mm_s)
         self._under_way = [sample.speed_mm_s] * len(self._under_way)
         self._integral_mm_s = 0.0
 
     def wanted(self, sample: Sample) -> float:
         """See `Feedback`; the state is predicted to the instant at which the command acts, as in our law."""
-        missed = np.array([sample.tension_n, sample.speed_mm_s]) - self._x
-        ahead = self._x = self._f @ (self._x + self._kalman @ missed) + self._b * self._under_way[0]
+        (a, b), (c, d) = self._kalman
+        tension_n, speed_mm_s = self._x
+        missed_n, missed_mm_s = sample.tension_n - tension_n, sample.speed_mm_s - speed_mm_s
+        corrected = tension_n + a * missed_n + b * missed_mm_s, speed_mm_s + c * missed_n + d * missed_mm_s
+        self._x = tension_n, speed_mm_s = self._carried(*corrected, self._under_way[0])
         for command in self._under_way[1:]:
-            ahead = self._f @ ahead + self._b * command
-        tension_n, speed_mm_s = ahead.tolist()
+            tension_n, speed_mm_s = self._carried(tension_n, speed_mm_s, command)
         gains, ramp_mm_s = self.gains, sample.slope_n_s / self._stiffness
         return float(
             -gains.k_tension * (tension_n - sample.setpoint_n)
             - gains.k_speed * (speed_mm_s - ramp_mm_s)
             - self._integral_mm_s
+        )
+
+    def _carried(self, tension_n: float, speed_mm_s: float, command_mm_s: float) -> tuple[float, float]:
+        """A tick on, under a command."""
+        (a, b, c), (d, e, f) = self._step
+        return (
+            a * tension_n + b * speed_mm_s + c * command_mm_s,
+            d * tension_n + e * speed_mm_s + f * command_mm_s,
         )
 
     def sent(self, command_mm_s: float) -> None:
@@ -66,19 +85,19 @@ class Lqi(Feedback):
         self._integral_mm_s -= self.gains.k_integral * error_n * self._dt
 
 
-def bryson(settings: RigSettings) -> Gains:
+def bryson(settings: RigSettings, stretch_mm: float = STRETCH_MM, held_s: float = HELD_S) -> Gains:
     """Gains by Bryson's rule; our weights apply to stretch, with a weight of 1 on the command."""
-    weight = (settings.tension.speed_max_mm_s / STRETCH_MM) ** 2
-    weights = {"stretch_weight": weight, "integral_weight": weight / HELD_S**2, "command_weight": 1.0}
+    weight = (settings.tension.speed_max_mm_s / stretch_mm) ** 2
+    weights = {"stretch_weight": weight, "integral_weight": weight / held_s**2, "command_weight": 1.0}
     return design(changed(settings, {f"design.{key}": value for key, value in weights.items()}))
 
 
-def kalman_gain(settings: RigSettings) -> Array:
+def kalman_gain(settings: RigSettings, disturbance_mm_s: float | None = None) -> Array:
     """Settled gain, states by (tension, speed), shape (2, 2): ``x += gain (y - x)``."""
     import control  # 0.5 s: only where a law is made
 
     model = filter_model(settings)
-    moved_n = settings.plant.stiffness_n_mm * settings.tension.speed_max_mm_s * model.period_s
+    moved_n = settings.plant.stiffness_n_mm * (disturbance_mm_s or settings.tension.speed_max_mm_s) * model.period_s
     q = np.diag([moved_n**2, model.q[1, 1]])
     r = np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
     _, before, _ = control.dlqe(model.f[:2, :2], np.eye(2), np.eye(2), q, r, method="scipy")

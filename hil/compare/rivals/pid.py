@@ -7,6 +7,7 @@ import math
 from simple_pid import PID
 
 from hil.compare.rivals.feedback import Feedback, Model, Sample
+from hil.compare.rivals.proportional import INTEGRAL_RATIO
 
 FILTER_RATIO = 3.0
 """Derivative time over filter time; 2 to 20 is usual (Astrom, Haegglund: Advanced PID Control, 2006, section 3.3)."""
@@ -22,13 +23,24 @@ class PidFeedForward(Feedback):
     form, ``L (1 / cos theta - 1)``, low-passed; the cylinder follows its rate.
     """
 
-    def __init__(self, model: Model, speed_max_mm_s: float, rope_length_mm: float) -> None:
+    def __init__(
+        self,
+        model: Model,
+        speed_max_mm_s: float,
+        rope_length_mm: float,
+        *,
+        slowness_s: float | None = None,
+        integral_ratio: float = INTEGRAL_RATIO,
+        derivative_s: float | None = None,
+        filter_s: float | None = None,
+    ) -> None:
+        """Each time, and ``slowness_s`` (``tau_c + theta``), replaces that of the rule."""
         # tau_F = tau_D / N and tau_D = lag + tau_F / 2
-        self.filter_s = model.lag_s / (FILTER_RATIO - 0.5)
-        theta = model.delay_s + 0.5 * self.filter_s
-        self.derivative_time_s = model.lag_s + 0.5 * self.filter_s
-        self.integral_time_s = 8.0 * theta
-        series = 1.0 / (model.stiffness_n_mm * 2.0 * theta)
+        self.filter_s = filter_s or model.lag_s / (FILTER_RATIO - 0.5)
+        self.derivative_time_s = derivative_s or model.lag_s + 0.5 * self.filter_s
+        slowness_s = slowness_s or 2.0 * (model.delay_s + 0.5 * self.filter_s)
+        self.integral_time_s = integral_ratio * slowness_s
+        series = 1.0 / (model.stiffness_n_mm * slowness_s)
         self.gain = series * (1.0 + self.derivative_time_s / self.integral_time_s)  # of the parallel form
         self._dt = model.period_s
         self._share = 1.0 - math.exp(-model.period_s / self.filter_s)

@@ -8,6 +8,10 @@ from scipy.optimize import brentq
 
 from hil.compare.rivals.feedback import Feedback, Model, Sample
 
+ULTIMATE_SHARE = 0.5
+INTEGRAL_RATIO = 4.0
+"""SIMC's integral time over ``tau_c + theta``."""
+
 
 def ultimate(model: Model) -> tuple[float, float]:
     """Gain (mm/s per N) and frequency (rad/s) at which a proportional loop on the model oscillates steadily.
@@ -25,8 +29,9 @@ def ultimate(model: Model) -> tuple[float, float]:
 class Proportional(Feedback):
     """P at half the ultimate gain (Ziegler, Nichols: Optimum settings for automatic controllers, Trans. ASME 1942)."""
 
-    def __init__(self, model: Model) -> None:
-        self.gain = 0.5 * ultimate(model)[0]  # mm/s per N
+    def __init__(self, model: Model, share: float = ULTIMATE_SHARE) -> None:
+        """``share``: of the ultimate gain."""
+        self.gain = share * ultimate(model)[0]  # mm/s per N
 
     def start(self, _sample: Sample) -> None:
         """See `Feedback`; the law has no memory."""
@@ -43,11 +48,11 @@ class ProportionalIntegral(Feedback):
     recommended ``tau_c = theta``: ``Kc = 1 / (k (tau_c + theta))``, ``tau_I = 4 (tau_c + theta)``.
     """
 
-    def __init__(self, model: Model, slowness_s: float | None = None) -> None:
-        """``slowness_s`` replaces the tightest ``tau_c + theta``."""
+    def __init__(self, model: Model, slowness_s: float | None = None, integral_ratio: float = INTEGRAL_RATIO) -> None:
+        """``slowness_s`` replaces the tightest ``tau_c + theta``; ``integral_ratio``: integral time over it."""
         slowness_s = slowness_s or 2.0 * (model.delay_s + 0.5 * model.lag_s)
         self.gain = 1.0 / (model.stiffness_n_mm * slowness_s)  # mm/s per N
-        self.integral_time_s = 4.0 * slowness_s
+        self.integral_time_s = integral_ratio * slowness_s
         self._per_tick = self.gain * model.period_s / self.integral_time_s
         self._integral_mm_s = 0.0
 

@@ -50,7 +50,9 @@ export class Panel {
     for (const words of state.warnings) rows.push(["warning", words, "yellow"]);
     if (state.bus) rows.push(["bus", state.bus, state.bus_bad ? "yellow" : ""], ["lateness", state.lateness, ""], ["work", state.work, ""]);
     if (state.values) rows.push(["skipped", `${state.values.skipped} of ${state.values.tick} ticks`, state.values.skipped ? "yellow" : ""]);
+    if (state.values?.move) rows.push(["move", `${state.values.move}, learnt speed ${signed(state.values.learned_mm_s, 3, "mm/s")}`, ""]);
     if (state.design) rows.push(["design", state.design, ""]);
+    if (state.margins) rows.push(["margins", state.margins, ""]);
     if (state.samples_lost) rows.push(["lost here", `${state.samples_lost} samples`, "yellow"]);
     rows.push(["daemon", state.endpoint, ""]);
     const said = JSON.stringify(rows);

@@ -25,6 +25,7 @@ from tests.builders.paths import ROOT
 from tests.live.system.test_daemon import PATIENT, Running
 
 IDENTIFICATIONS = 10  # a busy host pauses the loop in half of them
+RESPONSES = 3  # each takes a minute
 DAY_NS = 86_400 * 10**9
 
 
@@ -224,6 +225,31 @@ def test_a_due_date_that_passes_while_the_daemon_runs_blocks_arming(tmp_path: pa
     assert "rigctl calibrate" in refused.stderr
 
 
+@pytest.mark.timeout(600)
+def test_a_frequency_response_is_on_record_with_a_picture(running: Running, tmp_path: pathlib.Path) -> None:
+    picture = tmp_path / "response.png"
+    refused = running.refused("identify", "--response")
+    assert "arm and tension first" in refused
+    running.do("arm")
+    assert "the rope is slack" in running.refused("identify", "--response")
+    running.do("target", "100")
+    running.do("tension", "--wait")
+    words = ("identify", "--response", "--in", "compensating", "--plot", str(picture))
+    for _ in range(RESPONSES):
+        answer = daemons.rigctl(*words, file=running.file)
+        if answer.returncode == 0:
+            break
+        assert "had the loop skip" in answer.stderr, answer.stderr
+    else:
+        pytest.skip(f"this computer stopped the loop in each of {RESPONSES} responses")
+    entry = entries(running.file)[-1]
+    assert (entry.what, entry.figures["mode"]) == ("response", "COMPENSATING")
+    assert entry.after["stiffness_n_mm"] == pytest.approx(5.964, rel=0.02)
+    assert entry.figures["margins"]["ms_input"]["value"] == pytest.approx(1.4, abs=0.25)
+    assert picture.stat().st_size > 20_000
+    assert daemons.state(running.file)["mode"] == "COMPENSATING"
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [("{", "no calibration ledger"), ('{"rig": "another", "entries": []}', "found the ledger of 'another'")],
@@ -242,6 +268,10 @@ def test_a_ledger_that_cannot_be_believed_is_refused_at_the_start(tmp_path: path
     [
         (("identify", "--in", "space"), "expected hold or tension"),
         (("identify", "--file", "nowhere/x.json"), "a folder that is there"),
+        (("identify", "--plot", "x.png"), "--plot without --response"),
+        (("identify", "--response", "--in", "tension"), "expected hold or compensating"),
+        (("identify", "--response", "--plot", "x.txt"), "a name ending in .png, .svg, .pdf"),
+        (("identify", "--response", "--plot", "nowhere/x.png"), "nowhere"),
         (("calibrate", "--shunt", "--adopt"), "expected --shunt alone"),
         (("calibrate", "--weight-n", "much"), "much"),
         (("tare", "5"), "5"),

@@ -7,7 +7,8 @@ import random
 import msgspec
 import zenoh
 
-from rigctl.control.modes import Mode
+from rigctl.control.modes import FILED, Mode
+from rigctl.wire.session import MESSAGE_BYTES
 from tests.builders.miniature import Daemon
 from tests.fuzz import commands
 
@@ -27,8 +28,10 @@ def test_every_mutated_command_is_answered_and_none_ends_the_gateway(own: Daemon
                 key = zenoh.KeyExpr(client.keys.command(name))
             except zenoh.ZError:
                 continue  # not a key: it never leaves the client
-            if "*" in name or "/" in name or name.lower() in ("identify", "calibrate", "tare", "gains"):
+            if "*" in name or "/" in name or name.lower() in (verb.name.lower() for verb in FILED):
                 continue  # several at once, or another key; trials take time
+            if len(payload or b"") > MESSAGE_BYTES:
+                continue  # the gateway's session takes no such message: the query ends by itself
             proofs = client.trust.attachment(str(key), payload or b"", client.leases.get("anna"))
             attachment = msgspec.json.encode(proofs)
             replies = list(client.session.get(key, payload=payload, attachment=attachment, timeout=EACH_S))

@@ -58,7 +58,7 @@ def test_a_second_operator_is_refused_by_name_and_may_hold(own: Daemon) -> None:
         for verb in Verb:
             if verb is Verb.HOLD:
                 continue
-            more: dict[str, Any] = {"value": 280.0} if verb in (Verb.TARGET, Verb.CONFIRM_STROKE) else {}
+            more: dict[str, Any] = {"value": 280.0} if verb in (Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE) else {}
             more |= {"options": {"gain_file": "x", "name": "x"}} if verb is Verb.GAINS else {}
             options = more.pop("options", {})
             refused = kim.command(verb.name.lower(), "kim", **more, **options)

@@ -202,8 +202,8 @@ def test_a_running_daemons_preflight_is_shown_line_by_line() -> None:
     assert found["daemon"].severity is WARNING  # of another version
     assert found["rig file"].found == "differs from what runs in safety"
     others = [finding for name, finding in found.items() if name in doctor_daemon.TITLES.values()]
-    of_io = {Check.E_STOP_IO, Check.E_STOP_IO_UNSEEN}
-    assert sum(finding.severity is OK for finding in others) == len(set(Check) - of_io) - 2
+    not_fitted = {Check.E_STOP_IO, Check.E_STOP_IO_UNSEEN, Check.SECOND_FORCE, Check.FORCES_DISAGREE}
+    assert sum(finding.severity is OK for finding in others) == len(set(Check) - not_fitted) - 2
 
 
 def test_a_rigs_io_node_has_lines_of_its_own_and_only_where_one_is_fitted() -> None:

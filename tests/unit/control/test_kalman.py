@@ -8,9 +8,10 @@ import sys
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter as Library
+from scipy.linalg import expm, solve_discrete_are
 
 from rigctl.control.estimator import _inverse
-from rigctl.control.kalman import KalmanFilter
+from rigctl.control.kalman import KalmanFilter, exponential, settled_covariance
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -49,3 +50,16 @@ def test_no_process_of_the_daemon_loads_the_statistics_that_the_library_needs() 
 def test_the_inverse_of_an_innovations_covariance_is_its_inverse(matrix: list[list[float]]) -> None:
     covariance = np.array(matrix)
     assert _inverse(covariance) @ covariance == pytest.approx(np.eye(len(matrix)), abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_settled_covariance_and_the_exponential_are_those_of_scipy(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    f = exponential(0.1 * random.standard_normal((4, 4)) * 10.0 ** (seed - 3))
+    assert f == pytest.approx(
+        expm(0.1 * np.random.default_rng(seed).standard_normal((4, 4)) * 10.0 ** (seed - 3)), rel=1e-9
+    )
+    f /= 1.01 * np.abs(np.linalg.eigvals(f)).max()
+    h, r = random.standard_normal((2, 4)), np.diag(random.uniform(0.01, 1.0, 2))
+    q = np.diag(random.uniform(1e-6, 0.1, 4))
+    assert settled_covariance(f, h, q, r) == pytest.approx(solve_discrete_are(f.T, h.T, q, r), rel=1e-8, abs=1e-12)

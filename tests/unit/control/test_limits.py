@@ -44,6 +44,7 @@ SEEN: dict[str, tuple[dict[str, Any], float]] = {
     "lateness_us": ({"lateness_ns": 250_000}, 250.0),
     "skipped_ticks": ({"skipped_in_window": 9}, 9.0),
     "error_frames": ({"error_frames": 11}, 11.0),
+    "sensitivity_peak": ({"least_peak": 1.4}, 1.4),
     "command_age_s": ({"command_age_ns": 90_000_000_000}, 90.0),
 }
 
@@ -162,5 +163,5 @@ def test_a_limit_that_is_none_is_refused(limit: dict[str, Any]) -> None:
 
 def test_the_papers_rig_watches_all_but_what_it_has_no_bound_for() -> None:
     watched = {limit.signal for limit in SETTINGS.limits}
-    assert set(WATCHED) - watched <= {"drive_current_a"}
+    assert set(WATCHED) - watched <= {"drive_current_a", "sensitivity_peak"}
     assert {limit.action for limit in SETTINGS.limits} >= {"log", "hold", "ramp_down"}

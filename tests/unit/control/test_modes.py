@@ -32,7 +32,7 @@ from rigctl.ipc.record import COMMAND
 from tests.builders.outcomes import MachineLog
 
 READY = Situation(
-    unloaded=True, wanted_n=300.0, measured_mm=300.0, stroke_mm=300.0, target_min_n=50.0, target_max_n=350.0
+    unloaded=True, wanted_n=300.0, measured_mm=300.0, stroke_mm=300.0, target_min_n=50.0, target_max_n=350.0, moves=2
 )
 
 
@@ -64,7 +64,7 @@ ACCEPTED = {
     Mode.DISARMED: {Verb.ARM, Verb.GAINS, Verb.TARGET, Verb.TARE, Verb.CALIBRATE, Verb.CONFIRM_STROKE},
     Mode.HOLD: {Verb.TENSION, Verb.RELEASE, Verb.HOLD, Verb.DISARM, Verb.GAINS, Verb.TARGET, *TRIED_IN},
     Mode.TENSIONING: {Verb.RELEASE, Verb.HOLD, Verb.GAINS, Verb.TARGET},
-    Mode.COMPENSATING: {Verb.RELEASE, Verb.HOLD, Verb.GAINS, Verb.TARGET},
+    Mode.COMPENSATING: {Verb.RELEASE, Verb.HOLD, Verb.GAINS, Verb.TARGET, Verb.RESPONSE, Verb.MOVE},
     Mode.RELEASING: {Verb.TENSION, Verb.HOLD, Verb.GAINS, Verb.TARGET},
     Mode.FAULT: {Verb.RESET, Verb.DISARM, Verb.GAINS, Verb.TARGET, Verb.CONFIRM_STROKE},
 }
@@ -138,6 +138,9 @@ def test_guards() -> None:
     assert decide(Mode.HOLD, Verb.RELEASE, Situation(slack=True)).refusal is Refusal.ALREADY
     assert decide(Mode.HOLD, Verb.TARE, Situation()).refusal is Refusal.LOADED
     assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(slack=True, needs_tight=True)).refusal is Refusal.SLACK
+    assert decide(Mode.HOLD, Verb.RESPONSE, Situation(slack=True)).refusal is Refusal.SLACK
+    assert decide(Mode.HOLD, Verb.RESPONSE, Situation(regulated=1.0)).refusal is Refusal.WRONG_MODE
+    assert decide(Mode.COMPENSATING, Verb.RESPONSE, Situation(regulated=0.0)).refusal is Refusal.WRONG_MODE
 
 
 @pytest.mark.parametrize("value", [50.0, 350.0])
@@ -156,6 +159,8 @@ def test_only_a_ramp_down_is_ended_by_hold_as_a_trip(mode: Mode, latched: bool) 
 def test_guards_refuse_for_their_own_reason_only() -> None:
     assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(slack=True)) == Decision()
     assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(needs_tight=True)) == Decision()
+    assert decide(Mode.HOLD, Verb.RESPONSE, Situation(regulated=0.0)) == Decision()
+    assert decide(Mode.COMPENSATING, Verb.RESPONSE, Situation(regulated=1.0)) == Decision()
     assert decide(Mode.DISARMED, Verb.RESET, Situation()).refusal is Refusal.WRONG_MODE
     assert decide(Mode.FAULT, Verb.DISARM, Situation(cause_present=True, fault_latched=True)) == Decision()
 
@@ -175,20 +180,22 @@ def test_a_situation_of_which_nothing_is_known_has_no_reason_and_no_permission()
 
 
 GIVEN = {
-    Verb.ARM: "near_end", Verb.TARGET: "target_n", Verb.CALIBRATE: "weight_n", Verb.IDENTIFY: "tight",
-    Verb.CONFIRM_STROKE: "stroke_mm", Setting.ZERO: "zero_n", Setting.SCALE: "scale overdue",
+    Verb.ARM: "near_end", Verb.TARGET: "target_n", Verb.CALIBRATE: "weight_n creep_s", Verb.IDENTIFY: "tight",
+    Verb.CONFIRM_STROKE: "stroke_mm", Verb.RESPONSE: "regulated", Verb.MOVE: "move",
+    Setting.ZERO: "zero_n zero_c zero_n_k second_zero_n",
+    Setting.SCALE: "scale overdue second_scale", Setting.CREEP: "creep_1 creep_1_s creep_2 creep_2_s creep_held_s",
     Setting.OVERDUE: "overdue", Setting.HOST_CHECKS: "host_checks",
-    Setting.LAW_GAINS: "k_tension k_speed k_integral",
+    Setting.LAW_GAINS: "k_tension k_speed k_integral", Setting.MARGINS: "sensitivity_peak sensitivity_peak_error",
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("code", [*Verb, *Setting])
 def test_a_command_has_its_own_values_only(code: Verb | Setting) -> None:
     fields = [field.name for field in COMMAND.fields]
-    slot = dict(zip(fields, command_slot(5, 7, code, 1.0, 2.0, 3.0, 4.0), strict=True))
+    slot = dict(zip(fields, command_slot(5, 7, code, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0), strict=True))
     assert (slot["t_ns"], slot["id"], slot["verb"]) == (5, 7, code)
     own = GIVEN.get(code, "").split()
-    assert [slot[name] for name in own] == [1.0, 2.0, 3.0][: len(own)]
+    assert [slot[name] for name in own] == [1.0, 2.0, 3.0, 4.0, 5.0][: len(own)]
     assert all(math.isnan(slot[name]) for name in fields[3:] if name not in own)
 
 

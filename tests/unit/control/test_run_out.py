@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import cast
 
 import can
@@ -206,7 +207,8 @@ def test_the_law_is_given_the_rails_speed_of_when_its_command_acts() -> None:
     settings = SETTINGS.model_copy(update={"rail_encoder": encoder, "run_out": section})
     inbox = Inbox(cast("can.BusABC", None), settings)
     observer = Observer(
-        settings, inbox, cast("Outbox", None), Machine(), TensionLaw(settings, Gains(0.0, 0.0, 0.0)),
+        settings, inbox, cast("Outbox", SimpleNamespace(synced_ns=0)), Machine(),
+        TensionLaw(settings, Gains(0.0, 0.0, 0.0)),
         Homed(settings.cylinder, LastStroke()), Readback((), settings, 0), StrokeHold(settings), SignCheck(settings),
     )  # fmt: skip
     inbox.stroke_mm, inbox.rail_quality = 50.0, 0

@@ -10,9 +10,10 @@ import pytest
 from rigctl.config.settings import RigSettings
 from rigctl.control import estimator
 from rigctl.control.estimator import Array, TensionFilter, filter_model
+from rigctl.control.opening import Opening
 from rigctl.control.tension import Estimate, TensionLaw
 from rigctl.design.closed_loop import closed_loop, controller
-from rigctl.design.gains import design, filter_gain
+from rigctl.design.gains import OPEN, QUIET, design, filter_gain, filter_gains
 from rigctl.design.plant_family import Member, member
 
 Rig = Callable[..., RigSettings]
@@ -29,7 +30,7 @@ def _impulse_of_the_objects(settings: RigSettings, plant: Member, channel: int, 
     for _ in range(max(3000, 2 * settings.loop.rate_hz)):  # at rest on the target: the filter's gain settles
         running.update(TARGET_N, 0.0)
         running.predict()
-        running.command(law.compensating(Estimate(*running.ahead(), stroke_mm=50.0), cosine=1.0))
+        running.command(law.compensating(Estimate(*running.ahead(), 50.0, running.lead_mm_s), cosine=1.0))
     kick = np.zeros(3)
     kick[channel] = SMALL[channel]
     state, sample = np.zeros(len(plant.a)), np.array([TARGET_N, 0.0])
@@ -39,7 +40,7 @@ def _impulse_of_the_objects(settings: RigSettings, plant: Member, channel: int, 
         noise = kick if tick == 0 else np.zeros(3)
         running.update(float(sample[0]), float(sample[1]))
         running.predict()
-        command = law.compensating(Estimate(*running.ahead(), stroke_mm=50.0), cosine=1.0)
+        command = law.compensating(Estimate(*running.ahead(), 50.0, running.lead_mm_s), cosine=1.0)
         running.command(command)
         assert law.limits == 0
         rows.append((state[0], command))
@@ -77,6 +78,28 @@ def test_margins_describe_the_code_that_runs(
     real = _impulse_of_the_objects(settings, plant, channel, 1000)
     # 1e-6 of the largest value: the filter's gain has not quite settled, and rounding beside 300 N.
     assert np.allclose(real, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max(axis=0))
+
+
+@pytest.mark.parametrize("level", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize(("rate_hz", "k_m"), [(1000, 60.0), (200, None)])
+def test_margins_of_each_setting_describe_the_code_that_runs(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, rate_hz: int, k_m: float | None, level: float
+) -> None:
+    monkeypatch.setattr(Opening, "look", lambda self, _: setattr(self, "level", level))
+    monkeypatch.setattr(estimator, "NEAR_GAIN", 1e-3)
+    settings = rig(loop={"rate_hz": rate_hz}, estimator={"swing_hz": 0.58, "quiet_disturbance_walk_mm_s": 3.0})
+    model, plant = filter_model(settings), member(settings, k_m)
+    gains = filter_gains(model)
+    loop = closed_loop(plant, controller(model, design(settings), level * gains[OPEN] + (1.0 - level) * gains[QUIET]))
+    for channel in range(3):
+        state = loop.b[:, channel] * SMALL[channel]
+        expected = [(0.0, 0.0)]
+        for _ in range(499):
+            expected.append((float(state[0]), float(loop.command @ state)))
+            state = loop.a @ state
+        real = _impulse_of_the_objects(settings, plant, channel, 500)
+        # The two Riccati solutions agree to 1e-8; rounding beside 300 N.
+        assert np.allclose(real, expected, rtol=0.0, atol=1e-5 * np.abs(expected).max(axis=0))
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.002, 0.02])

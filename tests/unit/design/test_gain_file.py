@@ -15,7 +15,8 @@ from rigctl.config import strict_yaml
 from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
 from rigctl.design import gain_file
-from rigctl.design.gain_file import GainFileError, design_in_use, inputs, provenance, read, read_for, sha256, write
+from rigctl.design.gain_file import GainFileError, inputs, provenance, read, sha256, write
+from rigctl.design.in_use import design_in_use, design_while_running, read_for
 from rigctl.design.margins import design_and_check
 from rigctl.ipc import seal
 
@@ -97,7 +98,7 @@ def test_every_input_changes_the_hash_and_nothing_else_does(rig: Rig) -> None:
         elif isinstance(value, int | float):
             other = value + 1
         else:
-            other = 7.0 if path[0] == "plant" else f"{value}x"
+            other = 7.0 if path in matters else f"{value}x"
         changed = sha256(inputs(_with(rig(), path, other))) != before
         assert changed == (path in matters), path
         seen |= {path} & matters
@@ -224,7 +225,7 @@ def test_a_sealed_file_is_told_intact_and_one_made_elsewhere_has_no_seal(
     rig: Rig, kept: pathlib.Path, sealed: RigSettings
 ) -> None:
     assert ", sealed" in design_in_use(sealed).verdict()
-    assert ", sealed" in gain_file.design_while_running(sealed, kept.read_text(), "gains.yaml").verdict()
+    assert ", sealed" in design_while_running(sealed, kept.read_text(), "gains.yaml").verdict()
     assert seal.key_file(sealed, "gains").stat().st_mode & 0o777 == 0o600
     write(kept, design_and_check(rig()), read(kept).provenance)
     assert ", no seal" in design_in_use(sealed).verdict()
@@ -241,7 +242,7 @@ def test_a_file_edited_since_it_was_sealed_is_refused(
         read_for(sealed)
     assert "\n" not in str(refused.value)
     with pytest.raises(GainFileError, match="edited since it was sealed"):
-        gain_file.design_while_running(sealed, kept.read_text(), "gains.yaml")
+        design_while_running(sealed, kept.read_text(), "gains.yaml")
     edit(kept, r'seal: "[0-9a-f]{64}"\n', "")
     assert ", no seal" in design_in_use(sealed).verdict()  # judged as ever, and told
 

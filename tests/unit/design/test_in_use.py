@@ -69,7 +69,7 @@ def test_status_shows_the_words_of_a_waiver(tmp_path: pathlib.Path) -> None:
         said = daemons.state(file)
     assert WAIVER in shown
     assert any(WAIVER in warning for warning in said["warnings"])
-    assert re.fullmatch(r"Ms 1\.\d{3} over the family of plants \(limit 1\.3, waived\)", said["design"])
+    assert re.fullmatch(r"Ms 1\.\d{3} over the assumed family of plants \(limit 1\.3, waived\)", said["design"])
     assert f"waived: {WAIVER}" in log.read_text()
 
 

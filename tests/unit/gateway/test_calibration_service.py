@@ -48,7 +48,8 @@ def service(settings: RigSettings, tmp_path: pathlib.Path) -> Iterator[Calibrati
 
 
 def reply(reading_n: float = math.nan, duration_s: float = math.nan, t_ns: int = 5) -> dict[str, float]:
-    return {"reading_n": reading_n, "rms_n": 0.03, "duration_s": duration_s, "t_ns": t_ns}
+    unknown = dict.fromkeys(("samples", "creep_n", "creep_doubt_n", "zero_drift_n", "cell_c", "second_n"), math.nan)
+    return unknown | {"reading_n": reading_n, "rms_n": 0.03, "duration_s": duration_s, "t_ns": t_ns, "mode": 1}
 
 
 def filed(service: CalibrationService, request: Request = TARE, mean_n: float = 1.5) -> Filed:

@@ -138,7 +138,7 @@ def test_a_mapping_in_use_is_protected(bench: RigBench, subindex: int, value: in
     "value",
     [
         0x91300110,  # wrong length
-        0x91300220,  # no such sub-index
+        0x91300320,  # no such sub-index
         0x12340020,  # no such object
         0x10170010,  # not mappable
         0x00050008,  # a dummy has no value to send

@@ -189,7 +189,7 @@ class _Inbox:
 @pytest.mark.parametrize("name", sorted(MAKE))
 def test_every_law_passes_the_same_limits_and_does_not_wind_up(name: str) -> None:
     inbox = _Inbox(100.0)
-    law = Rival(SETTINGS, Gains(1.0, 0.5, 2.0), inbox, MAKE[name]())  # type: ignore[arg-type]
+    law = Rival(SETTINGS, Gains(1.0, 0.5, 2.0), inbox, MAKE[name]())
     law.start_ramp(300.0, 0.0)
     last, step = 0.0, SETTINGS.tension.acceleration_max_mm_s2 * DT
     for i in range(4000):
@@ -208,7 +208,7 @@ def test_every_law_passes_the_same_limits_and_does_not_wind_up(name: str) -> Non
 
 def test_a_new_ramp_begins_with_nothing_remembered() -> None:
     inbox = _Inbox(290.0)
-    law = Rival(SETTINGS, Gains(1.0, 0.5, 2.0), inbox, ProportionalIntegral(MODEL))  # type: ignore[arg-type]
+    law = Rival(SETTINGS, Gains(1.0, 0.5, 2.0), inbox, ProportionalIntegral(MODEL))
     law.start_ramp(300.0, 0.0)
     for _ in range(1000):
         law.compensating(Estimate(290.0, 0.0, 0.0, 50.0), 1.0)

@@ -234,7 +234,8 @@ def rows(models: dict[str, type[BaseModel]]) -> Iterator[str]:
     for kind, model in models.items():
         for name, info in model.model_fields.items():
             if name != "kind":
-                row = f"{KeyType.of(info).allowed(name)} | {default_of(info)} | {info.description}"
+                allowed = re.sub(r"matching (\S+)", r"matching `\1`", KeyType.of(info).allowed(name))
+                row = f"{allowed} | {default_of(info)} | {info.description}"
                 found.setdefault(f"| `{name}` | KINDS | {row} |", []).append(kind)
     for row, kinds in found.items():
         of = "" if len(kinds) == len(models) else ", ".join(kinds)

@@ -99,3 +99,41 @@ def test_noise_is_that_of_what_is_sent_whatever_the_filter() -> None:
 def test_errors_of_zero_and_gain_are_of_what_is_read() -> None:
     assert Load(bias_n=0.15, gain_pct=0.02).after(0.001, 300.0) == pytest.approx(300.0 * 1.0002 + 0.15)
     assert Load(bias_n=-0.15).after(0.001, 0.0) == pytest.approx(-0.15)
+
+
+def test_two_creeps_add_up() -> None:
+    load = Load(creep_pct=0.01, creep_s=1000.0, creep2_pct=0.02, creep2_s=50.0)
+    load.after(1e-6, 300.0)
+    expected = 0.03 * (1 - math.exp(-0.05)) + 0.06 * (1 - math.exp(-1))
+    assert load.after(50.0, 300.0) - 300.0 == pytest.approx(expected, rel=1e-4)
+
+
+def test_zero_and_gain_follow_the_cells_temperature() -> None:
+    load = Load(temperature_c=18.0, warming_c_h=2.0, zero_n_k=0.01, gain_pct_k=0.001)
+    assert load.after(0.001, 300.0) == pytest.approx(300.0, abs=1e-6)
+    assert load.after(3 * 3600.0, 300.0) == pytest.approx(300.0 + 6 * 0.01 + 300.0 * 6e-5, abs=1e-6)
+    assert load.cell.temperature_c == pytest.approx(24.0)
+
+
+def test_a_hung_weight_adds_to_the_rope() -> None:
+    load = Load()
+    load.cell.hang(294.2)
+    assert load.after(0.001, 0.0) == pytest.approx(294.2)
+    assert load.after(0.001, 1.0) == pytest.approx(295.2)
+    load.cell.hang(0.0)
+    assert load.after(0.001, 0.0) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_linearity_bows_between_zero_and_the_range() -> None:
+    load = Load(linearity_pct=0.02)
+    seen = {share: load.after(0.001, 500.0 * share) - 500.0 * share for share in (0.0, 0.25, 0.5, 1.0)}
+    assert seen == pytest.approx({0.0: 0.0, 0.25: 0.075, 0.5: 0.1, 1.0: 0.0}, abs=1e-9)
+
+
+def test_hysteresis_lies_between_rising_and_falling_load_and_needs_a_turn_of_a_tenth_of_the_range() -> None:
+    load = Load(hysteresis_pct=0.02)
+    rising = load.after(0.001, 300.0) - 300.0
+    assert load.after(0.001, 400.0) - 400.0 == pytest.approx(rising)
+    assert load.after(0.001, 399.0) - 399.0 == pytest.approx(rising + 0.05 / 50.0)  # turned around by 1 of 50 N
+    assert load.after(0.001, 300.0) - 300.0 - rising == pytest.approx(0.1)
+    assert load.after(0.001, 0.0) == pytest.approx(0.05)  # a return to zero keeps half of it

@@ -22,6 +22,7 @@ from tests.builders.synthetic import OFFSET_NS, Floats, mode_events, run, stay, 
 CHROMIUM = "/usr/bin/chromium"
 CHARTS = 8
 HOSTILE = "<script src=http://example.org/x.js></script>"
+LEARNT = "move 1: 0.019 N rms, 0.033 N in the first; learnt from 2 moves"
 _LINKS = {"src", "href", "xlink:href", "srcset", "data", "action", "poster", "background"}
 
 
@@ -42,6 +43,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
         *mode_events(records),
         Item(t_ns, t_ns + OFFSET_NS, "trip", "trip E_STOP: pressed", "", {"severity": "error"}, "events", 9),
         Item(t_ns, t_ns + OFFSET_NS, "trip_dump", "", "", {"file": "synthetic-E_STOP.mcap"}, "audit", 1),
+        Item(t_ns, t_ns + OFFSET_NS, "learnt", LEARNT, "", {"severity": "info"}, "events", 10),
         Item(t_ns + 1, t_ns + 1 + OFFSET_NS, "lease_taken", HOSTILE, HOSTILE, {}, "notes", 1),
     ]  # fmt: skip
     found = folder / "report.html"
@@ -97,6 +99,11 @@ def test_it_names_its_data_and_their_basis(page: pathlib.Path) -> None:
     assert "±0.065 %" in text  # sensor budget: 0.195 N of 300 N
     assert "synthetic-E_STOP.mcap" in text
     assert text.count("target_n: 300.0") == 1  # the whole configuration
+
+
+def test_it_lists_the_moves_that_were_learnt_from(page: pathlib.Path) -> None:
+    text = page.read_text()
+    assert text.count(LEARNT) == 2, "in the table of moves and among the events"
 
 
 def test_a_browser_shows_every_chart_asks_for_nothing_and_prints_no_blank_page(page: pathlib.Path) -> None:

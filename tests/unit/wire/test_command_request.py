@@ -38,8 +38,8 @@ def is_command(verb: Verb, payload: bytes) -> bool:
     assert isinstance(found, Request)
     assert 1 <= len(found.operator) <= 64
     assert found.operator.isprintable()
-    assert math.isfinite(found.value) or verb not in (Verb.TARGET, Verb.CONFIRM_STROKE)
-    assert math.isnan(found.value) or verb in (Verb.TARGET, Verb.CALIBRATE, Verb.CONFIRM_STROKE)
+    assert math.isfinite(found.value) or verb not in (Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE)
+    assert math.isnan(found.value) or verb in (Verb.TARGET, Verb.CALIBRATE, Verb.CONFIRM_STROKE, Verb.MOVE)
     return True
 
 
@@ -58,7 +58,8 @@ def test_any_values_under_the_right_keys(verb: Verb, operator: Any, value: Any) 
     payload = msgspec.json.encode({"operator": operator, "value": value})
     well = isinstance(operator, str) and 1 <= len(operator.strip()) <= 64 and operator.strip().isprintable()
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    needed = {Verb.TARGET: number, Verb.CONFIRM_STROKE: number, Verb.CALIBRATE: number or value is None}
+    needed = dict.fromkeys((Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE), number)
+    needed |= {Verb.CALIBRATE: number or value is None}
     fits = needed.get(verb, value is None)
     assert is_command(verb, payload) == (well and fits)
 
@@ -68,6 +69,7 @@ def test_a_lease_that_is_sent_is_a_refusal_but_for_hold(verb: Verb, lease: Any) 
     needed: dict[Verb, dict[str, Any]] = {
         Verb.TARGET: {"value": 300.0},
         Verb.CONFIRM_STROKE: {"value": 0.0},
+        Verb.MOVE: {"value": 1.0},
         Verb.GAINS: {"gain_file": "a", "name": "b"},
     }
     payload = msgspec.json.encode({"operator": "kim", "lease": lease} | needed.get(verb, {}))

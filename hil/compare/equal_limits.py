@@ -1,0 +1,205 @@
+"""The laws held to the same limits: each tuned by one optimiser for the plant as identified, then played as ever.
+
+What a published rule asks for says nothing of Ms over a family or of the command's noise, so that laws tuned by rules
+cannot be compared by their errors alone. Here every law has the same knowledge (the identified plant and its family),
+the same limits (`design.ms_max`, `design.command_noise_max_mm_s`) and the same search for the least error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+from hil.compare import identification
+from hil.compare.compared_runs import ComparedRun
+from hil.compare.comparison import WAIVER, judge
+from hil.compare.rivals import OURS
+from hil.compare.rivals.feedback import Rival
+from hil.compare.rivals.tunable import TUNABLE
+from hil.compare.tuned_laws import TunedLaw, knobs_of, tuned
+from hil.scenario.errors import ScenarioError
+from hil.scenario.play import play
+from hil.study.rows_file import RowsFile
+from rigctl.config.settings import RigSettings
+from rigctl.control.inbox import Inbox
+from rigctl.control.tension import Gains, TensionLaw
+from rigctl.design import identified
+from rigctl.design.gains import design
+from rigctl.design.identified import Identified
+from rigctl.design.knobs import knobs_for, searchable, turned
+from rigctl.design.margins import design_and_check
+from rigctl.design.plant_family import Family
+from rigctl.design.verdict import Design
+
+COMPARED = (*TUNABLE, OURS)
+GRAVITY = 9.80665
+Say = Callable[[str], None]
+
+
+class RunErrors(NamedTuple):
+    """A law in a run; None where the run did not reach its end. ``micro_g``: rms of the residual acceleration."""
+
+    eta_max_pct: float | None
+    eta_rms_pct: float | None
+    settle_s: float | None
+    micro_g: float | None
+    ended: str
+
+
+class Known(NamedTuple):
+    """A rig after its identification."""
+
+    settings: RigSettings
+    plant: Identified
+    family: Family
+
+    @classmethod
+    def of(cls, rig: RigSettings, found: Identified | None = None) -> Known:
+        """``found``: what the identification gives; None for the truth with its uncertainty."""
+        found = found or identification.identified(rig)
+        believed = searchable(identified.believing(rig, found))
+        return cls(believed, found, identified.family(believed, found))
+
+
+class EqualLimits(NamedTuple):
+    """The study: results by run and law, tunings by law and plant."""
+
+    rig: RigSettings
+    runs: tuple[ComparedRun, ...]
+    laws: tuple[str, ...]
+    outcomes: dict[tuple[str, str], RunErrors]
+    tunings: dict[tuple[str, str], TunedLaw]
+    """By run and law."""
+
+    def wins(self) -> Iterator[tuple[str, bool]]:
+        """Per run whether ours has the least rms, of the laws that reach the end."""
+        for run in self.runs:
+            ours = self.outcomes[run.name, OURS].eta_rms_pct
+            others = [self.outcomes[run.name, law].eta_rms_pct for law in self.laws if law != OURS]
+            yield run.name, ours is not None and all(other is None or ours <= other for other in others)
+
+
+def study(rig: RigSettings, runs: Sequence[ComparedRun], laws: Sequence[str], rows: RowsFile, say: Say) -> EqualLimits:
+    """Tune and play every law in every run; what ``rows`` has already is not done again.
+
+    Raises:
+        ScenarioError: the rig cannot be simulated.
+    """
+    outcomes, tunings = dict[tuple[str, str], RunErrors](), dict[tuple[str, str], TunedLaw]()
+    for law in laws:
+        base = tuning(Known.of(rig), law, rows)
+        say(f"{law}: tuned for the rig of the file, Ms {base.ms:.2f}, noise {base.command_noise_mm_s:.2f} mm/s")
+        for run in runs:
+            settings = run.settings(rig, WAIVER)
+            known = Known.of(settings)
+            tunings[run.name, law] = mine = tuning(known, law, rows, base)
+            key = f"play {run.name} {law}"
+            kept = rows.get(key) or rows.put(key, played(settings, loop_law(known, mine), run)._asdict())
+            outcomes[run.name, law] = found = RunErrors(**kept)
+            say(f"{law}: {run.name}: {_words(found)}")
+    return EqualLimits(rig, tuple(runs), tuple(laws), outcomes, tunings)
+
+
+def tuning(known: Known, law: str, rows: RowsFile, base: TunedLaw | None = None, name: str | None = None) -> TunedLaw:
+    """The tuning of a law for a rig; ``base``: that for another one, from which a local search begins.
+
+    Where the local search finds nothing within the limits, the whole range is searched. ``name``: under which it is
+    kept, the law's by default.
+    """
+    plant, mechanism = known.settings.plant, known.plant.mechanism_n_mm
+    k_m = "rigid" if mechanism is None else f"{mechanism.value:.6g}"
+    key = f"tune {name or law} {plant.stiffness_n_mm:.6g} {plant.cylinder_lag_s:.6g} {plant.command_delay_s:.6g} {k_m}"
+    kept = rows.get(key)
+    if kept is None:
+        start = base.values if base is not None and base.within else None
+        found = tuned(known.settings, known.family, law, start)
+        if not found.within and start is not None:
+            found = tuned(known.settings, known.family, law)
+        kept = rows.put(key, {name: plain(value) for name, value in found._asdict().items()})
+    return TunedLaw(
+        law, tuple(kept["values"]), kept["within"],
+        *(math.inf if kept[name] is None else kept[name] for name in ("cost", "ms", "command_noise_mm_s")),
+    )  # fmt: skip
+
+
+class LoopLaw(NamedTuple):
+    """What the loop runs: the settings it believes, our gains, and a factory where the law is not ours."""
+
+    settings: RigSettings
+    gains: Gains
+    factory: Callable[[RigSettings, Gains, Inbox], TensionLaw] | None = None
+
+
+def our_design(known: Known, values: Sequence[float]) -> tuple[RigSettings, Design]:
+    """Our law with the values of its knobs: the settings of the loop, and the judged design."""
+    used = turned(known.settings, knobs_for(known.settings), values)
+    return used, design_and_check(used, known.family)
+
+
+def loop_law(known: Known, law: TunedLaw) -> LoopLaw:
+    """A tuned law for the loop."""
+    if law.name == OURS:
+        used, designed = our_design(known, law.values)
+        return LoopLaw(used, designed.gains)
+    make = TUNABLE[law.name].make
+
+    def rival(settings: RigSettings, gains: Gains, inbox: Inbox) -> TensionLaw:
+        return Rival(settings, gains, inbox, make(settings, law.values))
+
+    return LoopLaw(known.settings, design(known.settings), rival)
+
+
+def played(settings: RigSettings, law: LoopLaw, run: ComparedRun) -> RunErrors:
+    """One run on the rig of ``settings``; the loop believes those of ``law``."""
+    try:
+        result = play(
+            settings, run.tracks, seconds=run.seconds, controller="loop", target_n=settings.tension.target_n,
+            gains=law.gains, law=law.factory, believed=law.settings,
+        )  # fmt: skip
+    except ScenarioError as error:
+        if error.exit_code != 1:
+            raise
+        return RunErrors(None, None, None, None, str(error).removeprefix(f"{settings.rig}: "))
+    found = judge(result, run, settings.tension.speed_max_mm_s)
+    return RunErrors(
+        found.eta_max_pct, found.eta_rms_pct, found.settle_s, micro_g(settings, found.eta_rms_pct), found.ended
+    )
+
+
+def micro_g(settings: RigSettings, eta_pct: float | None) -> float | None:
+    """The acceleration that an error of the vertical force gives the payload, in millionths of g."""
+    if eta_pct is None:
+        return None
+    return 1e6 * 0.01 * eta_pct * settings.tension.target_n / (settings.plant.payload_kg * GRAVITY)
+
+
+def document(found: EqualLimits) -> dict[str, Any]:
+    """Everything that is printed, for JSON."""
+    wins = dict(found.wins()) if OURS in found.laws else {}
+    return {
+        "limits": {"ms": found.rig.design.ms_max, "command_noise_mm_s": found.rig.design.command_noise_max_mm_s},
+        "scenarios": {
+            run.name: {
+                law: {
+                    **found.outcomes[run.name, law]._asdict(),
+                    **{name: plain(value) for name, value in found.tunings[run.name, law]._asdict().items()},
+                    "knobs": [knob.key for knob in knobs_of(law, found.rig)],
+                }
+                for law in found.laws
+            }
+            for run in found.runs
+        },
+        "won_by_ours": wins,
+    }
+
+
+def _words(found: RunErrors) -> str:
+    if found.eta_rms_pct is None:
+        return found.ended
+    return f"max {found.eta_max_pct:.4f}, rms {found.eta_rms_pct:.4f} %, {found.micro_g:.1f} micro-g"
+
+
+def plain(value: Any) -> Any:
+    """As a JSON value: an infinite figure becomes null."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value

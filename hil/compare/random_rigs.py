@@ -1,0 +1,163 @@
+"""Random rigs: drawn by seed, identified, designed for, played, and held against their true plants.
+
+What is drawn, each by itself: stiffness 4 to 40 N/mm and the mechanism's K_m from 6 N/mm to rigid, both uniform in the
+logarithm; drive's lag +-30 %, delay +-2 ms, friction of rail and pulley and the cell's noise from half to twice those
+of the rig file. The rig file believes the stiffness within 10 % and the rest as it stands; the identification corrects
+it. Ms of the result is that of the true plant, which the design never sees.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hil.compare import identification
+from hil.compare.compared_runs import ComparedRun
+from hil.compare.equal_limits import Known, LoopLaw, loop_law, plain, played, tuning
+from hil.compare.rivals import OURS
+from hil.compare.rivals.tunable import TUNABLE
+from hil.compare.tuned_laws import FamilyResponses, TunedLaw, judged
+from hil.plant.layout import MECHANISM
+from hil.study.planned_run import RAMP_S, SPEED_DEG_S, onwards
+from hil.study.rows_file import RowsFile
+from rigctl.config.changed_settings import changed
+from rigctl.config.settings import RigSettings
+from rigctl.design.margins import design_and_check, judge
+from rigctl.design.plant_family import Family
+
+STIFFNESS_N_MM, MECHANISM_N_MM = (4.0, 40.0), (6.0, 3000.0)
+RIGID_SHARE = 0.25
+BELIEVED_PCT, LAG_PCT, DELAY_S, TWICE = 10.0, 30.0, 0.002, 2.0
+MOVE_S = 10.0
+ASSUMED = "ours_assumed"
+"""Our law without an identification: the rig file's plant and weights, over the assumed family."""
+DEFAULT_LAWS = (OURS, ASSUMED)
+Say = Callable[[str], None]
+
+
+class RigRow(NamedTuple):
+    """A law on one rig."""
+
+    rig: int
+    law: str
+    stiffness_n_mm: float
+    mechanism_n_mm: float | None
+    ms: float | None
+    """By the true plant; None where the loop is unstable."""
+    ms_family: float | None
+    eta_max_pct: float | None
+    eta_rms_pct: float | None
+    micro_g: float | None
+    ended: str
+
+
+def drawn(rig: RigSettings, seed: int, index: int) -> tuple[RigSettings, np.random.Generator]:
+    """The rig of an index, and the generator for its identification."""
+    rng = np.random.default_rng([seed, index])
+    simulation = rig.simulation
+    assert simulation is not None  # the command refuses a rig without it
+
+    def between(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    stiffness, mechanism = between(*STIFFNESS_N_MM), between(*MECHANISM_N_MM)
+    rigid = bool(rng.random() < RIGID_SHARE)
+    scale = 1.0 + 0.01 * BELIEVED_PCT * float(rng.uniform(-1.0, 1.0))
+    believed = stiffness / scale
+    friction = between(1.0 / TWICE, TWICE)
+    rubbing = {
+        f"simulation.{name}.{key}": friction * getattr(getattr(simulation, name), key)
+        for name in ("rail", "pulley")
+        for key in ("friction_static", "friction_dynamic")
+    }
+    noise = between(1.0 / TWICE, TWICE)
+    values: Mapping[str, object] = {
+        "plant.spring_n_mm": 1.0 / (1.0 / believed - 1.0 / rig.plant.rope_n_mm),
+        "simulation.stiffness_scale": scale,
+        "simulation.lag_scale": 1.0 + 0.01 * LAG_PCT * float(rng.uniform(-1.0, 1.0)),
+        "simulation.delay_scale": max(0.0, 1.0 + DELAY_S / rig.plant.command_delay_s * float(rng.uniform(-1.0, 1.0))),
+        "simulation.mechanism.vertical_n_mm": None if rigid else mechanism,
+        "simulation.seed": index,
+        "tension_cell.noise_n": noise * rig.tension_cell.noise_n,
+        **rubbing,
+    }
+    return changed(rig, values), rng
+
+
+def scenario() -> ComparedRun:
+    """The paper's move with its break of the friction; the figures are of it."""
+    return ComparedRun(
+        name="random", title="paper move", tracks={MECHANISM: onwards(SPEED_DEG_S, MOVE_S)}, seconds=MOVE_S,
+        from_s=RAMP_S,
+    )  # fmt: skip
+
+
+def study(rig: RigSettings, count: int, seed: int, laws: Sequence[str], rows: RowsFile, say: Say) -> list[RigRow]:
+    """Every law on every rig; what ``rows`` has already is not done again.
+
+    Raises:
+        ScenarioError: a rig cannot be simulated.
+    """
+    bases = {law: tuning(Known.of(rig), law, rows) for law in laws if law != ASSUMED}
+    found = []
+    for index in range(count):
+        for law in laws:
+            key = f"rig {index} {law}"
+            kept = rows.get(key) or rows.put(key, _row(rig, seed, index, law, bases.get(law))._asdict())
+            found.append(row := RigRow(**kept))
+            say(_words(row))
+    return found
+
+
+def _row(rig: RigSettings, seed: int, index: int, law: str, base: TunedLaw | None) -> RigRow:
+    settings, rng = drawn(rig, seed, index)
+    truth = Family("true", (identification.true_plant(settings),))
+    if law == ASSUMED:
+        designed = design_and_check(settings)
+        runs, family = LoopLaw(settings, designed.gains), designed.ms_max
+    else:
+        known = Known.of(settings, identification.identified(settings, rng))
+        mine = tuning(known, law, RowsFile(None, {}), base)
+        runs, family = loop_law(known, mine), mine.ms
+    if runs.factory is None:
+        own = judge(runs.settings, runs.gains, family=truth).ms_max
+    else:
+        linear = judged(
+            runs.settings, lambda: TUNABLE[law].make(runs.settings, mine.values), FamilyResponses(runs.settings, truth)
+        )
+        own = math.inf if linear is None else linear.ms
+    outcome, plant = played(settings, runs, scenario()), identification.built(settings)
+    return RigRow(
+        index, law, plant.stiffness_n_mm, plant.mechanism_n_mm, plain(own), plain(family), outcome.eta_max_pct,
+        outcome.eta_rms_pct, outcome.micro_g, outcome.ended,
+    )  # fmt: skip
+
+
+def summary(rows: Sequence[RigRow], ms_max: float) -> dict[str, dict[str, Any]]:
+    """Per law: trips and the like, rigs beyond the limit of Ms by their true plant, medians and worst cases."""
+    return {law: _of_law([row for row in rows if row.law == law], ms_max) for law in dict.fromkeys(r.law for r in rows)}
+
+
+def _of_law(rows: Sequence[RigRow], ms_max: float) -> dict[str, Any]:
+    said: dict[str, Any] = {
+        "rigs": len(rows),
+        "ended_early": sum(row.eta_rms_pct is None for row in rows),
+        "ms_above": sum(row.ms is None or row.ms > ms_max for row in rows),
+    }
+    for name in ("ms", "eta_max_pct", "eta_rms_pct", "micro_g"):
+        values = [value for row in rows if (value := getattr(row, name)) is not None]
+        said[name] = {
+            "median": float(np.median(values)) if values else None,
+            "p95": float(np.percentile(values, 95.0)) if values else None,
+            "worst": max(values, default=None),
+        }
+    return said
+
+
+def _words(row: RigRow) -> str:
+    ms = "unstable" if row.ms is None else f"Ms {row.ms:.2f}"
+    errors = row.ended if row.eta_rms_pct is None else f"max {row.eta_max_pct:.4f}, rms {row.eta_rms_pct:.4f} %"
+    return f"rig {row.rig}, {row.law}: k {row.stiffness_n_mm:.1f} N/mm, {ms}, {errors}"

@@ -1,0 +1,1 @@
+"""The same move again and again: what learning takes away, and what dither and prediction do at the reversal."""

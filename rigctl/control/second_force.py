@@ -1,0 +1,105 @@
+"""The second way to the rope's tension: its own zero and scale, compared with the cell's tension and fused with it.
+
+The cell leads: it has the bandwidth. The second path moves it slowly,
+
+    T = T_cell + o,    do/dt = (w (T_2 - T_cell) - o) / tau
+
+with the weight ``w`` of inverse variances, so that noise and dynamics of the second path do not reach the loop. With
+two paths a difference shows that one is wrong, not which: beyond ``disagree_n`` the rig holds.
+"""
+
+from __future__ import annotations
+
+import math
+
+from rigctl.config.second_force_section import SecondForceSettings
+from rigctl.ipc.correction import Correction
+from rigctl.ipc.record import Quality
+
+_NS = 1e-9
+_INVALID = Quality.INVALID.value
+COMPARED_S = 1.0  # low-pass of the difference
+STRETCH_MM_S = 1.0  # a faster stroke is not used for a stretch: the encoders' samples are up to a millisecond apart
+
+
+class SecondForce:
+    """Reading, tension and offset of the second path, all in N.
+
+    ``reading_n``: before zero and scale; NaN without a good sample. ``offset_n``: what fusion adds to the cell's
+    tension. ``gap_n``: low-passed difference of the two tensions. ``quality``: of the newest sample, 0 good.
+    """
+
+    def __init__(self, section: SecondForceSettings) -> None:
+        self.node = section.node
+        self._stretches = section.kind == "stretch"
+        self._weight, self._fuse_s = section.weight, section.fuse_s
+        self._n_mm = section.spring_n_mm if section.spring_n_mm is not None else 1.0
+        self._largest_n = self._weight * section.disagree_n
+        self._stale_ns = section.stale_ms * 1_000_000
+        self._first_zero_n, self._scale = section.zero_n, 1.0
+        self._zero_n, self.known = section.zero_n or 0.0, section.zero_n is not None
+        self._sample = math.nan
+        self._leaving = False
+        self.reading_n = self.tension_n = math.nan
+        self.offset_n = self.gap_n = 0.0
+        self.quality = 0
+        self.in_error = self.restarted = False  # its device reports an error; it restarted, with unverified settings
+        self.t_ns, self._compared_ns = -(1 << 61), 0
+        self.fresh = False
+
+    def put(self, correction: Correction) -> None:
+        """Put another zero and scale in force; the comparison begins anew."""
+        before = self._zero_n, self._scale, self.known
+        zero_n = self._first_zero_n if correction.second_zero_n is None else correction.second_zero_n
+        self.known = zero_n is not None
+        self._zero_n, self._scale = zero_n or 0.0, correction.second_scale
+        if before != (self._zero_n, self._scale, self.known):
+            self.gap_n = self.offset_n = 0.0
+            self._compared_ns = 0
+
+    def take(self, value: float, quality: int, t_ns: int) -> None:
+        """Take a sample of its device: N of a cell, mm of an encoder."""
+        self.quality = _INVALID if self.in_error or self.restarted else quality
+        self.t_ns, self.fresh = t_ns, not self.quality
+        self._sample = value
+
+    def look(self, cell_n: float, stroke_mm: float, speed_mm_s: float, now_ns: int) -> None:
+        """Compare and fuse, once a tick; ``cell_n``: the cell's own tension."""
+        if not self.fresh:
+            if now_ns - self.t_ns > self._stale_ns:
+                self._leave(now_ns)
+            return
+        self.fresh = False
+        if not self._stretches:
+            self.reading_n = self._sample
+        elif abs(speed_mm_s) <= STRETCH_MM_S:
+            self.reading_n = (stroke_mm - self._sample) * self._n_mm
+        else:
+            self._compared_ns = now_ns
+            return
+        self.tension_n = (self.reading_n - self._zero_n) * self._scale if self.known else math.nan
+        difference_n = self.tension_n - cell_n
+        if not math.isfinite(difference_n):
+            self._leave(now_ns)
+            return
+        elapsed_s, self._leaving = self._elapsed_s(now_ns), False
+        self.gap_n += (difference_n - self.gap_n) * -math.expm1(-elapsed_s / COMPARED_S)
+        wanted_n = max(-self._largest_n, min(self._largest_n, self._weight * difference_n))
+        self.offset_n += (wanted_n - self.offset_n) * -math.expm1(-elapsed_s / self._fuse_s)
+
+    def usable(self, now_ns: int) -> bool:
+        """There is a good sample that is not stale."""
+        return not self.quality and now_ns - self.t_ns <= self._stale_ns
+
+    def _leave(self, now_ns: int) -> None:
+        """Without the second path the cell's tension stands alone again, without a step."""
+        if not self._leaving:  # the wait until it was stale is no time of the decay
+            self._leaving, self._compared_ns = True, now_ns
+        self.offset_n *= math.exp(-self._elapsed_s(now_ns) / self._fuse_s)
+        self.gap_n = 0.0
+
+    def _elapsed_s(self, now_ns: int) -> float:
+        """Since the last comparison, at most a second: time in which nothing was compared counts for nothing."""
+        elapsed_s = min(COMPARED_S, (now_ns - self._compared_ns) * _NS) if self._compared_ns else 0.0
+        self._compared_ns = now_ns
+        return elapsed_s

@@ -1,0 +1,164 @@
+"""``python -m rigctl.gateway.evaluation RUNTIME_DIR WHAT < RECORDS``: evaluates the records of a multisine.
+
+It is a process of its own because the design's libraries load slowly and the gateway must go on publishing. RECORDS are
+columns of `rigctl.gateway.excited_records` in NumPy's format. WHAT is response or margins. It answers one line of JSON:
+what the function of that name returns, or ``{"refused": "why, in one line"}``.
+"""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+from pydantic import ValidationError
+
+from rigctl.commission import measured_margins, response_entry
+from rigctl.commission.frequency_response import ComplexArray, plant_response, spectra
+from rigctl.commission.identification import IdentificationError
+from rigctl.commission.measured_margins import Controller
+from rigctl.commission.motion import Array
+from rigctl.config.settings import RigSettings
+from rigctl.control import frequency_trial, margin_probe
+from rigctl.control.estimator import filter_model
+from rigctl.control.modes import Mode
+from rigctl.control.multisine import Multisine
+from rigctl.control.tension import Gains
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+
+SAME_MM_S = 1e-9  # one period's multisine is the next one's, to rounding
+VAGUE = 0.2  # a sensitivity peak less certain than that says nothing of a limit
+LIMIT_S = 25.0  # a busy computer takes 10 s; the client waits longer
+
+
+class EvaluationError(ValueError):
+    """The records cannot be evaluated; ``str()`` says why, in one line."""
+
+
+def evaluate(runtime: Runtime, what: str, records: npt.NDArray[Any]) -> dict[str, Any]:
+    """`response` or `margins` of the daemon in this folder, in another process.
+
+    Raises:
+        EvaluationError: see there.
+    """
+    data = io.BytesIO()
+    np.save(data, records, allow_pickle=False)
+    command = [sys.executable, "-m", "rigctl.gateway.evaluation", str(runtime.directory), what]
+    try:
+        done = subprocess.run(
+            command, input=data.getvalue(), stdout=subprocess.PIPE, timeout=LIMIT_S, check=True,
+            pass_fds=runtime.descriptors,
+        )  # fmt: skip
+        answer: dict[str, Any] = msgspec.json.decode(done.stdout)
+    except subprocess.TimeoutExpired:
+        raise EvaluationError(f"the records were not evaluated within {LIMIT_S:g} s") from None
+    except (subprocess.SubprocessError, OSError, msgspec.MsgspecError) as error:
+        raise EvaluationError(f"the records could not be evaluated: {type(error).__name__}") from None
+    if "refused" in answer:
+        raise EvaluationError(str(answer["refused"]))
+    return answer
+
+
+def response(settings: RigSettings, gains: Gains, records: npt.NDArray[Any]) -> dict[str, Any]:
+    """What the records of a `FrequencyTrial` show: ``after``, ``before``, ``figures`` of an entry, and its ``text``.
+
+    Raises:
+        IdentificationError: they do not determine the plant.
+    """
+    if not len(records):
+        raise IdentificationError("the records of the excitation are not there any more")
+    measured, after = frequency_trial.measured_ticks(settings)
+    regulated = int(records["mode"][-1]) == Mode.COMPENSATING
+    part = records[-(measured + after + 2) :]
+    signal = frequency_trial.signal(settings, regulated=regulated)
+    return _judged(settings, gains, part, signal, spare=after, regulated=regulated)
+
+
+def _judged(
+    settings: RigSettings, gains: Gains, records: npt.NDArray[Any], signal: Multisine, *, spare: int, regulated: bool
+) -> dict[str, Any]:
+    found = spectra(records, signal.harmonics, signal.ticks, 1.0 / settings.loop.rate_hz, spare=spare)
+    margins = measured_margins.measure(found, settings.plant, law_response(settings, gains), measured=regulated)
+    within = records[: len(records) - spare] if spare else records
+    tension_n = float(within["tension_n"].mean())
+    figures = response_entry.figures(plant_response(found), margins, found, settings.plant) | {
+        "mode": Mode(int(records["mode"][-1])).name,
+        "tension_n": round(tension_n, 3),
+        "stroke_mm": round(float(within["stroke_mm"].mean()), 3),
+        "peak_n": round(float(np.abs(within["tension_n"] - tension_n).max()), 3),
+        "peak_mm_s": round(float(np.abs(within["excitation_mm_s"]).max()), 4),
+    }
+    return {
+        "before": response_entry.values_assumed(settings.plant),
+        "after": response_entry.values(margins.plant),
+        "figures": figures,
+        "text": response_entry.in_words(margins),
+    }
+
+
+def margins(settings: RigSettings, gains: Gains, records: npt.NDArray[Any]) -> dict[str, Any]:
+    """Sensitivity peak, its uncertainty and its frequency from the last minute of a `MarginProbe`.
+
+    Raises:
+        IdentificationError: the multisine was not at its level for long enough.
+    """
+    shape, tick_s = margin_probe.signal(settings), 1.0 / settings.loop.rate_hz
+    excitation = records["excitation_mm_s"]
+    changes = np.flatnonzero(np.abs(excitation[shape.ticks :] - excitation[: -shape.ticks]) >= SAME_MM_S)
+    steady = records[int(changes[-1]) + 1 if len(changes) else 0 :]
+    peak_mm_s = margin_probe.level(settings) * shape.peak_mm_s
+    if not len(steady) or abs(float(np.abs(steady["excitation_mm_s"]).max()) - peak_mm_s) > SAME_MM_S:
+        raise IdentificationError("the margins' multisine is not at its level")
+    part = steady[-(margin_probe.WINDOW_PERIODS * shape.ticks + 1) :]
+    found = spectra(part, shape.harmonics, shape.ticks, tick_s)
+    measured = measured_margins.measure(found, settings.plant, law_response(settings, gains))
+    if not measured.ms.error <= VAGUE:
+        raise IdentificationError(
+            f"the margins' multisine is too weak here: Ms {measured.ms.value:.2f} +- {measured.ms.error:.2f}; a larger "
+            "margins.probe_n, or `rigctl identify --response`"
+        )
+    return {"ms": measured.ms.value, "error": measured.ms.error, "peak_hz": measured.peak_hz, "periods": found.periods}
+
+
+def law_response(settings: RigSettings, gains: Gains) -> Controller:
+    """Law and filter of the running loop as a function of frequency."""
+    from rigctl.design.closed_loop import controller
+    from rigctl.design.gains import filter_gain
+
+    model = filter_model(settings)
+    law, tick_s = controller(model, gains, filter_gain(model)), 1.0 / settings.loop.rate_hz
+
+    def at(frequencies_hz: Array) -> tuple[ComplexArray, ComplexArray]:
+        per_tension, per_speed = law.response(np.exp(2j * np.pi * frequencies_hz * tick_s))
+        return per_tension, per_speed
+
+    return at
+
+
+_WHAT: dict[str, Callable[[RigSettings, Gains, npt.NDArray[Any]], dict[str, Any]]] = {
+    "response": response, "margins": margins,
+}  # fmt: skip
+
+
+def _evaluate(directory: str, what: str, data: bytes) -> dict[str, Any]:
+    from rigctl.design.gains import DesignError
+
+    runtime = Runtime(directory)
+    try:
+        active = runtime.read_json(ACTIVE)
+        settings, gains = RigSettings.model_validate(active.get("settings")), Gains(**active["design"]["gains"])
+    except (OSError, msgspec.MsgspecError, ValidationError, KeyError, TypeError):
+        return {"refused": "active.json holds no valid settings and gains to evaluate by"}
+    try:
+        return _WHAT[what](settings, gains, np.load(io.BytesIO(data), allow_pickle=False))
+    except (IdentificationError, DesignError, ArithmeticError, ValueError) as error:  # the others: no plant has these
+        return {"refused": " ".join(str(error).split())}
+
+
+if __name__ == "__main__":
+    sys.stdout.buffer.write(msgspec.json.encode(_evaluate(sys.argv[1], sys.argv[2], sys.stdin.buffer.read())))

@@ -1,0 +1,132 @@
+"""The second force path: weight, fusion, comparison, loss, and what a moving stretch may not do."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+
+import pytest
+
+from rigctl.config import rig_file as config
+from rigctl.config.second_force_section import SecondForceSettings
+from rigctl.control.second_force import COMPARED_S, SecondForce
+from rigctl.ipc.correction import Correction
+from tests.builders.paths import ROOT
+
+MS = 1_000_000
+ZEROED = Correction(second_zero_n=0.0)
+
+
+def section(**given: object) -> SecondForceSettings:
+    return SecondForceSettings.model_validate(
+        {"kind": "cell", "u_n": 0.1, "cell_u_n": 0.2, "disagree_n": 1.0, "fuse_s": 2.0} | given
+    )
+
+
+def run(path: SecondForce, second: float, cell_n: float, seconds: float, *, t_ns: int = MS, speed: float = 0.0) -> int:
+    """A sample of both each 20 ms; returns the time."""
+    for _ in range(round(seconds * 50)):
+        t_ns += 20 * MS
+        path.take(second, 0, t_ns)
+        path.look(cell_n, 0.0, speed, t_ns)
+    return t_ns
+
+
+def test_the_weight_is_that_of_inverse_variances() -> None:
+    assert section().weight == pytest.approx(0.8)
+    assert section(u_n=0.2).weight == pytest.approx(0.5)
+
+
+def test_fusion_reaches_the_weighted_mean_with_its_time_constant() -> None:
+    path = SecondForce(section())
+    path.put(ZEROED)
+    t_ns = run(path, 300.4, 300.0, 2.0)
+    assert path.offset_n == pytest.approx(0.8 * 0.4 * -math.expm1(-1.0), rel=0.02)
+    run(path, 300.4, 300.0, 20.0, t_ns=t_ns)
+    assert path.offset_n == pytest.approx(0.8 * 0.4, rel=1e-3)
+    assert path.gap_n == pytest.approx(0.4, rel=1e-6)
+
+
+def test_fusion_is_bounded_however_wrong_the_second_path_is() -> None:
+    path = SecondForce(section())
+    path.put(ZEROED)
+    run(path, 400.0, 300.0, 60.0)
+    assert path.offset_n == pytest.approx(0.8 * 1.0)
+
+
+def test_nothing_is_compared_without_a_zero() -> None:
+    path = SecondForce(section())
+    run(path, 400.0, 300.0, 5.0)
+    assert path.offset_n == path.gap_n == 0.0
+    assert math.isnan(path.tension_n)
+    assert SecondForce(section(zero_n=5.0)).known
+
+
+def test_another_zero_begins_the_comparison_anew() -> None:
+    path = SecondForce(section())
+    path.put(ZEROED)
+    run(path, 300.9, 300.0, 5.0)
+    path.put(ZEROED)
+    assert path.gap_n > 0.8, "the same zero changes nothing"
+    path.put(Correction(second_zero_n=0.9))
+    assert path.offset_n == path.gap_n == 0.0
+
+
+def test_a_lost_path_leaves_slowly_and_the_comparison_at_once() -> None:
+    path = SecondForce(section())
+    path.put(ZEROED)
+    t_ns = run(path, 300.4, 300.0, 20.0)
+    was_n = path.offset_n
+    for _ in range(3000):
+        t_ns += MS
+        before_n = path.offset_n
+        path.look(300.0, 0.0, 0.0, t_ns)
+        assert before_n - path.offset_n < 0.001
+    assert path.offset_n == pytest.approx(was_n * math.exp(-2.5 / 2.0), rel=0.05)
+    assert path.gap_n == 0.0
+    assert not path.usable(t_ns)
+
+
+@pytest.mark.parametrize("flag", ["in_error", "restarted"])
+def test_a_device_in_error_is_not_believed(flag: str) -> None:
+    path = SecondForce(section())
+    path.put(ZEROED)
+    setattr(path, flag, True)
+    run(path, 400.0, 300.0, 5.0)
+    assert path.quality != 0
+    assert path.gap_n == 0.0
+
+
+def test_a_stretch_is_used_near_rest_only_and_a_pause_counts_for_nothing() -> None:
+    path = SecondForce(section(kind="stretch", spring_n_mm=6.0))
+    path.put(Correction(second_zero_n=0.0))
+    t_ns = run(path, -50.1, 300.0, 5.0, speed=5.0)
+    assert path.gap_n == 0.0
+    t_ns = run(path, -50.1, 300.0, 0.1, t_ns=t_ns)
+    assert 0.0 < path.gap_n < 0.6 * -math.expm1(-0.15 / COMPARED_S)
+    run(path, -50.1, 300.0, 8.0, t_ns=t_ns)
+    assert path.gap_n == pytest.approx(0.6, rel=1e-2)
+
+
+SECTION = "second_force: {kind: cell, u_n: 0.1, cell_u_n: 0.2, disagree_n: 1.0}\n"
+
+
+@pytest.mark.parametrize(
+    ("given", "key", "allowed"),
+    [
+        (SECTION.replace("1.0", "0.2"), "second_force.disagree_n", "3 standard uncertainties"),
+        (SECTION.replace("cell,", "stretch,"), "second_force.spring_n_mm", "for stretch only"),
+        (SECTION.replace("cell,", "cell, spring_n_mm: 6,"), "second_force.spring_n_mm", "for stretch only"),
+        (SECTION.replace("cell,", "cell, rate_hz: 300,"), "second_force.rate_hz", "divided by 1 to 240"),
+        (SECTION.replace("cell,", "cell, node: 3,"), "second_force.node", "a node id of its own"),
+        (SECTION.replace("cell,", "cell, eds: none.eds,"), "second_force.eds", "an EDS file"),
+    ],
+)
+def test_a_section_that_does_not_fit_is_refused(tmp_path: pathlib.Path, given: str, key: str, allowed: str) -> None:
+    file = tmp_path / "rig.yaml"
+    file.write_text((ROOT / "config/paper_rig.yaml").read_text() + given)
+    (tmp_path / "eds").symlink_to(ROOT / "config/eds")
+    with pytest.raises(config.ConfigError) as error:
+        config.load(file)
+    assert key in str(error.value)
+    assert allowed in str(error.value)

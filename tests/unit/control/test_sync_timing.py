@@ -1,0 +1,52 @@
+"""Samples latched late, and a filter that knows it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rigctl.config import rig_file as config
+from rigctl.config.changed_settings import changed
+from rigctl.control.estimator import TensionFilter, filter_model
+from rigctl.control.sync_timing import SyncTiming
+from tests.builders.paths import ROOT
+
+SETTINGS = changed(config.load(ROOT / "config/paper_rig.yaml"), {"plant.spring_n_mm": 34.0})
+MODEL = filter_model(SETTINGS)
+K = SETTINGS.plant.stiffness_n_mm
+MS = 1_000_000
+
+
+def test_the_mean_offset_of_the_sync_is_no_jitter() -> None:
+    timing = SyncTiming(1e-3)
+    for n in range(100):
+        assert timing.late_s(n * MS + 120_000, n * MS) == pytest.approx(0.0, abs=1e-12)
+    assert timing.late_s(100 * MS + 620_000, 100 * MS) == pytest.approx(0.5e-3)
+    assert timing.late_s(101 * MS + 120_000, 101 * MS) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("synced_ns", [0, -5 * MS, 7 * MS])
+def test_a_tick_without_a_sync_and_an_overrun_say_nothing(synced_ns: int) -> None:
+    timing = SyncTiming(1e-3)
+    timing.late_s(100_000, 0)
+    assert timing.late_s(10 * MS + synced_ns if synced_ns else 0, 10 * MS) == 0.0
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_a_filter_that_is_told_the_jitter_is_not_disturbed_by_it(told: bool) -> None:
+    kalman, speed_mm_s = TensionFilter(replace(MODEL, gate_sigma=100.0)), 6.0  # the rope is stretched at 6 mm/s
+    kalman.reset(100.0, 0.0)
+    late = np.random.default_rng(1).uniform(-0.5e-3, 0.5e-3, 4000)
+    errors = []
+    for n, by_s in enumerate(late):
+        if told:
+            kalman.late_s = float(by_s)
+        kalman.update(100.0 + K * speed_mm_s * (n * MODEL.period_s + by_s), 0.0)
+        kalman.predict()
+        if n > 2000:
+            errors.append(kalman.state[2] - speed_mm_s)
+    assert (np.std(errors) < 1e-3) == told
+    if not told:
+        assert np.std(errors) > 0.02

@@ -1,0 +1,108 @@
+"""Margins are evaluated each minute of an excitation, beside everything else."""
+
+from __future__ import annotations
+
+import pathlib
+from typing import Any
+
+import pytest
+
+from rigctl.config import rig_file as config
+from rigctl.config.margins_section import MarginsSettings
+from rigctl.control.modes import Setting, SettingOrder
+from rigctl.gateway import margin_service
+from rigctl.gateway.evaluation import EvaluationError
+from rigctl.gateway.margin_service import AGAIN_NS, FIRST_NS, MarginService
+from rigctl.ipc.runtime_folder import Runtime
+from tests.builders.paths import ROOT
+
+PAPER = config.load(ROOT / "config/paper_rig.yaml")
+MEASURED = PAPER.model_copy(update={"margins": MarginsSettings()})
+BEGAN = 5_000_000_000
+
+
+class Excited:
+    """Stands in for the records."""
+
+    def __init__(self) -> None:
+        self.span = (0, 0)
+        self.asked: list[tuple[int, int]] = []
+
+    def between(self, after_ns: int, until_ns: int) -> str:
+        self.asked.append((after_ns, until_ns))
+        return "records"
+
+
+def orders(service: MarginService) -> list[SettingOrder]:
+    """What the evaluation that was begun finds."""
+    found = list(service.settings_due())
+    thread = service._evaluating
+    if thread is not None:
+        thread.join(10.0)
+    return [*found, *service.settings_due()]
+
+
+@pytest.fixture
+def excited() -> Excited:
+    return Excited()
+
+
+def answering(monkeypatch: pytest.MonkeyPatch, *answers: dict[str, float] | str) -> None:
+    left = list(answers)
+
+    def evaluate(_runtime: object, what: str, records: object) -> dict[str, Any]:
+        assert (what, records) == ("margins", "records")
+        answer = left.pop(0)
+        if isinstance(answer, str):
+            raise EvaluationError(answer)
+        return answer
+
+    monkeypatch.setattr(margin_service, "evaluate", evaluate)
+
+
+def test_each_minute_of_an_excitation_gives_the_loop_its_margins(
+    excited: Excited, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answering(monkeypatch, {"ms": 1.4, "error": 0.02}, {"ms": 1.5, "error": 0.03})
+    service = MarginService(Runtime(tmp_path), MEASURED, excited)  # type: ignore[arg-type]
+    assert orders(service) == []
+    excited.span = (BEGAN, BEGAN + FIRST_NS - 1)
+    assert orders(service) == []
+    excited.span = (BEGAN, BEGAN + FIRST_NS)
+    assert orders(service) == [(Setting.MARGINS, (1.4, 0.02))]
+    assert excited.asked == [(BEGAN, BEGAN + FIRST_NS)]
+    excited.span = (BEGAN, BEGAN + FIRST_NS + AGAIN_NS - 1)
+    assert orders(service) == []
+    excited.span = (BEGAN, BEGAN + FIRST_NS + AGAIN_NS)
+    assert orders(service) == [(Setting.MARGINS, (1.5, 0.03))]
+    assert len(excited.asked) == 2
+
+
+def test_what_stops_it_is_said_once(
+    excited: Excited, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    answering(monkeypatch, "too weak", "too weak", {"ms": 1.4, "error": 0.02}, "too weak")
+    service, now = MarginService(Runtime(tmp_path), MEASURED, excited), BEGAN + FIRST_NS  # type: ignore[arg-type]
+    for _ in range(4):
+        excited.span = (BEGAN, now)
+        orders(service)
+        now += AGAIN_NS
+    assert capsys.readouterr().err == "gateway: margins not measured: too weak\n" * 2
+
+
+def test_a_new_excitation_begins_a_new_window(
+    excited: Excited, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answering(monkeypatch, {"ms": 1.4, "error": 0.02})
+    service = MarginService(Runtime(tmp_path), MEASURED, excited)  # type: ignore[arg-type]
+    excited.span = (BEGAN, BEGAN + FIRST_NS - 1)
+    assert orders(service) == []
+    again = BEGAN + FIRST_NS
+    excited.span = (again, again + FIRST_NS // 2)
+    assert orders(service) == []
+
+
+def test_without_the_section_nothing_is_evaluated(excited: Excited, tmp_path: pathlib.Path) -> None:
+    excited.span = (BEGAN, BEGAN + 10 * FIRST_NS)
+    assert orders(MarginService(Runtime(tmp_path), PAPER, excited)) == []  # type: ignore[arg-type]
+    assert excited.asked == []
