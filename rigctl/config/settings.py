@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import math
 import pathlib
-from typing import Annotated
 
 from pydantic import Field, model_validator
 
 from rigctl.config import layout
 from rigctl.config.address import is_address
 from rigctl.config.bounds import findings
-from rigctl.config.canopen import SIMULATOR_NODE, VELOCITY_ACTUAL, VELOCITY_ACTUAL_16
+from rigctl.config.canopen import SIMULATOR_NODE
 from rigctl.config.compensation_section import CompensationSettings
+from rigctl.config.cylinder_section import CylinderSettings
+from rigctl.config.design_section import DesignSettings
+from rigctl.config.estimator_section import EstimatorSettings
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.config.margins_section import MarginsSettings
@@ -24,17 +26,14 @@ from rigctl.config.page_section import PageSettings
 from rigctl.config.plain import PlainMessage
 from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.second_force_section import SecondForceSettings
-from rigctl.config.settings_base import CanopenDevice, Hexadecimal, Settings, require
+from rigctl.config.settings_base import CanopenDevice, NodeId, Settings, require
 from rigctl.config.signals import STATUS, WATCHED
 from rigctl.config.simulation_section import SimulationSettings
 from rigctl.config.telemetry_section import TelemetrySettings
 
 ADDED = frozenset({"directory", "plain"})  # settings that ``load`` adds to those of the file
-_LARGEST_RAW = 2**31 - 1  # 0x6064, 0x60FF are INTEGER32
 _TEMPERATURE_HZ, _MOST_SYNCS = 5, 240  # a cell takes minutes to warm; most SYNCs of a transmission type
 _SDO_TRANSFERS = 100  # most transfers of a device at start-up, with room
-PdoNumber = Annotated[int, Field(ge=1, le=4, description="number of the PDO")]
-NodeId = Annotated[int, Field(ge=1, le=127, description="CANopen node id")]
 
 
 class LoopSettings(Settings):
@@ -164,92 +163,6 @@ class LearningSettings(Settings):
     same_deg: float = Field(default=0.3, gt=0, le=10, description="inclination beyond the last move's: another move")
 
 
-class CylinderSettings(CanopenDevice):
-    """Electric cylinder's drive, CiA 402, cyclic synchronous velocity."""
-
-    node: NodeId = 4
-    eds: str = Field(default="eds/cylinder_drive.eds", description="EDS file, relative to the rig file")
-    heartbeat_timeout_ms: int = Field(ge=10, le=1000, description="drive's consumer heartbeat time (0x1016)")
-    command_deadline_ms: int = Field(ge=5, le=1000, description="drive's RPDO deadline (0x1400:05)")
-    stop_deceleration_mm_s2: float = Field(gt=0, le=10_000, description="quick stop deceleration (0x6085)")
-    brake_delay_ms: int = Field(
-        default=100, ge=0, le=1000, description="time the brake takes to close; no arming before it has passed"
-    )
-    brake_test: bool = Field(
-        default=True, description="arming a loaded rope waits 2 s on the closed brake, the stroke must not move"
-    )
-    stroke_min_mm: float = Field(ge=-2000, le=2000, description="lowest stroke commanded (positive = shorter rope)")
-    stroke_max_mm: float = Field(ge=-2000, le=2000, description="highest stroke commanded")
-    status_rate_hz: int | None = Field(
-        default=None, ge=5, le=100, description="current, temperature, inputs, at least so often; null = not asked for"
-    )
-    rated_current_a: float | None = Field(
-        default=None, gt=0, le=1000, description="motor's, as its drive has it (0x6075); needed with status_rate_hz"
-    )
-    e_stop_input: int | None = Field(
-        default=None, ge=0, le=31, description="bit of the digital inputs (0x60FD), 0 = pressed; null = none fitted"
-    )
-    absolute_encoder: bool = Field(
-        default=True, description="keeps its position without power; false = the stroke is confirmed at every start"
-    )
-    stroke_waiver: str | None = Field(
-        default=None, min_length=10, description="why a start may arm on a stroke that is not the last known, in words"
-    )
-
-    position_pdo: PdoNumber = Field(default=1, description="TPDO with statusword and position (0x6041, 0x6064)")
-    velocity_pdo: PdoNumber = Field(default=1, description="TPDO with velocity_object")
-    status_pdo: PdoNumber = Field(default=2, description="TPDO with current, temperature, inputs")
-    velocity_object: Hexadecimal = Field(
-        default=VELOCITY_ACTUAL_16,
-        description='"0x2044" (16 bits, 10 um/s) or "0x606C" (32 bits, in another TPDO)',
-    )
-    temperature_object: Hexadecimal | None = Field(
-        default=0x2045, ge=0x2000, lt=0x6000, description="drive temperature, 16 bits, 0.1 deg C; null = it has none"
-    )
-    increments_per_mm: float | None = Field(
-        default=None, ge=100, le=1e7, description="position units (0x6064) per mm; null = by lead_mm or 0x60A8"
-    )
-    lead_mm: float | None = Field(
-        default=None, gt=0, le=1000, description="stroke per turn of the shaft: scale by 0x6092; null = not by it"
-    )
-    speed_units_per_mm_s: float | None = Field(
-        default=None, ge=20, le=1e7, description="units of 0x606C, 0x60FF per mm/s; null = as position, or 0x60A9"
-    )
-    ramp_units_per_mm_s2: float | None = Field(
-        default=None, ge=0.1, le=1e7, description="units of 0x6085 per mm/s2; null = as speed"
-    )
-
-    @model_validator(mode="after")
-    def _values_fit_their_frames(self) -> CylinderSettings:
-        known = self.velocity_object in (VELOCITY_ACTUAL_16, VELOCITY_ACTUAL)
-        require(known, "velocity_object", f"0x{self.velocity_object:X}", "0x2044 or 0x606C")
-        wide, position = self.velocity_object == VELOCITY_ACTUAL, self.position_pdo
-        fits = not wide or self.velocity_pdo != position
-        allowed = f"another than position_pdo ({position}): status, position and 0x606C are 10 bytes"
-        require(fits, "velocity_pdo", self.velocity_pdo, allowed)
-        own = self.status_rate_hz is None or self.status_pdo not in (position, self.velocity_pdo)
-        require(own, "status_pdo", self.status_pdo, "a PDO of its own")
-        if self.increments_per_mm is not None:
-            farthest = max(abs(self.stroke_min_mm), abs(self.stroke_max_mm))
-            most = _LARGEST_RAW / farthest if farthest else _LARGEST_RAW
-            found = self.increments_per_mm
-            require(found <= most, "increments_per_mm", found, f"up to {most:g}: the stroke's end fits in 32 bits")
-        return self
-
-    @model_validator(mode="after")
-    def _stroke_has_length(self) -> CylinderSettings:
-        low, high = self.stroke_min_mm, self.stroke_max_mm
-        require(low < high, "stroke_min_mm", low, f"below stroke_max_mm ({high:g})")
-        return self
-
-    @model_validator(mode="after")
-    def _status_is_complete(self) -> CylinderSettings:
-        rate, current, stop = self.status_rate_hz, self.rated_current_a, self.e_stop_input
-        require(rate is None or current is not None, "rated_current_a", current, "a current, with status_rate_hz")
-        require(rate is not None or stop is None, "e_stop_input", stop, "none without status_rate_hz")
-        return self
-
-
 class PlantSettings(Settings):
     """The plant as assumed by estimator and design."""
 
@@ -289,102 +202,6 @@ class TensionSettings(Settings):
             low <= self.target_n <= high, "target_n", self.target_n, f"{low:g} to {high:g} (target_min_n to _max_n)"
         )
         return self
-
-
-class EstimatorSettings(Settings):
-    """Noise the Kalman filter assumes beside the cell's (spectral densities: per square root of a second)."""
-
-    speed_noise_mm_s: float = Field(gt=0, le=100, description="drive speed measurement, rms")
-    cell_noise_scale: float = Field(default=1.0, gt=0, le=1000, description="cell noise assumed / tension_cell.noise_n")
-    tension_walk_n: float = Field(gt=0, le=1000, description="process noise of tension, N/sqrt(s)")
-    speed_walk_mm_s: float = Field(gt=0, le=1000, description="process noise of drive speed, mm/s/sqrt(s)")
-    disturbance_walk_mm_s: float = Field(
-        gt=0, le=10_000, description="process noise of disturbance speed, mm/s/sqrt(s)"
-    )
-    swing_hz: float | None = Field(
-        default=None, gt=0, le=100, description="the disturbance swings at this frequency, null = it only walks"
-    )
-    swing_damping: float = Field(default=0.05, ge=0, le=1000, description="of critical, of that swing")
-    acceleration_walk_mm_s2: float = Field(
-        default=30.0, gt=0, le=1e6, description="process noise of the swing's acceleration, mm/s^2/sqrt(s)"
-    )
-    quiet_tension_walk_n: float | None = Field(
-        default=None, gt=0, le=1000, description="tension_walk_n while the innovations are small, null = the same"
-    )
-    quiet_disturbance_walk_mm_s: float | None = Field(
-        default=None, gt=0, le=10_000, description="the same of disturbance_walk_mm_s"
-    )
-    quiet_acceleration_walk_mm_s2: float | None = Field(
-        default=None, gt=0, le=1e6, description="the same of acceleration_walk_mm_s2"
-    )
-    open_window_ms: float = Field(
-        default=100.0, ge=1, le=10_000, description="time constant of the mean innovation that opens a quiet filter"
-    )
-    open_sigma: float = Field(
-        default=4.0,
-        ge=1,
-        le=100,
-        description="of that mean, at which the filter begins to open; open at 1.4 times that",
-    )
-    quiet_after_ms: float = Field(default=500.0, ge=1, le=60_000, description="time constant of becoming quiet again")
-    gate_sigma: float = Field(default=5.0, ge=3, le=10, description="innovations beyond this many sigma are left out")
-    gate_speed_mm_s: float = Field(
-        default=20.0, gt=0, le=1000, description="burst of disturbance speed the gate allows for, one sigma"
-    )
-    reject_limit: int = Field(default=20, ge=2, le=1000, description="consecutive rejects of a sensor that are a fault")
-    inclination_noise_deg: float = Field(default=0.006, gt=0, le=10, description="inclinometer noise, rms")
-    inclination_walk_deg_s: float = Field(
-        default=0.3, gt=0, le=100, description="process noise of the rope's angular rate, deg/s/sqrt(s)"
-    )
-    inclination_swing_hz: float | None = Field(
-        default=None,
-        gt=0,
-        le=10,
-        description="the rope's swing, to lead its stretch by the drive's lag; null = no lead",
-    )
-    inclination_swing_walk_deg: float = Field(
-        default=0.06, gt=0, le=100, description="process noise of the angle about which it swings, deg/sqrt(s)"
-    )
-    inclination_lag_ms: float = Field(
-        default=8.0, ge=0.1, le=1000, description="time constant of the inclinometer's low-pass"
-    )
-
-    @property
-    def adapts(self) -> bool:
-        """There is a quiet setting beside the open one."""
-        return not (
-            self.quiet_tension_walk_n is None
-            and self.quiet_disturbance_walk_mm_s is None
-            and self.quiet_acceleration_walk_mm_s2 is None
-        )
-
-
-class DesignSettings(Settings):
-    """Weights of the linear-quadratic design and the robustness it must show."""
-
-    stretch_weight: float = Field(gt=0, le=1e9, description="cost of tension error as stretch, 1/mm^2")
-    integral_weight: float = Field(gt=0, le=1e9, description="cost of that stretch's integral, 1/(mm s)^2")
-    command_weight: float = Field(gt=0, le=1e9, description="cost of commanded speed about the feed-forward, s^2/mm^2")
-    ms_max: float = Field(default=1.6, gt=1, le=10, description="highest sensitivity peak over the family")
-    command_noise_max_mm_s: float = Field(
-        default=0.5,
-        gt=0,
-        le=100,
-        description="rms of the command from the cell's noise that an optimised design may have",
-    )
-    waiver: str | None = Field(default=None, min_length=10, description="why a design above ms_max may run, in words")
-    gains_file: str | None = Field(default=None, min_length=1, description="from `rigctl tune --gains`, null = none")
-    identify_days: int = Field(default=180, ge=1, le=3650, description="an identification is believed for this long")
-    identified_error_factor: float = Field(
-        default=2.0,
-        ge=1,
-        le=10,
-        description="family about an identified plant: times the 95 % uncertainty, at least ...",
-    )
-    identified_stiffness_pct: float = Field(default=3.0, ge=0, le=50, description="... this share of the stiffness")
-    identified_lag_pct: float = Field(default=10.0, ge=0, le=80, description="... this share of the drive's lag")
-    identified_delay_ms: float = Field(default=0.5, ge=0, le=50, description="... this much of the drive's delay")
-    identified_mechanism_pct: float = Field(default=20.0, ge=0, le=80, description="... this share of K_m")
 
 
 class SafetySettings(Settings):

@@ -17,6 +17,8 @@ def _from_hexadecimal(value: object) -> object:
 
 Hexadecimal = Annotated[int, BeforeValidator(_from_hexadecimal)]
 """A number given in hexadecimal by data sheets: quoted, as strict YAML has no such numbers, or an integer."""
+PdoNumber = Annotated[int, Field(ge=1, le=4, description="number of the PDO")]
+NodeId = Annotated[int, Field(ge=1, le=127, description="CANopen node id")]
 
 
 class Settings(BaseModel):

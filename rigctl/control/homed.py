@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rigctl.config.settings import CylinderSettings
+from rigctl.config.cylinder_section import CylinderSettings
 
 TOLERANCE_MM = 0.5
 GAP_NS = 100_000_000  # over a longer gap the speed does not predict the stroke
