@@ -6,7 +6,6 @@ one line of JSON: ``{"design": ...}`` as in ``active.json``, or ``{"refused": "w
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from typing import Any
 
@@ -14,9 +13,8 @@ import msgspec
 from pydantic import ValidationError
 
 from rigctl.config.settings import RigSettings
+from rigctl.ipc.calculation import calculate
 from rigctl.ipc.runtime_folder import Runtime
-
-LIMIT_S = 25.0  # a busy computer takes 15 s; the client waits 30 s
 
 
 class NotAdmittedError(ValueError):
@@ -29,19 +27,9 @@ def admit(runtime: Runtime, text: str, name: str) -> dict[str, Any]:
     Raises:
         NotAdmittedError: it is not a gain file, not for this rig, or its margins are refused.
     """
-    command = [sys.executable, "-m", "rigctl.design.admission", str(runtime.directory), name]
-    try:
-        done = subprocess.run(
-            command, input=text.encode(), stdout=subprocess.PIPE, timeout=LIMIT_S, check=True,
-            pass_fds=runtime.descriptors,
-        )  # fmt: skip
-        answer: dict[str, Any] = msgspec.json.decode(done.stdout)
-    except subprocess.TimeoutExpired:
-        raise NotAdmittedError(f"the gains were not judged within {LIMIT_S:g} s") from None
-    except (subprocess.SubprocessError, OSError, msgspec.MsgspecError) as error:
-        raise NotAdmittedError(f"the gains could not be judged: {type(error).__name__}") from None
-    if "refused" in answer:
-        raise NotAdmittedError(str(answer["refused"]))
+    answer = calculate(
+        runtime, "rigctl.design.admission", name, text.encode(), done=("the gains", "judged"), refusal=NotAdmittedError
+    )
     return dict(answer["design"])
 
 

@@ -8,7 +8,6 @@ what the function of that name returns, or ``{"refused": "why, in one line"}``.
 from __future__ import annotations
 
 import io
-import subprocess
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -29,11 +28,11 @@ from rigctl.control.estimator import filter_model
 from rigctl.control.modes import Mode
 from rigctl.control.multisine import Multisine
 from rigctl.control.tension import Gains
+from rigctl.ipc.calculation import calculate
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 
 SAME_MM_S = 1e-9  # one period's multisine is the next one's, to rounding
 VAGUE = 0.2  # a sensitivity peak less certain than that says nothing of a limit
-LIMIT_S = 25.0  # a busy computer takes 10 s; the client waits longer
 
 
 class EvaluationError(ValueError):
@@ -48,20 +47,10 @@ def evaluate(runtime: Runtime, what: str, records: npt.NDArray[Any]) -> dict[str
     """
     data = io.BytesIO()
     np.save(data, records, allow_pickle=False)
-    command = [sys.executable, "-m", "rigctl.gateway.evaluation", str(runtime.directory), what]
-    try:
-        done = subprocess.run(
-            command, input=data.getvalue(), stdout=subprocess.PIPE, timeout=LIMIT_S, check=True,
-            pass_fds=runtime.descriptors,
-        )  # fmt: skip
-        answer: dict[str, Any] = msgspec.json.decode(done.stdout)
-    except subprocess.TimeoutExpired:
-        raise EvaluationError(f"the records were not evaluated within {LIMIT_S:g} s") from None
-    except (subprocess.SubprocessError, OSError, msgspec.MsgspecError) as error:
-        raise EvaluationError(f"the records could not be evaluated: {type(error).__name__}") from None
-    if "refused" in answer:
-        raise EvaluationError(str(answer["refused"]))
-    return answer
+    return calculate(
+        runtime, "rigctl.gateway.evaluation", what, data.getvalue(), done=("the records", "evaluated"),
+        refusal=EvaluationError,
+    )  # fmt: skip
 
 
 def response(settings: RigSettings, gains: Gains, records: npt.NDArray[Any]) -> dict[str, Any]:

@@ -6,13 +6,13 @@ import pathlib
 
 import pytest
 
-from rigctl.design import admission
 from rigctl.design.admission import NotAdmittedError, admit
+from rigctl.ipc import calculation
 from rigctl.ipc.runtime_folder import Runtime
 
 
 def test_a_gate_that_takes_too_long_refuses_in_words(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(admission, "LIMIT_S", 0.01)
+    monkeypatch.setattr(calculation, "LIMIT_S", 0.01)
     with pytest.raises(NotAdmittedError, match=r"the gains were not judged within 0\.01 s"):
         admit(Runtime(tmp_path), "", "a.gains.yaml")
 
