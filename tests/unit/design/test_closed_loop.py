@@ -12,7 +12,7 @@ from rigctl.control import estimator
 from rigctl.control.estimator import Array, TensionFilter, filter_model
 from rigctl.control.opening import Opening
 from rigctl.control.tension import Estimate, TensionLaw
-from rigctl.design.closed_loop import closed_loop, controller
+from rigctl.design.closed_loop import ClosedLoop, closed_loop, controller
 from rigctl.design.gains import OPEN, QUIET, design, filter_gain, filter_gains
 from rigctl.design.plant_family import Member, member
 
@@ -50,6 +50,16 @@ def _impulse_of_the_objects(settings: RigSettings, plant: Member, channel: int, 
     return np.array(rows)
 
 
+def _impulse_of_the_model(loop: ClosedLoop, channel: int, ticks: int) -> list[tuple[float, float]]:
+    """The same of the linear loop."""
+    state = loop.b[:, channel] * SMALL[channel]
+    found = [(0.0, 0.0)]
+    for _ in range(ticks - 1):
+        found.append((float(state[0]), float(loop.command @ state)))
+        state = loop.a @ state
+    return found
+
+
 @pytest.mark.parametrize("channel", [0, 1, 2], ids=["cell noise", "speed noise", "disturbance"])
 @pytest.mark.parametrize(
     ("rate_hz", "k_m", "k_scale", "delay_scale"),
@@ -70,11 +80,7 @@ def test_margins_describe_the_code_that_runs(
     model = filter_model(settings)
     plant = member(settings, k_m, k_scale, delay_scale)
     loop = closed_loop(plant, controller(model, design(settings), filter_gain(model)))
-    state = loop.b[:, channel] * SMALL[channel]
-    expected = [(0.0, 0.0)]
-    for _ in range(999):
-        expected.append((float(state[0]), float(loop.command @ state)))
-        state = loop.a @ state
+    expected = _impulse_of_the_model(loop, channel, 1000)
     real = _impulse_of_the_objects(settings, plant, channel, 1000)
     # 1e-6 of the largest value: the filter's gain has not quite settled, and rounding beside 300 N.
     assert np.allclose(real, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max(axis=0))
@@ -92,11 +98,7 @@ def test_margins_of_each_setting_describe_the_code_that_runs(
     gains = filter_gains(model)
     loop = closed_loop(plant, controller(model, design(settings), level * gains[OPEN] + (1.0 - level) * gains[QUIET]))
     for channel in range(3):
-        state = loop.b[:, channel] * SMALL[channel]
-        expected = [(0.0, 0.0)]
-        for _ in range(499):
-            expected.append((float(state[0]), float(loop.command @ state)))
-            state = loop.a @ state
+        expected = _impulse_of_the_model(loop, channel, 500)
         real = _impulse_of_the_objects(settings, plant, channel, 500)
         # The two Riccati solutions agree to 1e-8; rounding beside 300 N.
         assert np.allclose(real, expected, rtol=0.0, atol=1e-5 * np.abs(expected).max(axis=0))
