@@ -68,6 +68,7 @@ def judge(
     worst = [_worst(each) for each in zip(*found.values(), strict=True)]
     margins, reported = tuple(worst[: len(members)]), tuple(worst[len(members) :])
     of_file = [at for at, plant in enumerate(members) if plant.k_m == settings.plant.mechanism_n_mm]
+    of_file = of_file or list(range(len(members)))  # a family of other mechanisms: then each of them counts
     own = all(margins[at].stable for at in of_file)
     switching = None
     if QUIET in laws and all(member.stable for member in margins):

@@ -12,7 +12,7 @@ from rigctl.control.estimator import filter_model
 from rigctl.design.closed_loop import closed_loop
 from rigctl.design.gains import OPEN, QUIET, design, filter_gains
 from rigctl.design.margins import controllers, design_and_check
-from rigctl.design.plant_family import member
+from rigctl.design.plant_family import Family, member
 from rigctl.design.switching import _joined, circle_margins, common_lyapunov
 
 Rig = Callable[..., RigSettings]
@@ -84,3 +84,14 @@ def test_the_settings_share_the_column_of_the_speed(rig: Rig) -> None:
     gains = filter_gains(filter_model(rig(estimator=SWING)))
     np.testing.assert_array_equal(gains[OPEN][:, 1], gains[QUIET][:, 1])
     assert not np.allclose(gains[OPEN][:, 0], gains[QUIET][:, 0])
+
+
+@pytest.mark.parametrize(("k_scale", "accepted"), [(1.0, True), (30.0, False)])
+def test_a_family_of_other_mechanisms_than_the_files_counts_whole_for_a_waiver(
+    rig: Rig, k_scale: float, accepted: bool
+) -> None:
+    """A plant thirty times as stiff is unstable with these gains; no waiver excuses that."""
+    settings = rig(estimator=SWING, design={"ms_max": 1.01, "waiver": "more than the law can bear"})
+    found = design_and_check(settings, Family("true", (member(settings, 20.0, k_scale),)))
+    assert found.waiver is not None
+    assert found.accepted == accepted
