@@ -26,8 +26,10 @@ SIZE_INCHES, DOTS_PER_INCH = (12.0, 13.0), 110
 NYQUIST_WINDOW = (-2.9, 2.0, -1.8, 1.2)  # real and imaginary part; L itself goes to infinity at low frequency
 SHOWN_DB, SHOWN_DEG = (-60.0, 60.0), (-540.0, 120.0)
 SHOWN_HZ = 0.02
+SAME = 5e-4  # scales nearer to 1 print as 1
 # Okabe and Ito: distinct for colour-blind readers and in print
-COLOURS = ("#0072B2", "#56B4E9", "#009E73", "#E69F00", "#CC79A7", "#D55E00")
+WORST = "#D00000"
+COLOURS = ("#0072B2", "#56B4E9", "#009E73", "#E69F00", "#CC79A7", "#8A6D3B")
 
 
 @dataclass(frozen=True)
@@ -39,12 +41,15 @@ class Curve:
     answer: Responses
     colour: str
     nominal: bool  # the plant in the file, unscaled
+    worst: bool  # that of the largest sensitivity peak
 
     def plot(self, axis: Axes, x: Array, y: Array) -> None:
-        """A line in this plant's style: the nominal one thick and black, doubled delay dashed, unstable dotted."""
+        """A line in this plant's style: nominal thick and black, worst red, delay doubled dashed, unstable dotted."""
         style = ":" if not self.margins.stable else "--" if self.plant.delay_scale > 1 else "-"
         if self.nominal:
             axis.plot(x, y, color="black", linestyle=style, linewidth=2.4, zorder=5)
+        elif self.worst:
+            axis.plot(x, y, color=WORST, linestyle=style, linewidth=1.8, zorder=4)
         else:
             axis.plot(x, y, color=self.colour, linestyle=style, linewidth=0.8, alpha=0.8)
 
@@ -63,8 +68,9 @@ def draw(settings: RigSettings, found: Design, file: pathlib.Path, family: Famil
     answers = responses(members, law, hz[:-1], model.period_s)  # at Nyquist itself a phase is 0 or 180 by rounding
     colours = dict(zip(dict.fromkeys(plant.k_m for plant in members), COLOURS, strict=False))
     own = _nearest(members, settings.plant.mechanism_n_mm)
+    worst = max(found.margins, key=lambda margins: margins.ms_worst)
     curves = [
-        Curve(plant, margins, answer, colours[plant.k_m], plant is own)
+        Curve(plant, margins, answer, colours[plant.k_m], plant is own, margins is worst)
         for plant, margins, answer in zip(members, found.margins, answers, strict=True)
     ]
     figure = Figure(figsize=SIZE_INCHES, layout="constrained")
@@ -156,6 +162,7 @@ def _frequency_axis(axis: Axes, title: str) -> None:
 def _legend(curves: list[Curve]) -> list[Line2D]:
     nominal = next(curve for curve in curves if curve.nominal)
     handles = [Line2D([], [], color="black", linewidth=2.4, label="plant in the file")]
+    handles.append(_worst_in_words(next(curve for curve in curves if curve.worst)))
     seen: dict[float | None, str] = {curve.plant.k_m: curve.colour for curve in curves}
     for k_m, colour in seen.items():
         handles.append(Line2D([], [], color=colour, label="rigid" if k_m is None else f"K_m {k_m:.4g} N/mm"))
@@ -165,3 +172,13 @@ def _legend(curves: list[Curve]) -> list[Line2D]:
     if not all(curve.margins.stable for curve in curves):
         handles.append(Line2D([], [], color="grey", linestyle=":", label="unstable"))
     return handles
+
+
+def _worst_in_words(curve: Curve) -> Line2D:
+    plant, margins = curve.plant, curve.margins
+    k_m = "rigid" if plant.k_m is None else f"K_m {plant.k_m:.3g}"
+    scales = {"k": plant.k_scale, "lag": plant.lag_scale, "delay": plant.delay_scale}
+    scaled = "".join(f", {name} x {scale:.3g}" for name, scale in scales.items() if abs(scale - 1.0) > SAME)
+    ms = f"Ms {margins.ms_worst:.3f}" if margins.stable else "unstable"
+    colour, width = ("black", 2.4) if curve.nominal else (WORST, 1.8)
+    return Line2D([], [], color=colour, linewidth=width, label=f"worst plant ({k_m}{scaled}): {ms}")
