@@ -1,4 +1,5 @@
-"""``python -m tests.bench [--json F] [--seconds S] [--rates R ...]``; ``telemetry|holds|access|report --help``."""
+"""``python -m tests.bench [--json F] [--seconds S] [--rates R ...]``;
+``access|holds|margins|report|telemetry --help``."""
 
 from __future__ import annotations
 
@@ -7,6 +8,7 @@ import json
 import pathlib
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 from rich.console import Console
@@ -16,8 +18,16 @@ from rigctl.cli import bench
 from rigctl.cli.progress import progress
 from rigctl.config import rig_file as config
 from rigctl.demo.lockstep import play_lockstep
-from tests.bench import access, holds, plant, report, telemetry
+from tests.bench import access, holds, margins, plant, report, telemetry
 from tests.builders import daemons
+
+FIGURES: dict[str, Callable[[list[str]], int]] = {
+    "access": access.main,
+    "holds": holds.main,
+    "margins": margins.main,
+    "report": report.main,
+    "telemetry": telemetry.main,
+}
 
 
 def measure_lockstep() -> float:
@@ -41,14 +51,8 @@ def show(measured: list[RateResult], results: dict[str, Any], console: Console) 
 
 
 def main() -> int:
-    if sys.argv[1:2] == ["telemetry"]:
-        return telemetry.main(sys.argv[2:])
-    if sys.argv[1:2] == ["access"]:
-        return access.main(sys.argv[2:])
-    if sys.argv[1:2] == ["holds"]:
-        return holds.main(sys.argv[2:])
-    if sys.argv[1:2] == ["report"]:
-        return report.main(sys.argv[2:])
+    if sys.argv[1:2] and (figure := FIGURES.get(sys.argv[1])) is not None:
+        return figure(sys.argv[2:])
     parser = argparse.ArgumentParser(prog="python -m tests.bench", description=__doc__)
     parser.add_argument("--json", type=pathlib.Path, help="write the figures here")
     parser.add_argument("--seconds", type=float, default=30.0, help="of loop per rate, and as much of cyclictest")
