@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from enum import IntFlag
@@ -135,7 +136,7 @@ class FieldValue:
             return math.inf, -math.inf
         bound = limit if self._factor == 1.0 else limit / self._factor  # an int is compared with an int faster
         if abs(self._factor) != 1.0:
-            bound -= math.copysign(abs(bound) * ROUNDING, self._factor)
+            bound -= math.copysign(abs(bound) * ROUNDING + sys.float_info.min, self._factor)  # below it, coarser
         if self._magnitude:
             return -bound, bound
         return (-math.inf, bound) if self._factor > 0.0 else (bound, math.inf)

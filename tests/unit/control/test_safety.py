@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from rigctl.config import rig_file as config
@@ -338,6 +338,8 @@ FACTORS = (1.0, -1.0, 1e-3, 1e-6, -1e-6, math.degrees(1.0), -math.degrees(1.0))
 
 
 @given(st.floats(-1e3, 1e3), st.sampled_from(FACTORS), st.booleans(), st.integers(-3, 3))
+@example(tension_n=2.5e-323, factor=math.degrees(1.0), magnitude=False, ulps=-3)  # denormal: rounded more coarsely
+@example(tension_n=1e-320, factor=1e-6, magnitude=True, ulps=-1)
 def test_a_value_above_its_limit_lies_beyond_its_range(
     tension_n: float, factor: float, magnitude: bool, ulps: int
 ) -> None:
