@@ -17,21 +17,11 @@ class EstimatorSettings(Settings):
     disturbance_walk_mm_s: float = Field(
         gt=0, le=10_000, description="process noise of disturbance speed, mm/s/sqrt(s)"
     )
-    swing_hz: float | None = Field(
-        default=None, gt=0, le=100, description="the disturbance swings at this frequency, null = it only walks"
-    )
-    swing_damping: float = Field(default=0.05, ge=0, le=1000, description="of critical, of that swing")
-    acceleration_walk_mm_s2: float = Field(
-        default=30.0, gt=0, le=1e6, description="process noise of the swing's acceleration, mm/s^2/sqrt(s)"
-    )
     quiet_tension_walk_n: float | None = Field(
         default=None, gt=0, le=1000, description="tension_walk_n while the innovations are small, null = the same"
     )
     quiet_disturbance_walk_mm_s: float | None = Field(
         default=None, gt=0, le=10_000, description="the same of disturbance_walk_mm_s"
-    )
-    quiet_acceleration_walk_mm_s2: float | None = Field(
-        default=None, gt=0, le=1e6, description="the same of acceleration_walk_mm_s2"
     )
     open_window_ms: float = Field(
         default=100.0, ge=1, le=10_000, description="time constant of the mean innovation that opens a quiet filter"
@@ -68,8 +58,4 @@ class EstimatorSettings(Settings):
     @property
     def adapts(self) -> bool:
         """There is a quiet setting beside the open one."""
-        return not (
-            self.quiet_tension_walk_n is None
-            and self.quiet_disturbance_walk_mm_s is None
-            and self.quiet_acceleration_walk_mm_s2 is None
-        )
+        return self.quiet_tension_walk_n is not None or self.quiet_disturbance_walk_mm_s is not None

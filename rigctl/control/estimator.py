@@ -6,10 +6,7 @@ made by the cylinder: lag of the upper point, level of the rail, motion of the p
     dT/dt = k (v + w + f),   dv/dt = (u(t - Td) - v) / tau,   dw/dt = white noise
 
 with f the part of the disturbance known from inclination (`rigctl.control.inclination.Stretch`) and run-out table; the
-law takes w + f. With ``swing_hz`` the disturbance is a swing (the rail's mass against the rope), its acceleration s a
-fourth state, and the law leads w by the drive's lag:
-
-    dw/dt = s + white noise,   ds/dt = -omega^2 w - 2 zeta omega s + white noise
+law takes w + f.
 
 With ``quiet_`` walks there are two settled gains, and `rigctl.control.opening` says how far to go from the quiet to the
 open one. They differ in the column of the tension alone: one scalar that varies in time between fixed bounds, of which
@@ -30,21 +27,21 @@ import numpy.typing as npt
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.gate import Gate
-from rigctl.control.kalman import KalmanFilter, exponential, settled_covariance
+from rigctl.control.kalman import KalmanFilter, settled_covariance
 from rigctl.control.opening import Opening, rest_variances
 
 Array = npt.NDArray[np.float64]
 
 SETTLED_GAIN = 1e-11  # change of the gain in one tick below which it counts as settled
 NEAR_GAIN = 0.02
-"""Share of a state's larger gain, within which a filter with four states or two settings takes its settled gain."""
+"""Share of a state's larger gain, within which a filter with two settings takes its settled gain."""
 _TENSION, _SPEED = slice(0, 1), slice(1, 2)  # of a measurement
 MAX_CATCH_UP = 100  # periods predicted after an overrun; longer gaps end in a fault anyway
 
 
 @dataclass(frozen=True)
 class FilterModel:
-    """Discrete model at the loop period; shapes (n, n), (n, 1), (n, n) with n = 3 or 4, and two variances."""
+    """Discrete model at the loop period; shapes (3, 3), (3, 1), (3, 3), and two variances."""
 
     f: Array
     b: Array
@@ -56,7 +53,6 @@ class FilterModel:
     gate_sigma: float = 5.0
     burst_mm_s: float = math.inf  # disturbance speed beyond the model, one sigma, for the gate
     drive_burst_mm_s: float = math.inf  # the same per tick of drive speed
-    lead_s: float = 0.0  # the law leads the disturbance speed by its acceleration over this time
     quiet_q: Array | None = None  # process noise while nothing happens; None: there is no quiet setting
     open_window_s: float = 0.1
     open_sigma: float = 4.0
@@ -67,18 +63,19 @@ def filter_model(settings: RigSettings) -> FilterModel:
     """Exact discretisation of the equations above for a command held over one period."""
     plant, noise = settings.plant, settings.estimator
     dt = 1.0 / settings.loop.rate_hz
-    walks = (noise.tension_walk_n, noise.disturbance_walk_mm_s, noise.acceleration_walk_mm_s2)
-    quiet_walks = (
-        noise.quiet_tension_walk_n or walks[0],
-        noise.quiet_disturbance_walk_mm_s or walks[1],
-        noise.quiet_acceleration_walk_mm_s2 or walks[2],
+    k, tau = plant.stiffness_n_mm, plant.cylinder_lag_s
+    a = math.exp(-dt / tau)
+    f = np.array([[1.0, k * tau * (1.0 - a), k * dt], [0.0, a, 0.0], [0.0, 0.0, 1.0]])
+    b = np.array([[k * (dt - tau * (1.0 - a))], [1.0 - a], [0.0]])
+    quiet_q = _process_noise(
+        settings,
+        noise.quiet_tension_walk_n or noise.tension_walk_n,
+        noise.quiet_disturbance_walk_mm_s or noise.disturbance_walk_mm_s,
     )
-    discrete = _walking if noise.swing_hz is None else _swinging
-    f, b, q = discrete(settings, *walks)
     return FilterModel(
         f,
         b,
-        q,
+        _process_noise(settings, noise.tension_walk_n, noise.disturbance_walk_mm_s),
         (settings.tension_cell.noise_n * noise.cell_noise_scale) ** 2,
         noise.speed_noise_mm_s**2,
         round(plant.command_delay_s / dt),
@@ -86,82 +83,45 @@ def filter_model(settings: RigSettings) -> FilterModel:
         noise.gate_sigma,
         noise.gate_speed_mm_s,
         settings.tension.acceleration_max_mm_s2 * dt,
-        0.0 if noise.swing_hz is None else plant.cylinder_lag_s,
-        discrete(settings, *quiet_walks)[2] if noise.adapts else None,
+        quiet_q if noise.adapts else None,
         noise.open_window_ms * 1e-3,
         noise.open_sigma,
         noise.quiet_after_ms * 1e-3,
     )
 
 
-def _walking(settings: RigSettings, tension_walk: float, disturbance_walk: float, _: float) -> tuple[Array, ...]:
-    """Three states: transition, input and process noise of one period."""
-    plant, noise = settings.plant, settings.estimator
-    dt = 1.0 / settings.loop.rate_hz
-    k, tau = plant.stiffness_n_mm, plant.cylinder_lag_s
-    a = math.exp(-dt / tau)
-    f = np.array([[1.0, k * tau * (1.0 - a), k * dt], [0.0, a, 0.0], [0.0, 0.0, 1.0]])
-    b = np.array([[k * (dt - tau * (1.0 - a))], [1.0 - a], [0.0]])
-    qw = disturbance_walk**2
-    q = np.diag([tension_walk**2 * dt, noise.speed_walk_mm_s**2 * dt, qw * dt])
+def _process_noise(settings: RigSettings, tension_walk: float, disturbance_walk: float) -> Array:
+    """Covariance of one period's process noise, (3, 3)."""
+    dt, k, qw = 1.0 / settings.loop.rate_hz, settings.plant.stiffness_n_mm, disturbance_walk**2
+    q = np.diag([tension_walk**2 * dt, settings.estimator.speed_walk_mm_s**2 * dt, qw * dt])
     q[0, 0] += k**2 * qw * dt**3 / 3.0
     q[0, 2] = q[2, 0] = k * qw * dt**2 / 2.0
-    return f, b, q
+    return q
 
 
-def _swinging(
-    settings: RigSettings, tension_walk: float, disturbance_walk: float, acceleration_walk: float
-) -> tuple[Array, ...]:
-    """Four states, as `_walking`; the noise by Van Loan (IEEE Trans. Automatic Control 23 (1978), 395-404)."""
-    plant, noise = settings.plant, settings.estimator
-    dt = 1.0 / settings.loop.rate_hz
-    k, lag, omega = plant.stiffness_n_mm, 1.0 / plant.cylinder_lag_s, 2.0 * math.pi * (noise.swing_hz or 0.0)
-    a = np.array(
-        [
-            [0.0, k, k, 0.0],
-            [0.0, -lag, 0.0, 0.0],
-            [0.0, 0.0, 0.0, 1.0],
-            [0.0, 0.0, -(omega**2), -2.0 * noise.swing_damping * omega],
-        ]
-    )
-    b = np.array([[0.0], [lag], [0.0], [0.0]])
-    held = exponential(np.block([[a, b], [np.zeros((1, 5))]]) * dt)
-    f = held[:4, :4]
-    white = np.diag(np.square([tension_walk, noise.speed_walk_mm_s, disturbance_walk, acceleration_walk]))
-    q = f @ exponential(np.block([[-a, white], [np.zeros((4, 4)), a.T]]) * dt)[:4, 4:]
-    return f, held[:4, 4:], 0.5 * (q + q.T)
-
-
-Row = tuple[float, float, float, float]
+Row = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class _SettledGain:
-    """Gains that no longer change, padded to four states, covariance before an update, variances of the innovations."""
+    """Gains that no longer change, covariance before an update, variances of the innovations."""
 
     tension: Row
     speed: Row
     prior: Array
     variances: tuple[float, float]
-    to_quiet: Row = (0.0, 0.0, 0.0, 0.0)  # of the tension: quiet less open
+    to_quiet: Row = (0.0, 0.0, 0.0)  # of the tension: quiet less open
     quiet_variance_n2: float = 0.0  # of the tension's innovation at rest, in the quiet setting
 
 
 def _rows(f: Array, b: Array) -> tuple[float, ...]:
-    """What is neither 0 nor 1 in a transition of the model, row by row, with the input's; 0 for a state it has not."""
-    n = len(f)
-    swing = (f.item(2, 3), f.item(3, 2), f.item(3, 3), f.item(0, 3)) if n > 3 else (0.0, 0.0, 0.0, 0.0)
-    to_speed, to_rate, rate, to_tension = swing
-    return (
-        f.item(0, 1), f.item(0, 2), to_tension, b.item(0), f.item(1, 1), b.item(1), f.item(2, 2), to_speed, to_rate,
-        rate,
-    )  # fmt: skip
+    """What is neither 0 nor 1 in a transition of the model, row by row, with the input's."""
+    return f.item(0, 1), f.item(0, 2), b.item(0), f.item(1, 1), b.item(1)
 
 
-def _padded(column: Array) -> Row:
-    """Three or four numbers as four."""
-    a, b, c, *rest = column.tolist()
-    return a, b, c, rest[0] if rest else 0.0
+def _row(column: Array) -> Row:
+    a, b, c = column.tolist()
+    return a, b, c
 
 
 def _inverse(s: Array) -> Array:
@@ -183,40 +143,36 @@ class TensionFilter:
 
     def __init__(self, model: FilterModel) -> None:
         self.model = model
-        self._n = n = len(model.f)
         noise = np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
-        self._kf = kf = KalmanFilter(np.eye(2, n), noise, _inverse)
+        self._kf = kf = KalmanFilter(np.eye(2, 3), noise, _inverse)
         kf.f, kf.b, kf.q = model.f, model.b, model.q
         self._rows = _rows(model.f, model.b[:, 0])
         self._settled: _SettledGain | None = None
         self.opening: Opening | None = None
-        self._target = self._settled_gain() if n > 3 or model.quiet_q is not None else None
-        self._x: Row = (0.0, 0.0, 0.0, 0.0)  # the state, once settled
-        self._prior: Array = np.eye(n)
+        self._target = self._settled_gain() if model.quiet_q is not None else None
+        self._x: Row = (0.0, 0.0, 0.0)  # the state, once settled
+        self._prior: Array = np.eye(3)
         self._sent: list[float] = [0.0] * (model.delay_ticks + 1)  # oldest first
         carry, forced = self._lookahead(model)
-        self._carry, self._forced = _rows(carry, np.zeros(n)), forced.T[:, :2].tolist()
+        self._carry, self._forced = _rows(carry, np.zeros(3)), forced.T[:, :2].tolist()
         self.cell = Gate(model.gate_sigma, model.f.item(0, 2) * model.burst_mm_s)
         self.drive = Gate(model.gate_sigma, model.drive_burst_mm_s)
         self.known_mm_s = 0.0
         """f: the known part of the disturbance, from inclination and run-out table."""
         self.late_s = 0.0
         """How much later than the others the samples of the next `update` were latched."""
-        self.lead_mm_s = 0.0
-        """Change of the disturbance speed over the drive's lag, of the last `ahead`; 0 with three states."""
         self.refused = 0
         self.reset(0.0, 0.0)
 
     @staticmethod
     def _lookahead(model: FilterModel) -> tuple[Array, Array]:
-        """``x(n + d) = carry x(n) + forced [u(n - d) .. u(n - 1)]``; shapes (n, n) and (n, d)."""
-        n = len(model.f)
-        carry = np.eye(n)
+        """``x(n + d) = carry x(n) + forced [u(n - d) .. u(n - 1)]``; shapes (3, 3) and (3, d)."""
+        carry = np.eye(3)
         columns: list[Array] = []
         for _ in range(model.delay_ticks):
             columns.insert(0, carry @ model.b)
             carry = model.f @ carry
-        return carry, np.hstack(columns) if columns else np.zeros((n, 0))
+        return carry, np.hstack(columns) if columns else np.zeros((3, 0))
 
     def _settled_gain(self) -> _SettledGain:
         """The settled gain from its equation, with the quiet setting's if there is one."""
@@ -228,7 +184,7 @@ class TensionFilter:
             return prior, s, np.asarray(np.linalg.solve(s, h @ prior)).T
 
         prior, s, gain = settled(model.q)
-        tension, speed, variances = _padded(gain[:, 0]), _padded(gain[:, 1]), (s.item(0, 0), s.item(1, 1))
+        tension, speed, variances = _row(gain[:, 0]), _row(gain[:, 1]), (s.item(0, 0), s.item(1, 1))
         if model.quiet_q is None:
             return _SettledGain(tension, speed, prior, variances)
         _, _, quiet = settled(model.quiet_q)
@@ -238,16 +194,16 @@ class TensionFilter:
         _, open_mean_n2 = rest_variances(model.f, gain, r, window)
         mean_n2 = max(quiet_mean_n2, open_mean_n2)  # else noise alone would keep an open filter open
         self.opening = Opening(window, model.open_sigma, model.quiet_after_s / model.period_s, mean_n2)
-        return _SettledGain(tension, speed, prior, variances, _padded(quiet[:, 0] - gain[:, 0]), variance_n2)
+        return _SettledGain(tension, speed, prior, variances, _row(quiet[:, 0] - gain[:, 0]), variance_n2)
 
     def reset(self, tension_n: float, speed_mm_s: float) -> None:
         """Start again from a measurement, with the disturbance at zero, as a slack rope does not show it."""
-        kf, n = self._kf, self._n
-        kf.x = np.zeros((n, 1))
+        kf = self._kf
+        kf.x = np.zeros((3, 1))
         kf.x[0, 0], kf.x[1, 0] = tension_n, speed_mm_s
-        kf.p = np.eye(n)
+        kf.p = np.eye(3)
         kf.p[0, 0], kf.p[1, 1] = self.model.cell_variance_n2, self.model.speed_variance_mm2_s2
-        kf.k = np.zeros((n, 1))  # so that the first gain after a reset never counts as settled
+        kf.k = np.zeros((3, 1))  # so that the first gain after a reset never counts as settled
         self._unused_gain()
         self.cell.idle()
         self.drive.idle()
@@ -262,15 +218,15 @@ class TensionFilter:
     def take_over(self, other: TensionFilter) -> None:
         """Go on from the state of another filter with this one's settled gain, wholly open.
 
-        The models may differ in stiffness and noise, not in their number of states and their delay.
+        The models may differ in stiffness and noise, not in their delay.
         """
         self._unused_gain()
         self._target = self._target or self._settled_gain()
         self._x, self._settled, self._prior = other._state(), self._target, self._target.prior
-        self._kf.x = np.array(self._x[: self._n]).reshape(self._n, 1)
+        self._kf.x = np.array(self._x).reshape(3, 1)
         self._kf.p = np.array(self._target.prior)
         self._sent[:] = other._sent
-        self.known_mm_s, self.lead_mm_s, self.refused = other.known_mm_s, other.lead_mm_s, other.refused
+        self.known_mm_s, self.refused = other.known_mm_s, other.refused
         self.cell.go_on_from(other.cell)
         self.drive.go_on_from(other.drive)
 
@@ -282,9 +238,9 @@ class TensionFilter:
     def update(self, tension_n: float | None, speed_mm_s: float | None) -> None:
         """Correct with the newest samples; ``None`` is absent, a non-finite sample is counted and skipped."""
         tension_n, speed_mm_s = self._finite(tension_n), self._finite(speed_mm_s)
-        t, v, w, a = self._state()
+        t, v, w = self._state()
         if self.late_s:  # what they moved on since the time of the state
-            _, to_tension, _, _, kept, driven, *_ = self._rows
+            _, to_tension, _, kept, driven = self._rows
             periods = self.late_s / self.model.period_s
             if tension_n is not None:
                 tension_n -= to_tension * (v + w + self.known_mm_s) * periods
@@ -305,14 +261,14 @@ class TensionFilter:
         elif self._settled is not None:
             assert y0 is not None
             assert y1 is not None
-            (kt, kv, kw, ka), (lt, lv, lw, la) = self._settled.tension, self._settled.speed
+            (kt, kv, kw), (lt, lv, lw) = self._settled.tension, self._settled.speed
             opening = self.opening
             if opening is not None:
                 opening.look(y0)
                 quiet = 1.0 - opening.level
-                dt, dv, dw, da = self._settled.to_quiet
-                kt, kv, kw, ka = kt + quiet * dt, kv + quiet * dv, kw + quiet * dw, ka + quiet * da
-            self._x = t + kt * y0 + lt * y1, v + kv * y0 + lv * y1, w + kw * y0 + lw * y1, a + ka * y0 + la * y1
+                dt, dv, dw = self._settled.to_quiet
+                kt, kv, kw = kt + quiet * dt, kv + quiet * dv, kw + quiet * dw
+            self._x = t + kt * y0 + lt * y1, v + kv * y0 + lv * y1, w + kw * y0 + lw * y1
         else:
             self._update_both(tension_n, speed_mm_s)
 
@@ -346,7 +302,7 @@ class TensionFilter:
             self._unsettle()
             kf.p = self._prior
         speed = model.burst_mm_s
-        burst = np.zeros((self._n, 1))
+        burst = np.zeros((3, 1))
         burst[0, 0], burst[2, 0] = model.f[0, 2] * speed * ticks, speed
         kf.p = kf.p + burst @ burst.T
 
@@ -355,14 +311,14 @@ class TensionFilter:
         before = kf.k
         kf.update(np.array([[tension_n], [speed_mm_s]]))
         if self._target is not None:
-            gain = np.array([self._target.tension, self._target.speed]).T[: self._n]
+            gain = np.array([self._target.tension, self._target.speed]).T
             if (np.abs(kf.k - gain) < NEAR_GAIN * np.abs(gain).max(axis=1, keepdims=True)).all():
                 self._x, self._settled = self._state(), self._target
                 return
         elif before.shape == kf.k.shape and np.abs(kf.k - before).max() < SETTLED_GAIN:
             self._x = self._state()
             self._settled = _SettledGain(
-                _padded(kf.k[:, 0]), _padded(kf.k[:, 1]), kf.p_prior, (kf.s.item(0, 0), kf.s.item(1, 1))
+                _row(kf.k[:, 0]), _row(kf.k[:, 1]), kf.p_prior, (kf.s.item(0, 0), kf.s.item(1, 1))
             )
             return
         kf.p = 0.5 * (kf.p + kf.p.T)
@@ -382,7 +338,7 @@ class TensionFilter:
         """Hand the state back to `KalmanFilter`, whose covariance is that after an update, in the open setting."""
         if self._settled is not None:
             self._prior = self._settled.prior
-            self._kf.x = np.array(self._x[: self._n]).reshape(self._n, 1)
+            self._kf.x = np.array(self._x).reshape(3, 1)
             self._unused_gain()
 
     def predict(self, periods: int = 1) -> None:
@@ -391,11 +347,11 @@ class TensionFilter:
         self.cell.pass_ticks(periods)
         self.drive.pass_ticks(periods)
         if periods == 1 and self._settled is not None:
-            t, v, w, a = self._x
+            t, v, w = self._x
             u = sent[0]
-            tv, tw, ta, tu, vv, vu, ww, wa, aw, aa = self._rows
+            tv, tw, tu, vv, vu = self._rows
             known = tw * self.known_mm_s
-            self._x = t + tv * v + tw * w + ta * a + tu * u + known, vv * v + vu * u, ww * w + wa * a, aw * w + aa * a
+            self._x = t + tv * v + tw * w + tu * u + known, vv * v + vu * u, w
             sent.append(sent[-1])
             del sent[0]
             return
@@ -408,11 +364,9 @@ class TensionFilter:
 
     def ahead(self) -> tuple[float, float, float]:
         """Tension, drive speed and whole disturbance speed, w + f, when a command sent now will act."""
-        (t, v, w, a), known = self._state(), self.known_mm_s
-        tv, tw, ta, _, vv, _, ww, wa, aw, aa = self._carry
-        tension_n, speed_mm_s = t + tv * v + tw * (w + known) + ta * a, vv * v
-        disturbance_mm_s = ww * w + wa * a + known
-        self.lead_mm_s = self.model.lead_s * (aw * w + aa * a)
+        (t, v, w), known = self._state(), self.known_mm_s
+        tv, tw, _, vv, _ = self._carry
+        tension_n, speed_mm_s, disturbance_mm_s = t + tv * v + tw * (w + known), vv * v, w + known
         for (to_tension, to_speed), command in zip(self._forced, self._sent, strict=False):
             tension_n += to_tension * command
             speed_mm_s += to_speed * command
@@ -423,17 +377,12 @@ class TensionFilter:
         self._sent[-1] = speed_mm_s
 
     def _state(self) -> Row:
-        return self._x if self._settled is not None else _padded(self._kf.x[:, 0])
+        return self._x if self._settled is not None else _row(self._kf.x[:, 0])
 
     @property
     def state(self) -> tuple[float, float, float]:
         """Tension, drive speed and disturbance speed at this tick."""
-        return self._state()[:3]
-
-    @property
-    def acceleration_mm_s2(self) -> float:
-        """Acceleration of the disturbance at this tick; 0 with three states."""
-        return self._state()[3]
+        return self._state()
 
     @property
     def level(self) -> float:
@@ -442,5 +391,5 @@ class TensionFilter:
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the state, (n, n), in the open setting."""
+        """Covariance of the state, (3, 3), in the open setting."""
         return np.array(self._kf.p)

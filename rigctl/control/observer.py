@@ -265,12 +265,12 @@ class Observer:
         snapshot.cell_nis = kalman.cell.nis
         tension_n, speed_mm_s, disturbance_mm_s = kalman.ahead()
         snapshot.disturbance_mm_s = disturbance_mm_s
-        if not math.isfinite(tension_n + speed_mm_s + disturbance_mm_s + kalman.lead_mm_s + lead_mm_s):
+        if not math.isfinite(tension_n + speed_mm_s + disturbance_mm_s + lead_mm_s):
             kalman.reset(self.tension_n, 0.0)
             raise ArithmeticError("the estimate is not finite")
         if self._run_out is not None:
             disturbance_mm_s += self._run_out.lead_mm_s
-        return Estimate(tension_n, speed_mm_s, disturbance_mm_s, inbox.stroke_mm, kalman.lead_mm_s + lead_mm_s)
+        return Estimate(tension_n, speed_mm_s, disturbance_mm_s, inbox.stroke_mm, lead_mm_s)
 
     def _latched_late_s(self) -> float:
         """How much later than usual the newest samples were latched; 0 where no SYNC latches them."""

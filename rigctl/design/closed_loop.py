@@ -1,8 +1,8 @@
 """The controller of the loop as one linear system, and that system closed around a plant.
 
 Tick n reads the sample latched in tick n - 1, corrects the state of tick n - 1, predicts it to tick n and ahead to
-the instant the command acts, and sends ``u = -w - l - K_T T - K_v (v + w) - I`` (set-point zero, no limits; l the lead
-of a swing). With the filter at a steady gain that is linear; the margins are of this system, and a test compares it
+the instant the command acts, and sends ``u = -w - K_T T - K_v (v + w) - I`` (set-point zero, no limits).
+With the filter at a steady gain that is linear; the margins are of this system, and a test compares it
 with the loop's code.
 """
 
@@ -16,29 +16,30 @@ from rigctl.control.estimator import Array, FilterModel
 from rigctl.control.tension import Gains
 from rigctl.design.plant_family import ComplexArray, Member
 
+STATES = 3  # of the filter
+
 
 @dataclass(frozen=True)
 class Controller:
     """``x' = a x + b y``, ``u = c x`` from the samples y = (tension N, speed mm/s) to the command u mm/s.
 
-    State: filter state carried to the last tick (n = 3 or 4), last tick's sample (2), commands sent u(n - 1 - d) to
-    u(n - 1) (d + 1), integral (1). Shapes (m, m), (m, 2), (m,) with m = n + 4 + d.
+    State: filter state carried to the last tick (3), last tick's sample (2), commands sent u(n - 1 - d) to
+    u(n - 1) (d + 1), integral (1). Shapes (m, m), (m, 2), (m,) with m = 7 + d.
     """
 
     a: Array
     b: Array
     c: Array
-    states: int = 3  # n
 
     def response(self, z: ComplexArray) -> ComplexArray:
         """Command per tension (mm/s per N) and per speed (1), shape (2, len(z)).
 
-        The commands already sent are delays of u itself; without them n + 3 states remain to be solved for, for any
+        The commands already sent are delays of u itself; without them 6 states remain to be solved for, for any
         transport delay.
         """
         size = len(self.a)
-        sent = np.arange(self.states + 2, size - 1)
-        kept = np.array([*range(self.states + 2), size - 1])
+        sent = np.arange(STATES + 2, size - 1)
+        kept = np.array([*range(STATES + 2), size - 1])
         pencil = z[:, None, None] * np.eye(len(kept)) - self.a[np.ix_(kept, kept)]
         row = np.broadcast_to(self.c[kept].astype(np.complex128)[:, None], (len(z), len(kept), 1))
         through = np.linalg.solve(pencil.transpose(0, 2, 1), row)[:, :, 0]  # c (zI - a)^-1
@@ -49,7 +50,7 @@ class Controller:
 
 
 def controller(model: FilterModel, gains: Gains, filter_gain: Array) -> Controller:
-    """``TensionFilter`` and ``TensionLaw`` over one tick, with a settled gain of the filter (shape (n, 2))."""
+    """``TensionFilter`` and ``TensionLaw`` over one tick, with a settled gain of the filter (shape (3, 2))."""
     return _controller(model, gains, filter_gain)[0]
 
 
@@ -62,7 +63,7 @@ def law_errors(model: FilterModel, gains: Gains, filter_gain: Array) -> Array:
 
 def _controller(model: FilterModel, gains: Gains, filter_gain: Array) -> tuple[Controller, Array]:
     """The controller, and the filter's state at the instant at which the command acts, by the controller's state."""
-    delay, n = model.delay_ticks, len(model.f)
+    delay, n = model.delay_ticks, STATES
     state, sample, sent = slice(0, n), slice(n, n + 2), n + 2  # positions in its state; the integral is last
     size = n + 4 + delay
     corrected = np.zeros((n, size))
@@ -74,7 +75,7 @@ def _controller(model: FilterModel, gains: Gains, filter_gain: Array) -> tuple[C
     for tick in range(delay):
         ahead = model.f @ ahead
         ahead[:, sent + 1 + tick] += model.b[:, 0]
-    command = -np.array([gains.k_tension, gains.k_speed, 1.0 + gains.k_speed, model.lead_s])[:n] @ ahead
+    command = -np.array([gains.k_tension, gains.k_speed, 1.0 + gains.k_speed]) @ ahead
     command[-1] -= 1.0
     a, b = np.zeros((size, size)), np.zeros((size, 2))
     a[state] = predicted
@@ -83,7 +84,7 @@ def _controller(model: FilterModel, gains: Gains, filter_gain: Array) -> tuple[C
     a[size - 2] = command
     a[-1] = gains.k_integral * model.period_s * ahead[0]
     a[-1, -1] += 1.0
-    return Controller(a, b, command, n), ahead
+    return Controller(a, b, command), ahead
 
 
 @dataclass(frozen=True)

@@ -47,8 +47,7 @@ INPUTS: dict[str, tuple[str, ...]] = {
     "plant": ("spring_n_mm", "rope_n_mm", "cylinder_lag_s", "command_delay_s", "payload_kg", "mechanism_n_mm"),
     "estimator": (
         "speed_noise_mm_s", "cell_noise_scale", "tension_walk_n", "speed_walk_mm_s", "disturbance_walk_mm_s",
-        "swing_hz", "swing_damping", "acceleration_walk_mm_s2", "quiet_tension_walk_n", "quiet_disturbance_walk_mm_s",
-        "quiet_acceleration_walk_mm_s2",
+        "quiet_tension_walk_n", "quiet_disturbance_walk_mm_s",
     ),
     "design": ("stretch_weight", "integral_weight", "command_weight"),
 }  # fmt: skip

@@ -1,8 +1,7 @@
 """The weights of our law that a search may turn: keys of the rig file with the widest sensible range.
 
 Of stretch, integral and command weight only the ratios count, and of the filter's noises only those to the cell's, so
-one of each kind stays as it is. The swing's are turned only where the rig file has one, the quiet setting's where the
-settings are `searchable`.
+one of each kind stays as it is. The quiet setting's are turned where the settings are `searchable`.
 """
 
 from __future__ import annotations
@@ -30,14 +29,9 @@ KNOBS = (
     Knob("estimator.speed_walk_mm_s", 1e-3, 10.0),
 )
 QUIETER = 0.5  # first walks of a quiet setting over the open one's: near enough for any design to bear
-_OF_SWING = (
-    Knob("estimator.swing_damping", 0.01, 10.0),
-    Knob("estimator.acceleration_walk_mm_s2", 0.1, 3e4),
-)
 _OF_QUIET = (
     Knob("estimator.quiet_tension_walk_n", 1e-5, 3.0),
     Knob("estimator.quiet_disturbance_walk_mm_s", 0.01, 300.0),
-    Knob("estimator.quiet_acceleration_walk_mm_s2", 0.01, 3e4),
 )
 
 
@@ -53,15 +47,12 @@ def searchable(settings: RigSettings) -> RigSettings:
         "estimator.quiet_tension_walk_n": estimator.tension_walk_n,
         "estimator.quiet_disturbance_walk_mm_s": QUIETER * estimator.disturbance_walk_mm_s,
     }
-    if estimator.swing_hz is not None:
-        quiet["estimator.quiet_acceleration_walk_mm_s2"] = QUIETER * estimator.acceleration_walk_mm_s2
     return changed(settings, quiet)
 
 
 def knobs_for(settings: RigSettings) -> tuple[Knob, ...]:
     """The weights that act in these settings."""
-    swing = _OF_SWING if settings.estimator.swing_hz is not None else ()
-    return (*KNOBS, *swing, *(knob for knob in _OF_QUIET if value_of(settings, knob.key) is not None))
+    return (*KNOBS, *(knob for knob in _OF_QUIET if value_of(settings, knob.key) is not None))
 
 
 def value_of(settings: RigSettings, key: str) -> Any:

@@ -71,7 +71,7 @@ class OurLaw:
         kalman = self._filter
         kalman.update(tension_n, speed_mm_s)
         kalman.predict()
-        command = self._law.compensating(Estimate(*kalman.ahead(), self._stroke_mm, kalman.lead_mm_s), 1.0)
+        command = self._law.compensating(Estimate(*kalman.ahead(), self._stroke_mm), 1.0)
         kalman.command(command)
         return command
 

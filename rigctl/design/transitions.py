@@ -66,7 +66,7 @@ def dwell_time_s(entries: Sequence[EntryLoop]) -> float:
     rate_hz = entries[0].settings.loop.rate_hz
     parts = [_parts(entry) for entry in entries]
     if len({len(part.opened.a) for part in parts}) > 1:
-        raise TransitionError("the entries differ in the drive's delay by a tick or more, or in the filter's states")
+        raise TransitionError("the entries differ in the drive's delay by a tick or more")
     longest = 0
     for i, j in permutations(range(len(entries)), 2):
         for plant in (*entries[i].family.members, *entries[j].family.members):

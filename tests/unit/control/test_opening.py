@@ -17,7 +17,6 @@ from tests.builders.paths import ROOT
 SETTINGS = changed(
     config.load(ROOT / "config/paper_rig.yaml"),
     {
-        "estimator.swing_hz": 0.58,
         "estimator.quiet_disturbance_walk_mm_s": 1.0,
         "estimator.quiet_after_ms": 100.0,
     },

@@ -30,7 +30,7 @@ def _impulse_of_the_objects(settings: RigSettings, plant: Member, channel: int, 
     for _ in range(max(3000, 2 * settings.loop.rate_hz)):  # at rest on the target: the filter's gain settles
         running.update(TARGET_N, 0.0)
         running.predict()
-        running.command(law.compensating(Estimate(*running.ahead(), 50.0, running.lead_mm_s), cosine=1.0))
+        running.command(law.compensating(Estimate(*running.ahead(), 50.0), cosine=1.0))
     kick = np.zeros(3)
     kick[channel] = SMALL[channel]
     state, sample = np.zeros(len(plant.a)), np.array([TARGET_N, 0.0])
@@ -40,7 +40,7 @@ def _impulse_of_the_objects(settings: RigSettings, plant: Member, channel: int, 
         noise = kick if tick == 0 else np.zeros(3)
         running.update(float(sample[0]), float(sample[1]))
         running.predict()
-        command = law.compensating(Estimate(*running.ahead(), 50.0, running.lead_mm_s), cosine=1.0)
+        command = law.compensating(Estimate(*running.ahead(), 50.0), cosine=1.0)
         running.command(command)
         assert law.limits == 0
         rows.append((state[0], command))
@@ -93,7 +93,7 @@ def test_margins_of_each_setting_describe_the_code_that_runs(
 ) -> None:
     monkeypatch.setattr(Opening, "look", lambda self, _: setattr(self, "level", level))
     monkeypatch.setattr(estimator, "NEAR_GAIN", 1e-3)
-    settings = rig(loop={"rate_hz": rate_hz}, estimator={"swing_hz": 0.58, "quiet_disturbance_walk_mm_s": 3.0})
+    settings = rig(loop={"rate_hz": rate_hz}, estimator={"quiet_disturbance_walk_mm_s": 3.0})
     model, plant = filter_model(settings), member(settings, k_m)
     gains = filter_gains(model)
     loop = closed_loop(plant, controller(model, design(settings), level * gains[OPEN] + (1.0 - level) * gains[QUIET]))

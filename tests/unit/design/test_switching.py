@@ -16,13 +16,12 @@ from rigctl.design.plant_family import Family, member
 from rigctl.design.switching import _joined, circle_margins, common_lyapunov
 
 Rig = Callable[..., RigSettings]
-SWING = {"swing_hz": 0.58, "quiet_disturbance_walk_mm_s": 3.0}
+QUIETER = {"quiet_disturbance_walk_mm_s": 3.0}
 
 
 @pytest.mark.parametrize("k_m", [None, 20.0])
-@pytest.mark.parametrize("estimator", [SWING, {"quiet_disturbance_walk_mm_s": 3.0}])
-def test_the_criterion_is_that_of_the_closed_loop(rig: Rig, estimator: dict[str, float], k_m: float | None) -> None:
-    settings = rig(estimator=estimator)
+def test_the_criterion_is_that_of_the_closed_loop(rig: Rig, k_m: float | None) -> None:
+    settings = rig(estimator=QUIETER)
     model, plant = filter_model(settings), member(settings, k_m)
     laws = controllers(model, design(settings))
     hz = np.geomspace(0.01, 500.0, 40)
@@ -36,7 +35,7 @@ def test_the_criterion_is_that_of_the_closed_loop(rig: Rig, estimator: dict[str,
 
 
 def test_one_lyapunov_function_falls_at_every_blend_of_the_settings(rig: Rig) -> None:
-    settings = rig(estimator=SWING)
+    settings = rig(estimator=QUIETER)
     plant, laws = member(settings, None), controllers(filter_model(settings), design(settings))
     p = common_lyapunov(plant, laws[QUIET], laws[OPEN])
     assert p is not None
@@ -50,7 +49,7 @@ def test_one_lyapunov_function_falls_at_every_blend_of_the_settings(rig: Rig) ->
 
 
 def test_the_gate_judges_every_setting_and_the_change_between_them(rig: Rig) -> None:
-    found = design_and_check(rig(estimator=SWING))
+    found = design_and_check(rig(estimator=QUIETER))
     assert {setting.name for setting in found.settings} == {"open", "quiet", "half open"}
     assert found.ms_max == max(setting.ms_max for setting in found.settings)
     assert found.switching is not None
@@ -66,11 +65,10 @@ def test_settings_that_differ_too_much_are_refused(rig: Rig) -> None:
     # Quiet enough, the loop is unstable at times although it is stable in both settings.
     found = design_and_check(
         rig(
-            estimator={"swing_hz": 0.58, "quiet_disturbance_walk_mm_s": 0.001, "quiet_acceleration_walk_mm_s2": 0.01,
-                       "quiet_tension_walk_n": 1e-4, "swing_damping": 0.0},
+            estimator={"quiet_disturbance_walk_mm_s": 0.001, "quiet_tension_walk_n": 1e-4},
             design={"stretch_weight": 2000.0, "integral_weight": 1e5},
         )
-    )  # fmt: skip
+    )
     assert not found.accepted
 
 
@@ -81,7 +79,7 @@ def test_without_a_quiet_setting_nothing_changes(rig: Rig) -> None:
 
 
 def test_the_settings_share_the_column_of_the_speed(rig: Rig) -> None:
-    gains = filter_gains(filter_model(rig(estimator=SWING)))
+    gains = filter_gains(filter_model(rig(estimator=QUIETER)))
     np.testing.assert_array_equal(gains[OPEN][:, 1], gains[QUIET][:, 1])
     assert not np.allclose(gains[OPEN][:, 0], gains[QUIET][:, 0])
 
@@ -91,7 +89,7 @@ def test_a_family_of_other_mechanisms_than_the_files_counts_whole_for_a_waiver(
     rig: Rig, k_scale: float, accepted: bool
 ) -> None:
     """A plant thirty times as stiff is unstable with these gains; no waiver excuses that."""
-    settings = rig(estimator=SWING, design={"ms_max": 1.01, "waiver": "more than the law can bear"})
+    settings = rig(estimator=QUIETER, design={"ms_max": 1.01, "waiver": "more than the law can bear"})
     found = design_and_check(settings, Family("true", (member(settings, 20.0, k_scale),)))
     assert found.waiver is not None
     assert found.accepted == accepted
