@@ -11,6 +11,7 @@ import typer
 
 from rigctl import __version__
 from rigctl.cli import (
+    alarms,
     audit,
     bench,
     bridge,
@@ -63,8 +64,8 @@ def _options(
 
 
 for command in (
-    daemon.run, daemon.demo, daemon.check, design.tune, status.status, watch.watch, page.page, bridge.bridge,
-    lease.lease,
+    daemon.run, daemon.demo, daemon.check, design.tune, status.status, alarms.alarms, watch.watch, page.page,
+    bridge.bridge, lease.lease,
     keys.keys, doctor.doctor, bench.bench, audit.audit, replay.replay, report.report,
     recordings.info, recordings.export,
     verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset, verbs.move,

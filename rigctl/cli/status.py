@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
-from typing import Any
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from rigctl.cli.options import BAD, DONE, Connect, Json, Rig, daemon, end, say_json
 from rigctl.config.quantity import count
 from rigctl.wire import state_words as figures
 
+if TYPE_CHECKING:
+    from rigctl.wire.alarms import Alarm
+
 
 def status(json: Json = False, connect: Connect = None, rig: Rig = None) -> None:
     """Show mode, tension, error, stroke, inclination and how well the loop keeps its time."""
+    from rigctl.wire.alarms import Alarms
+
     with daemon(connect, rig) as client:
+        known = Alarms(client.past_events()) if not json else None
         state = client.state()
         endpoint = client.endpoint
     if json:
         say_json(state)
     else:
-        _show(state, endpoint)
+        _show(state, endpoint, known.rows(state, time.time_ns()) if known is not None else [])
     end(DONE if state["loop_alive"] else BAD)
 
 
-def rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Label, value and style, line by line."""
+def rows(state: dict[str, Any], alarms: Sequence[Alarm] = (), now_ns: int = 0) -> list[tuple[str, str, str]]:
+    """Label, value and style, line by line. ``alarms``: their rows at ``now_ns`` (wall clock)."""
+    from rigctl.wire.alarm_words import alarm_rows, banner_rows
+    from rigctl.wire.operator_view import view
+
     why = figures.why(state)
     result = [("mode", f" {figures.mode(state)} ", figures.mode_style(state))]
     if why:
@@ -30,6 +41,7 @@ def rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
     result += [("stands", words, "bold red") for words in figures.causes(state)]
     if why and state.get("fault") and state.get("trip_dump"):
         result.append(("trip dump", state["trip_dump"], ""))
+    result += banner_rows(state, view(state, alarms)) + alarm_rows(alarms, now_ns)
     result += [("e-stop", words, "bold red") for words in figures.e_stop(state)]
     if state.get("mode") is not None:
         flaws, n = figures.flaws(state), figures.number
@@ -56,7 +68,7 @@ def rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
     return result + [("warning", text, "yellow") for text in state["warnings"]]
 
 
-def _show(state: dict[str, Any], endpoint: str) -> None:
+def _show(state: dict[str, Any], endpoint: str, alarms: Sequence[Alarm]) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -65,6 +77,6 @@ def _show(state: dict[str, Any], endpoint: str) -> None:
     table.add_column(style="dim", no_wrap=True)
     table.add_column()
     table.add_row("rig", Text(f"{state['rig']} at {endpoint}"))
-    for label, value, style in rows(state):
+    for label, value, style in rows(state, alarms, time.time_ns()):
         table.add_row(label, Text(value, style))
     Console(highlight=False).print(table)

@@ -11,6 +11,8 @@ from rich.text import Text
 
 from rigctl.config.quantity import count, significant
 from rigctl.wire import state_words as figures
+from rigctl.wire.alarm_words import alarm_rows, banner_rows
+from rigctl.wire.operator_view import view as operator_view
 
 if TYPE_CHECKING:
     from rigctl.client.rig_view import RigView
@@ -110,6 +112,11 @@ class Screen:
             head += self._banner(" ".join(figures.mode(state)), figures.mode_style(state), width)
             head.append(Text(figures.why(state), "bold red"))
             head += [_row("stands", words, "bold red") for words in figures.causes(state)]
+            now_ns = time.time_ns()
+            with view.lock:
+                alarms = view.alarms.rows(state, now_ns)
+            head += [_row(*row) for row in banner_rows(state, operator_view(state, alarms))]
+            head += [_row(*row) for row in alarm_rows(alarms, now_ns)]
         if state is not None and state.get("mode") is not None:
             head += self._values(state, width - _LABEL)
         warnings = [*(state or {}).get("warnings", []), *([view.refused] if view.refused else [])]

@@ -1,4 +1,4 @@
-"""What a display shows of a rig: newest state, active configuration, events, exceeded limits, kept up to date.
+"""What a display shows of a rig: newest state, active configuration, events, alarms, exceeded limits, kept up to date.
 
 `rigctl watch` and the page show the same view.
 """
@@ -14,6 +14,7 @@ from typing import Any
 
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.client.shapes import Message
+from rigctl.wire.alarms import Alarms
 from rigctl.wire.passed_limits import PassedLimits
 
 EVENTS_HELD = 200
@@ -32,6 +33,7 @@ class RigView:
         self.events: deque[Message] = deque(maxlen=EVENTS_HELD)
         self.events_serial = 0  # changes with ``events``
         self.limits = PassedLimits()
+        self.alarms = Alarms()
         self.refused = ""  # number of messages without the shape of a daemon's, in words
         self._state_at = time.monotonic()
 
@@ -68,11 +70,13 @@ class RigView:
                 self.events.clear()
                 self.events_serial += 1
                 self.limits.clear()
+                self.alarms.clear()
             known = {(event["t_ns"], event["seq"]) for event in self.events}
             for event in events:
                 if (event["t_ns"], event["seq"]) not in known:
                     self.events.append(event)
                     self.limits.note(event)
+                    self.alarms.note(event)
                     self.events_serial += 1
 
 

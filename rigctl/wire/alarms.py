@@ -1,0 +1,264 @@
+"""Alarms after ISA-18.2: one row for each cause, folded from the events and the state. Pure: time is passed in.
+
+A row comes with the first event of its cause. It goes once the cause is gone and the row is acknowledged; a reset
+acknowledges the fault it resets. Words and remedies are those of `rigctl.control.faults`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any
+
+from rigctl.config.quantity import Number
+from rigctl.config.signals import WATCHED
+from rigctl.control.faults import Fault, Trait
+from rigctl.ipc.record import NEVER_AGE_NS
+
+ROWS = 256
+"""Rows kept; anyone on the network may invent causes, and the oldest row makes room."""
+CHATTERING_TIMES = 3
+CHATTERING_NS = 60_000_000_000
+"""An alarm that came ``CHATTERING_TIMES`` within this time chatters (ISA-18.2)."""
+LONGEST_SHELF_S = 8 * 3600
+LOOP_SILENT = "LOOP_SILENT"
+_POWER_GOES_OFF = 3  # from this `rigctl.control.safety.Action` on
+
+
+class Priority(IntEnum):
+    """How soon somebody has to act."""
+
+    URGENT = 1  # the rig takes the drive off power, or could do no more
+    HIGH = 2  # the rig holds or ramps down: it is out of service
+    LOW = 3  # the rig goes on
+
+
+@dataclass(frozen=True)
+class Shelf:
+    """An alarm put aside, by whom, why and until when (wall clock)."""
+
+    operator: str
+    reason: str
+    until_ns: int
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """One row. Times are wall clock in ns since 1970; ``value`` and ``limit`` have their unit, "" without a number."""
+
+    cause: str
+    priority: Priority
+    text: str
+    remedy: str
+    first_ns: int
+    last_ns: int
+    count: int = 1
+    value: str = ""
+    limit: str = ""
+    stands: bool = True
+    acknowledged: str = ""
+    """Who has acknowledged it; "" for nobody."""
+    shelf: Shelf | None = None
+    onsets_ns: tuple[int, ...] = ()
+
+    def shelved(self, now_ns: int) -> bool:
+        """Whether it is put aside at ``now_ns``."""
+        return self.shelf is not None and now_ns < self.shelf.until_ns
+
+    def chatters(self, now_ns: int) -> bool:
+        """Whether it came and went too often within the last minute."""
+        return len(self.onsets_ns) >= CHATTERING_TIMES and now_ns - self.onsets_ns[0] <= CHATTERING_NS
+
+    @property
+    def is_open(self) -> bool:
+        """Whether somebody has to look at it still."""
+        return self.stands or not self.acknowledged
+
+
+# Events that are no trip, with their priority and the fault whose remedy is theirs.
+_OTHERS: dict[str, tuple[Priority, Fault]] = {
+    "EMERGENCY": (Priority.LOW, Fault.SENSOR_EMERGENCY),
+    "BUS_ERROR": (Priority.LOW, Fault.BUS_SILENT),
+    "SEND_FAILED": (Priority.LOW, Fault.BUS_SILENT),
+    "RECEIVE_FAILED": (Priority.LOW, Fault.BUS_SILENT),
+    "FOREIGN_SDO": (Priority.LOW, Fault.RIVAL),
+    "SETTING_LOST": (Priority.LOW, Fault.SUPERVISION_LOST),
+    "STROKE": (Priority.LOW, Fault.STROKE_JUMPED),
+    "STROKE_LEFT": (Priority.LOW, Fault.STROKE_NOT_HELD),
+    "DRIVE_CREEPS": (Priority.LOW, Fault.STROKE_NOT_HELD),
+}
+_ONSETS = ("TRIP", "CAUSE", "LIMIT", "ESCALATION")
+_ENDS = ("CAUSE_OVER", "LIMIT_OVER")
+_PER_ROW = (Fault.LIMIT, Fault.LIMIT_UNSEEN)  # one cause for each row of the rig file's limits
+_NUMBER = r"\{%s:([^}]*)\}(?:(\{unit\})| (N|mm/s|mm|ms|ticks|s)\b)?"
+_SHELVED = re.compile(r"(\d{1,6}) s: (.*)", re.DOTALL)
+
+
+def fault_of(number: Any) -> Fault:
+    """The fault of that number; NONE for an unknown one."""
+    try:
+        return Fault(number)
+    except ValueError:
+        return Fault.NONE
+
+
+def figure(fault: Fault, name: str, number: Any, about: str = "") -> str:
+    """``value`` or ``limit`` (``name``) of a fault with its unit, as the fault's words have it; "" if they do not."""
+    found = re.search(_NUMBER % name, fault.words)
+    if found is None or not isinstance(number, int | float) or not math.isfinite(number):
+        return ""
+    if Trait.AGE in fault.traits and number > NEVER_AGE_NS:
+        return ""  # there has been no sample yet
+    signal = about.partition(" ")[0]
+    watched = WATCHED[signal].unit if found[2] and signal in WATCHED else ""
+    unit = f"{watched}{'/s' if watched and 'per second' in about else ''}" if found[2] else found[3] or ""
+    scale = 1e-6 if Trait.AGE in fault.traits else 1.0
+    return f"{format(Number(number * scale), found[1])} {unit}".rstrip()
+
+
+def cause_of(event: dict[str, Any]) -> str:
+    """The cause that an event is about: its row; "" for an event that is no alarm's."""
+    kind = event.get("kind")
+    if kind in (*_ONSETS, *_ENDS, "RESET"):
+        fault = fault_of(event.get("a"))
+        if fault is Fault.NONE:
+            return ""
+        return f"{fault.name} {event.get('about')}" if fault in _PER_ROW and event.get("about") else fault.name
+    if kind == "EMERGENCY":
+        return f"EMERGENCY node {event.get('a')}"
+    return str(kind) if kind in _OTHERS else ""
+
+
+def _alarm_of(event: dict[str, Any], cause: str) -> Alarm:
+    """The row as an event alone makes it."""
+    kind, text, at = event["kind"], str(event.get("text", "")), int(event["wall_ns"])
+    if kind in _OTHERS:
+        priority, fault = _OTHERS[kind]
+        over = event.get("severity") == "info"
+        momentary = kind not in ("EMERGENCY", "STROKE")
+        return Alarm(cause, priority, text, fault.remedy, at, at, stands=not (momentary or over), onsets_ns=(at,))
+    fault, about = fault_of(event.get("a")), str(event.get("about", ""))
+    for prefix in (f"trip {fault.name}: ", f"{fault.name} stands: ", "limit: "):
+        text = text.removeprefix(prefix)
+    action = event.get("b")
+    priority = Priority.LOW if kind == "LIMIT" else Priority.HIGH
+    if kind == "ESCALATION" or (isinstance(action, int) and action >= _POWER_GOES_OFF):
+        priority = Priority.URGENT
+    value, limit = ("" if kind == "ESCALATION" else figure(fault, name, event.get(name), about)
+                    for name in ("value", "limit"))  # fmt: skip
+    return Alarm(cause, priority, text, fault.remedy, at, at, value=value, limit=limit, onsets_ns=(at,))
+
+
+class Alarms:
+    """The rows, kept up to date with events; the order of the calls is the order of the events."""
+
+    def __init__(self, events: Iterable[dict[str, Any]] = ()) -> None:
+        self._rows: dict[str, Alarm] = {}
+        for event in events:
+            self.note(event)
+
+    def clear(self) -> None:
+        """Forget all of them, before the events are replayed."""
+        self._rows.clear()
+
+    def note(self, event: dict[str, Any]) -> None:
+        """Take one event."""
+        kind = event.get("kind")
+        if event.get("source") == "gateway":
+            self._decided(event)
+        elif kind == "STARTED":
+            self._rows = {cause: replace(row, stands=False) for cause, row in self._rows.items()}
+        elif cause := cause_of(event):
+            if kind in _ENDS or (kind in ("EMERGENCY", "STROKE") and event.get("severity") == "info"):
+                self._change(cause, stands=False)
+            elif kind == "RESET":
+                for row in [row for row in self._rows if row.partition(" ")[0] == cause.partition(" ")[0]]:
+                    self._change(row, acknowledged="reset")
+            else:
+                self._came(_alarm_of(event, cause))
+
+    def _came(self, new: Alarm) -> None:
+        old = self._rows.pop(new.cause, None)  # the newest row stands last, so that the oldest makes room
+        if old is not None:
+            # While it stands, a cause that trips as well is no second time.
+            again = not (old.stands and new.stands)
+            new = replace(
+                new, priority=min(old.priority, new.priority), first_ns=old.first_ns, count=old.count + again,
+                shelf=old.shelf, onsets_ns=(*old.onsets_ns, *([new.last_ns] if again else []))[-CHATTERING_TIMES:],
+                acknowledged="" if again else old.acknowledged,
+            )  # fmt: skip
+        self._rows[new.cause] = new
+        if len(self._rows) > ROWS:
+            del self._rows[next(iter(self._rows))]
+
+    def _change(self, cause: str, **fields: Any) -> None:
+        if cause in self._rows:
+            self._rows[cause] = replace(self._rows[cause], **fields)
+
+    def _decided(self, note: dict[str, Any]) -> None:
+        """A note of the gateway about what an operator decided."""
+        operator, cause = str(note.get("operator", "")), str(note.get("other", ""))
+        match note.get("kind"):
+            case "ALARM_ACKNOWLEDGED":
+                self._change(cause, acknowledged=operator)
+            case "ALARM_SHELVED" if found := _SHELVED.fullmatch(str(note.get("reason", ""))):
+                until_ns = int(note["wall_ns"]) + min(int(found[1]), LONGEST_SHELF_S) * 1_000_000_000
+                self._change(cause, shelf=Shelf(operator, found[2], until_ns))
+            case "ALARM_UNSHELVED":
+                self._change(cause, shelf=None)
+
+    def rows(self, state: dict[str, Any] | None, now_ns: int) -> list[Alarm]:
+        """Open rows at ``now_ns``, what to look at first first; the newest state says which causes stand."""
+        rows = {cause: row for cause, row in self._rows.items() if row.is_open}
+        if state is not None:
+            rows = _as_the_state_says(rows, self._rows, state)
+        return sorted(
+            (row for row in rows.values() if row.is_open),
+            key=lambda row: (row.shelved(now_ns), bool(row.acknowledged), not row.stands, row.priority, -row.last_ns),
+        )
+
+
+def _as_the_state_says(rows: dict[str, Alarm], known: dict[str, Alarm], state: dict[str, Any]) -> dict[str, Alarm]:
+    """Rows with the causes that a state names, whose event may be missing; trips that it does not name are over."""
+    causes, wall_ns = state.get("causes"), int(state.get("wall_ns") or 0)
+    if state.get("mode") is None or not state.get("loop_alive"):
+        since = "" if state.get("age_ms") is None else f" for {state['age_ms'] / 1000:.1f} s"
+        remedy = "Run rigctl doctor; look at the daemon's log, and start it anew."
+        loop = Alarm(LOOP_SILENT, Priority.URGENT, f"no record from the loop{since}", remedy, wall_ns, wall_ns)
+        return rows | {LOOP_SILENT: loop}
+    if not isinstance(causes, list):
+        return rows
+    named = {str(cause.get("fault")): cause for cause in causes if isinstance(cause, dict)}
+    result = {}
+    for name, row in rows.items():
+        tripped = name.partition(" ")[0]
+        is_fault = tripped in Fault.__members__ and row.priority < Priority.LOW
+        result[name] = replace(row, stands=tripped in named) if is_fault else row
+    for name, cause in named.items():
+        if any(row.partition(" ")[0] == name for row in result):
+            continue
+        fault = Fault.__members__.get(name, Fault.NONE)
+        at = cause.get("since_wall_ns") or wall_ns
+        old = next((row for key, row in known.items() if key.partition(" ")[0] == name), None)
+        urgent = cause.get("action") in ("QUICK_STOP", "POWER_OFF")
+        value, limit = (figure(fault, key, cause.get(key)) for key in ("value", "limit"))
+        result[name] = replace(old, stands=True) if old is not None else Alarm(
+            name, Priority.URGENT if urgent else Priority.HIGH, str(cause.get("text", "")), fault.remedy, at, at,
+            value=value, limit=limit, onsets_ns=(at,),
+        )  # fmt: skip
+    return result
+
+
+def as_message(row: Alarm, now_ns: int) -> dict[str, Any]:
+    """A row for JSON: the page, ``rigctl alarms --json``."""
+    shelf = row.shelf if row.shelved(now_ns) else None
+    return {
+        "cause": row.cause, "priority": row.priority.name.lower(), "text": row.text, "remedy": row.remedy,
+        "count": row.count, "first_ns": row.first_ns, "last_ns": row.last_ns, "value": row.value, "limit": row.limit,
+        "stands": row.stands, "acknowledged": row.acknowledged or None, "chatters": row.chatters(now_ns),
+        "shelved": None if shelf is None
+        else {"operator": shelf.operator, "reason": shelf.reason, "until_ns": shelf.until_ns},
+    }  # fmt: skip

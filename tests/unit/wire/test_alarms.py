@@ -1,0 +1,191 @@
+"""Alarms: one row for each cause, whatever the order and number of its events."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rigctl.control.events import Kind, fault_text, worded
+from rigctl.control.faults import Fault, Trait
+from rigctl.control.safety import Action
+from rigctl.wire.alarm_words import alarm_rows, block, standing
+from rigctl.wire.alarms import CHATTERING_NS, LOOP_SILENT, ROWS, Alarms, Priority, as_message, cause_of, figure
+
+S = 1_000_000_000
+CALM: dict[str, Any] = {"mode": "HOLD", "loop_alive": True, "age_ms": 1.0, "wall_ns": 0, "causes": []}
+
+
+def event(kind: Kind, at_s: float, a: int = 0, b: int = 0, value: float = 0.0, limit: float = 0.0, about: str = "",
+          ) -> dict[str, Any]:  # fmt: skip
+    """An event as the gateway words it."""
+    words = worded(kind, a, b, value, limit, about)
+    return {
+        "source": "loop", "kind": kind.name, "a": a, "b": b, "value": value, "limit": limit, "about": about,
+        "text": words.text, "severity": words.severity, "wall_ns": round(at_s * S), "t_ns": round(at_s * S),
+    }  # fmt: skip
+
+
+def trip(at_s: float, fault: Fault = Fault.CELL_STALE, action: Action = Action.HOLD) -> dict[str, Any]:
+    return event(Kind.TRIP, at_s, fault, action, 12e6, 5e6)
+
+
+def over(at_s: float, fault: Fault = Fault.CELL_STALE) -> dict[str, Any]:
+    return event(Kind.CAUSE_OVER, at_s, fault, Action.HOLD, 12e6, 5e6)
+
+
+def cause(fault: Fault, action: Action = Action.HOLD) -> dict[str, Any]:
+    """A standing cause of a state message."""
+    return {
+        "fault": fault.name, "text": "words", "action": action.name, "value": 12e6, "limit": 5e6,
+        "since_wall_ns": 7 * S,
+    }  # fmt: skip
+
+
+def test_a_trip_is_a_row_with_words_remedy_value_and_limit() -> None:
+    (row,) = Alarms([trip(3.0)]).rows(CALM | {"causes": [cause(Fault.CELL_STALE)]}, 4 * S)
+    assert (row.cause, row.priority, row.count, row.first_ns) == ("CELL_STALE", Priority.HIGH, 1, 3 * S)
+    assert (row.value, row.limit) == ("12 ms", "5 ms")
+    assert row.text == fault_text(Fault.CELL_STALE, 12e6, 5e6)
+    assert row.remedy == Fault.CELL_STALE.remedy
+    assert row.stands
+
+
+@pytest.mark.parametrize(("action", "priority"), [
+    (Action.RAMP_DOWN, Priority.HIGH), (Action.HOLD, Priority.HIGH), (Action.QUICK_STOP, Priority.URGENT),
+    (Action.POWER_OFF, Priority.URGENT),
+])  # fmt: skip
+def test_the_priority_is_that_of_the_rigs_reaction(action: Action, priority: Priority) -> None:
+    (row,) = Alarms([trip(0, action=action)]).rows(None, S)
+    assert row.priority is priority
+
+
+def test_the_stronger_reaction_of_one_cause_is_its_priority() -> None:
+    (row,) = Alarms([trip(0, action=Action.POWER_OFF), over(1), trip(2)]).rows(None, 3 * S)
+    assert (row.priority, row.count) == (Priority.URGENT, 2)
+
+
+def test_a_chattering_alarm_is_one_row() -> None:
+    events = [event for at in range(50) for event in (trip(at), over(at + 0.5))]
+    (row,) = Alarms(events).rows(CALM, 50 * S)
+    assert (row.count, row.first_ns, row.last_ns, row.stands) == (50, 0, 49 * S, False)
+    assert row.chatters(50 * S)
+    assert not row.chatters(50 * S + CHATTERING_NS)
+
+
+def test_a_cause_that_trips_while_it_stands_has_come_once() -> None:
+    again = event(Kind.CAUSE, 1.0, Fault.CELL_STALE, Action.HOLD, 12e6, 5e6)
+    (row,) = Alarms([trip(0), again]).rows(None, 2 * S)
+    assert row.count == 1
+
+
+def test_a_row_stays_until_it_is_over_and_acknowledged() -> None:
+    alarms = Alarms([trip(0), over(1)])
+    (row,) = alarms.rows(CALM, 2 * S)
+    assert not row.stands
+    alarms.note(event(Kind.RESET, 2, Fault.CELL_STALE))
+    assert alarms.rows(CALM, 3 * S) == []
+
+
+def test_a_reset_does_not_hide_what_comes_again() -> None:
+    alarms = Alarms([trip(0), over(1), event(Kind.RESET, 2, Fault.CELL_STALE), trip(3)])
+    (row,) = alarms.rows(None, 4 * S)
+    assert (row.count, row.acknowledged, row.stands) == (2, "", True)
+
+
+def test_each_limit_of_the_rig_file_has_its_own_row() -> None:
+    names = ("tension_n above", "stroke_mm above")
+    alarms = Alarms([event(Kind.LIMIT, at, Fault.LIMIT, Action.LOG, 9, 5, name) for at, name in enumerate(names)])
+    rows = alarms.rows(CALM, 3 * S)
+    assert {(row.cause, row.value, row.priority) for row in rows} == {
+        ("LIMIT tension_n above", "9 N", Priority.LOW), ("LIMIT stroke_mm above", "9 mm", Priority.LOW),
+    }  # fmt: skip
+    assert all(row.stands for row in rows)
+    alarms.note(event(Kind.LIMIT_OVER, 4, Fault.LIMIT, Action.LOG, 4, 5, names[0]))
+    assert [row.cause for row in alarms.rows(CALM, 5 * S) if row.stands] == ["LIMIT stroke_mm above"]
+
+
+def test_lateness_makes_no_alarm() -> None:
+    assert Alarms([event(Kind.CLOCK, 0, 3)]).rows(CALM, S) == []
+
+
+def test_an_emergency_message_stands_until_the_device_withdraws_it() -> None:
+    alarms = Alarms([event(Kind.EMERGENCY, 0, 5, 0x8130 | 0x11 << 16, about="00")])
+    assert alarms.rows(CALM, S)[0].stands
+    alarms.note(event(Kind.EMERGENCY, 1, 5, 0, about="00"))
+    assert not alarms.rows(CALM, 2 * S)[0].stands
+
+
+def test_the_state_says_what_stands_where_an_event_is_missing() -> None:
+    state = CALM | {"causes": [cause(Fault.BUS_SILENT), cause(Fault.E_STOP, Action.POWER_OFF)]}
+    first, second = Alarms().rows(state, 9 * S)
+    assert (first.cause, first.priority, first.first_ns) == ("E_STOP", Priority.URGENT, 7 * S)
+    assert (second.cause, second.value) == ("BUS_SILENT", "12 ms")
+    (row,) = Alarms([trip(0)]).rows(CALM, S)
+    assert not row.stands
+
+
+@pytest.mark.parametrize("state", [{"mode": None, "loop_alive": False, "age_ms": None}, CALM | {"loop_alive": False}])
+def test_a_silent_loop_is_the_first_alarm(state: dict[str, Any]) -> None:
+    rows = Alarms([trip(0)]).rows(state, S)
+    assert rows[0].cause == LOOP_SILENT
+    assert rows[0].priority is Priority.URGENT
+
+
+def test_a_restart_of_the_loop_ends_what_stood() -> None:
+    (row,) = Alarms([event(Kind.LIMIT, 0, Fault.LIMIT, Action.LOG, 9, 5, "tension_n above"), event(Kind.STARTED, 1)]
+                    ).rows(CALM, 2 * S)  # fmt: skip
+    assert not row.stands
+
+
+def test_words_and_json_of_a_row() -> None:
+    (row,) = Alarms([trip(3.0)]).rows(None, 4 * S)
+    head, words, remedy = block(row, 4 * S)
+    assert "HIGH" in head
+    assert words.strip() == row.text
+    assert row.remedy in remedy
+    assert standing(row, 4 * S) == "stands, not acknowledged"
+    assert alarm_rows([row], 4 * S)[0][0] == "alarm"
+    assert as_message(row, 4 * S)["priority"] == "high"
+
+
+@pytest.mark.parametrize("fault", [fault for fault in Fault if fault])
+def test_value_and_limit_are_those_of_the_words(fault: Fault) -> None:
+    scale = 1e6 if Trait.AGE in fault.traits else 1.0
+    words = fault_text(fault, 12 * scale, 5 * scale, "tension_n above")
+    for name, number in (("value", 12 * scale), ("limit", 5 * scale)):
+        assert figure(fault, name, number, "tension_n above") in words
+        assert ("{" + name in fault.words) == bool(figure(fault, name, number, "tension_n above"))
+        assert figure(fault, name, None) == figure(fault, name, math.nan) == ""
+
+
+KINDS = st.sampled_from([Kind.TRIP, Kind.CAUSE, Kind.CAUSE_OVER, Kind.RESET, Kind.STARTED, Kind.LIMIT, Kind.LIMIT_OVER])
+EVENTS = st.lists(st.tuples(KINDS, st.sampled_from([Fault.CELL_STALE, Fault.E_STOP, Fault.LIMIT]),
+                            st.sampled_from(["tension_n above", "stroke_mm below"])), max_size=60)  # fmt: skip
+
+
+@given(EVENTS)
+def test_any_events_make_one_row_for_each_cause(raw: list[tuple[Kind, Fault, str]]) -> None:
+    events = [event(kind, at, fault, Action.HOLD, 9.0, 5.0, about) for at, (kind, fault, about) in enumerate(raw)]
+    now = len(events) * S
+    rows = Alarms(events).rows(None, now)
+    causes = [row.cause for row in rows]
+    assert len(set(causes)) == len(causes)
+    onsets = [one for one in events if one["kind"] in ("TRIP", "CAUSE", "LIMIT")]
+    assert set(causes) <= {cause_of(one) for one in onsets}
+    for row in rows:
+        mine = [one for one in onsets if cause_of(one) == row.cause]
+        assert 1 <= row.count <= len(mine)
+        assert mine[0]["wall_ns"] == row.first_ns <= row.last_ns == mine[-1]["wall_ns"]
+        assert row.stands or not row.acknowledged
+    order = [(row.shelved(now), bool(row.acknowledged), not row.stands, row.priority) for row in rows]
+    assert order == sorted(order)
+
+
+@given(st.lists(st.text(max_size=20), min_size=ROWS + 5, max_size=ROWS + 9, unique=True))
+def test_invented_causes_fill_no_memory(names: list[str]) -> None:
+    events = [trip(at, Fault.LIMIT) | {"about": name} for at, name in enumerate(names)]
+    assert len(Alarms(events).rows(None, S)) <= ROWS

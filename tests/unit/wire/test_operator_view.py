@@ -1,0 +1,85 @@
+"""The operator's view: an answer to each question in every mode, and none that is not known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from rigctl.control.checks import Check
+from rigctl.control.events import fault_text
+from rigctl.control.faults import Fault
+from rigctl.control.modes import Mode
+from rigctl.wire.alarm_words import banner_rows
+from rigctl.wire.alarms import Alarms
+from rigctl.wire.operator_view import view
+from tests.unit.wire.test_alarms import over, trip
+
+STALE = {
+    "fault": "CELL_STALE", "text": fault_text(Fault.CELL_STALE, 12e6, 5e6), "action": "HOLD", "value": 12e6,
+    "limit": 5e6, "since_wall_ns": 3, "blocks_reset": True,
+}  # fmt: skip
+
+
+def state(mode: Mode, *flags: str, **more: Any) -> dict[str, Any]:
+    return {
+        "mode": mode.name, "loop_alive": True, "flag_names": list(flags), "fault": None, "causes": [],
+        "target_n": 300.0, "tension_n": 298.7, "quality": {"drive": "good"}, **more,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_every_mode_says_what_the_rig_does(mode: Mode) -> None:
+    assert view(state(mode, "drive_enabled")).does not in ("", mode.name)
+    assert "{" not in view(state(mode)).does
+
+
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING, Mode.FAULT])
+def test_nobody_walks_in_while_the_drive_is_on_or_unknown(mode: Mode) -> None:
+    assert view(state(mode, "drive_enabled")).entry.startswith("NO:")
+    assert view(state(mode, quality={"drive": "stale"})).entry.startswith("NO:")
+    assert view({"mode": None, "loop_alive": False}).entry.startswith("NO:")
+
+
+def test_a_drive_that_is_off_leaves_the_load_on_the_brake_to_be_looked_at() -> None:
+    words = view(state(Mode.DISARMED)).entry
+    assert words.startswith("CHECK:")
+    assert "298.7 N" in words
+
+
+def test_a_cause_that_blocks_a_reset_is_named_with_value_limit_and_remedy() -> None:
+    found = view(state(Mode.FAULT, "drive_enabled", fault="CELL_STALE", causes=[STALE]))
+    (cause,) = found.causes
+    assert (cause.value, cause.limit, cause.since_ns) == ("12 ms", "5 ms", 3)
+    assert found.blocks == "CELL_STALE"
+    assert found.next_step == f"{Fault.CELL_STALE.remedy} Then reset."
+    assert found.does == "holds the stroke under power"
+
+
+def test_a_latched_fault_whose_cause_is_gone_may_be_reset() -> None:
+    rows = Alarms([trip(3.0), over(4.0)]).rows(None, 5)
+    found = view(state(Mode.FAULT, fault="CELL_STALE", fault_text="words"), rows)
+    (cause,) = found.causes
+    assert not cause.stands
+    assert (cause.value, cause.since_ns) == ("12 ms", 3_000_000_000)
+    assert found.blocks == "nothing: a reset is accepted"
+    assert found.next_step.startswith("Reset")
+
+
+def test_a_stop_that_still_runs_blocks_a_reset() -> None:
+    found = view(state(Mode.FAULT, "drive_enabled", "stopping", fault="E_STOP", fault_text=""))
+    assert "still stopping" in found.blocks
+    assert found.does == "stops the drive, then takes it off power"
+
+
+def test_what_bars_arming_is_the_next_step_while_disarmed() -> None:
+    failing = {"E_STOP": Check.E_STOP.words}
+    found = view(state(Mode.DISARMED, preflight={"failing": failing}))
+    assert found.next_step == f"Before arming: {Check.E_STOP.words}"
+    assert view(state(Mode.HOLD, preflight={"failing": failing})).next_step == ""
+
+
+def test_the_rows_of_status_and_watch_hold_every_answer() -> None:
+    told = state(Mode.FAULT, fault="CELL_STALE", causes=[STALE])
+    labels = [label for label, _, _ in banner_rows(told, view(told))]
+    assert labels == ["does now", "blocks reset", "next step", "entry"]
