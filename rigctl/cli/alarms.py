@@ -1,24 +1,104 @@
-"""``rigctl alarms``: one row for each cause, the first to look at first."""
+"""``rigctl alarms``: one row for each cause, the first to look at first, and what an operator decides about it."""
 
 from __future__ import annotations
 
 import time
+from enum import Enum
+from typing import TYPE_CHECKING, Annotated
 
-from rigctl.cli.options import BAD, DONE, Connect, Json, Rig, daemon, end, say, say_json
+import typer
+
+from rigctl.cli.options import (
+    BAD,
+    DONE,
+    USAGE,
+    Connect,
+    Json,
+    Operator,
+    Rig,
+    daemon,
+    end,
+    end_with_answer,
+    operator_name,
+    say,
+    say_json,
+)
+
+if TYPE_CHECKING:
+    from rigctl.client.connection import Client
+    from rigctl.wire.alarms import Alarm
 
 
-def alarms(json: Json = False, connect: Connect = None, rig: Rig = None) -> None:
-    """Show the alarms: priority, cause, how often, since when, and what to do. Exit code 1 while one stands."""
-    from rigctl.wire.alarm_words import block
-    from rigctl.wire.alarms import Alarms, as_message
+class AlarmTask(Enum):
+    """What to do about alarms."""
 
+    SHOW = "show"
+    ACKNOWLEDGE = "acknowledge"
+    SHELVE = "shelve"
+    UNSHELVE = "unshelve"
+
+
+What = Annotated[AlarmTask, typer.Argument(metavar="show|acknowledge|shelve|unshelve", help="What to do.")]
+Cause = Annotated[str | None, typer.Argument(metavar="[CAUSE]", help="Which alarm, as the list names it.")]
+Reason = Annotated[str | None, typer.Option(metavar="TEXT", help="shelve: why; on record.")]
+Minutes = Annotated[
+    float | None, typer.Option("--for", metavar="MINUTES", min=0.1, max=480, help="shelve: how long, 480 at most.")
+]
+
+
+def alarms(
+    act: What = AlarmTask.SHOW,
+    cause: Cause = None,
+    reason: Reason = None,
+    minutes: Minutes = None,
+    json: Json = False,
+    connect: Connect = None,
+    rig: Rig = None,
+    operator: Operator = None,
+) -> None:
+    """Show the alarms, or acknowledge or shelve one; every display of the rig follows.
+
+    One row for each cause: priority, how often, since when, and what to do. The exit code is 1 while one stands.
+    A shelved alarm comes back when its time is over. None of this moves the rig or takes the lease.
+    """
+    if (cause is None) != (act is AlarmTask.SHOW):
+        end(USAGE, "found a cause, expected none with show" if cause else f"found no cause, expected {act.value} CAUSE")
+    if (act is AlarmTask.SHELVE) != (reason is not None and minutes is not None):
+        end(USAGE, "expected --reason TEXT and --for MINUTES with shelve, and neither with anything else")
     with daemon(connect, rig) as client:
-        known = Alarms(client.past_events())
-        rows = known.rows(client.state(), now_ns := time.time_ns())
+        rows, now_ns = _rows(client)
+        if act is not AlarmTask.SHOW:
+            from rigctl.wire.alarms import AlarmAct
+
+            if cause not in {row.cause for row in rows}:
+                known = ", ".join(row.cause for row in rows) or "there are no alarms"
+                end(USAGE, f"found the cause {cause!r}, expected one of: {known}")
+            answer = client.decide_alarm(
+                AlarmAct(f"alarm_{act.value}"), operator_name(operator), str(cause), (reason or "").strip(),
+                round(60 * minutes) if minutes else 0,
+            )  # fmt: skip
+    if act is not AlarmTask.SHOW:
+        end_with_answer(answer, json)
+    _show(rows, now_ns, json)
+
+
+def _rows(client: Client) -> tuple[list[Alarm], int]:
+    """The open rows, and the wall clock they are of."""
+    from rigctl.wire.alarms import Alarms
+
+    known = Alarms(client.past_events())
+    return known.rows(client.state(), now_ns := time.time_ns()), now_ns
+
+
+def _show(rows: list[Alarm], now_ns: int, json: bool) -> None:
+    from rigctl.wire.alarm_words import block
+    from rigctl.wire.alarms import as_message
+
     if json:
         say_json([as_message(row, now_ns) for row in rows])
-    for row in [] if json else rows:
-        say("\n".join(block(row, now_ns)))
-    if not rows and not json:
-        say("no alarms")
+    else:
+        for row in rows:
+            say("\n".join(block(row, now_ns)))
+        if not rows:
+            say("no alarms")
     end(BAD if any(row.stands and not row.shelved(now_ns) for row in rows) else DONE)

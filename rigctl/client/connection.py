@@ -39,6 +39,7 @@ from rigctl.client.trust import Trust, local_daemons
 from rigctl.identity import credentials
 from rigctl.identity.credentials import Credentials, CredentialsError
 from rigctl.wire import keys
+from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.keys import Keys
 from rigctl.wire.lease import LeaseAct
 from rigctl.wire.proof import NONCE_BYTES, Attachment, derived_key, exchange, exchanged_key, unsealed
@@ -344,6 +345,14 @@ class Client:
         if answer["accepted"]:
             self.leases.pop(self.person or operator, None)
         return answer
+
+    def decide_alarm(
+        self, act: AlarmAct, operator: str, cause: str, reason: str = "", for_s: int = 0
+    ) -> dict[str, Any]:
+        """Acknowledge the alarm ``cause``, shelve it with a reason for some seconds, or unshelve it. See `command`."""
+        body: dict[str, Any] = {"cause": cause}
+        body |= {"reason": reason, "for_s": for_s} if act is AlarmAct.SHELVE else {}
+        return self._commanded(act.value, operator, body)
 
     def _commanded(self, name: str, operator: str, body: dict[str, Any], limit_s: float = COMMAND_S) -> dict[str, Any]:
         operator = self.person or operator

@@ -34,6 +34,8 @@ from rigctl.ipc import ledger
 from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.record import COMMAND_LIFETIME_NS
 from rigctl.ipc.ring import RingReader, RingWriter
+from rigctl.wire.alarm_request import AlarmRequest, parse_alarm
+from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.command_request import NewestRecord, Request, RequestError, answer, parse, refused, silent, verb_of
 from rigctl.wire.keys import Keys
 from rigctl.wire.lease import ACTS
@@ -81,6 +83,22 @@ class Pending:
     until_ns: int
     recorded: Recorded | None = None  # a finding on record that the loop has yet to take
     sharing: tuple[GivenCommand, ...] = ()  # HOLDs that arrived with it and get the same answer
+
+
+AnyRequest = Request | LeaseRequest | AlarmRequest
+
+
+def parsed(name: str, payload: bytes | None) -> AnyRequest:
+    """The request on the key that ends in ``name``.
+
+    Raises:
+        RequestError: there is no such command, or the payload is not its.
+    """
+    if name in ACTS:
+        return parse_lease(ACTS[name], payload)
+    if name in ALARM_ACTS:
+        return parse_alarm(ALARM_ACTS[name], payload)
+    return parse(verb_of(name), payload)
 
 
 def _payload_of(query: zenoh.Query) -> bytes | None:
@@ -168,13 +186,13 @@ class CommandServer:
         """Check, limit and queue, in Zenoh's thread: nothing here may wait. Commands over the limit go on no record."""
         key = str(query.key_expr)
         name = key.rsplit("/", 1)[-1]
-        request: Request | LeaseRequest | None = None
+        request: AnyRequest | None = None
         refusal: dict[str, Any] | None = None
         person, payload = "", None
         try:
             person = self._person(key)
             payload = _payload_of(query)
-            request = parse_lease(ACTS[name], payload) if name in ACTS else parse(verb_of(name), payload)
+            request = parsed(name, payload)
             if person:  # the access list lets only that person's certificate use the key
                 request = replace(request, operator=person)
         except RequestError as error:
@@ -204,6 +222,8 @@ class CommandServer:
             self._work.put(partial(self._record_refusal, refusal))
         elif isinstance(request, LeaseRequest):
             self._work.put(partial(self._decide_lease, query, request))
+        elif isinstance(request, AlarmRequest):
+            self._work.put(partial(self._decide_alarm, query, request))
         elif request is not None:
             self._work.put(partial(self._give, GivenCommand(query, request)))
 
@@ -215,8 +235,8 @@ class CommandServer:
             raise RequestError(f"found the key {on_one_line(key)}, expected one rig and one command") from None
 
     def _proven(
-        self, query: zenoh.Query, key: str, payload: bytes, request: Request | LeaseRequest, now_ns: int
-    ) -> tuple[ProofStanding, Request | LeaseRequest]:
+        self, query: zenoh.Query, key: str, payload: bytes, request: AnyRequest, now_ns: int
+    ) -> tuple[ProofStanding, AnyRequest]:
         """Who gives a command, and the command with the lease that it proves, or may be granted."""
         in_force = self._leases.id_in_force(request.operator, now_ns)
         shown = self._proofs.shown(query_attachment(query), request.operator, key, payload, in_force, now_ns)
@@ -242,7 +262,14 @@ class CommandServer:
         self._signer.answer_command(query, message)
         self._record_refusal(message)
 
-    def _meant_for_another(self, request: Request | LeaseRequest) -> dict[str, Any] | None:
+    def _decide_alarm(self, query: zenoh.Query, request: AlarmRequest) -> None:
+        """Put a decision about an alarm on record; every display folds it from the events."""
+        now = time.monotonic_ns()
+        message = self._meant_for_another(request) or self._leases.note_alarm(request, now)
+        self._signer.answer_command(query, message | {"lease": self._leases.shown(now)})
+        self._record_refusal(message)
+
+    def _meant_for_another(self, request: AnyRequest) -> dict[str, Any] | None:
         """The refusal of a command that names another daemon's run; None if it is meant for this one or for any."""
         if request.run_id in ("", self._run_id):
             return None

@@ -14,8 +14,10 @@ import msgspec
 from rigctl.config.quantity import count
 from rigctl.gateway.command_rate import RefusedCommands
 from rigctl.gateway.refused_access import AccessRefusal
-from rigctl.ipc.notes import Note
+from rigctl.ipc.notes import Note, worded
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.wire.alarm_request import AlarmRequest
+from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.command_request import Request, RequestError, operator_of, refused
 from rigctl.wire.lease import Denial, Lease, LeaseAct, LeaseChange, LeaseRegister, NewLease, is_id
 from rigctl.wire.lease_request import LeaseRequest
@@ -23,6 +25,11 @@ from rigctl.wire.lease_request import LeaseRequest
 IN_FORCE = "lease.json"  # in the runtime folder
 _TAKE = "rigctl lease take"
 NAMES_REPORTED = 4
+_ALARM_NOTES = {
+    AlarmAct.ACKNOWLEDGE: Note.ALARM_ACKNOWLEDGED,
+    AlarmAct.SHELVE: Note.ALARM_SHELVED,
+    AlarmAct.UNSHELVE: Note.ALARM_UNSHELVED,
+}
 
 
 def valid_lease(written: Any, duration_ns: int, now_ns: int) -> Lease | None:
@@ -110,6 +117,13 @@ class LeaseService:
         """Note what the access list and TLS refused."""
         for one in refusals:
             self._note(now_ns, one.note, one.who, one.other, one.words)
+
+    def note_alarm(self, request: AlarmRequest, now_ns: int) -> dict[str, Any]:
+        """Note what an operator decides about an alarm, which takes no lease; returns the answer."""
+        reason = f"{request.for_s} s: {request.reason}" if request.act is AlarmAct.SHELVE else ""
+        self._note(now_ns, _ALARM_NOTES[request.act], request.operator, request.cause, reason)
+        _, text = worded(_ALARM_NOTES[request.act], request.operator, request.cause, reason)
+        return {"accepted": True, "verb": request.command, "operator": request.operator, "text": text}
 
     def decide(self, request: LeaseRequest, now_ns: int) -> dict[str, Any]:
         """Take the lease or give it back; returns the answer."""

@@ -1,4 +1,4 @@
-"""Notes: the gateway's own events, about who commands. Same keys as the loop's events, a sequence of their own."""
+"""Notes: the gateway's own events, on who commands and on alarms. Keys of the loop's events, own sequence."""
 
 from __future__ import annotations
 
@@ -21,10 +21,20 @@ class Note(IntEnum):
     LEASE_LAPSED = 4
     HOLD_WITHOUT_LEASE = 5  # other: the holder of the lease
     LEASE_NOT_BELIEVED = 6  # lease.json is invalid
+    ALARM_ACKNOWLEDGED = 7  # other: the cause
+    ALARM_SHELVED = 8  # other: the cause; reason: for how many s, and why
+    ALARM_UNSHELVED = 9  # other: the cause
     TOO_MANY_COMMANDS = 65  # reason: number of the operator's refused commands, and the time span
     MESSAGE_REFUSED = 66  # operator: name in the certificate; other: certificate and address; reason: message and key
     CONNECTION_REFUSED = 67  # reason: what TLS found
     FOREIGN_MESSAGE = 68  # reason: what somebody else puts on the rig's keys, without certificates
+
+
+_ALARM_WORDS = {
+    Note.ALARM_ACKNOWLEDGED: "{operator} acknowledges the alarm {cause}",
+    Note.ALARM_SHELVED: "{operator} shelves the alarm {cause} for {reason}",
+    Note.ALARM_UNSHELVED: "{operator} takes the alarm {cause} from the shelf",
+}
 
 
 def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str]:
@@ -43,6 +53,9 @@ def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str
             return "warning", f"HOLD given by {operator} without the lease, which {other} holds"
         case Note.HOLD_WITHOUT_LEASE:
             return "info", f"HOLD given by {operator} without a lease; nobody holds it"
+        case Note.ALARM_ACKNOWLEDGED | Note.ALARM_SHELVED | Note.ALARM_UNSHELVED:
+            what = _ALARM_WORDS[kind].format(operator=operator, cause=other, reason=reason)
+            return ("warning" if kind is Note.ALARM_SHELVED else "info"), what
         case Note.TOO_MANY_COMMANDS:
             return "warning", f"{reason} from {operator or 'nobody'} refused: too many; HOLD is taken all the same"
         case Note.MESSAGE_REFUSED:

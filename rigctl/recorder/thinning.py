@@ -32,6 +32,9 @@ _SAME: dict[str, tuple[str, ...]] = {
     "lease_taken": (),
     "lease_taken_over": ("other",),
     "lease_returned": (),
+    "alarm_acknowledged": ("other",),
+    "alarm_shelved": ("other",),
+    "alarm_unshelved": ("other",),
     "hold_without_lease": ("other",),
     "too_many_commands": (),
     "clock": (),
@@ -42,7 +45,9 @@ _SAME: dict[str, tuple[str, ...]] = {
     "drive_creeps": (),
 }
 """Kinds whose repeats become one entry, with the details that repeats share beside kind and operator."""
-_REPEATED_VERBS = frozenset({"hold", "lease_take", "lease_return"})
+_REPEATED_VERBS = frozenset(
+    {"hold", "lease_take", "lease_return", "alarm_acknowledge", "alarm_shelve", "alarm_unshelve"}
+)
 _COUNTED = frozenset(
     {*_SAME, "setting_lost", "command_given", "order", "reply", "bus_error", "emergency", "node_state", "send_failed"}
 )

@@ -14,6 +14,7 @@ from typing import Any
 from rigctl.control.modes import Verb
 from rigctl.identity.access_file import Certified
 from rigctl.identity.roles import PEOPLE, Role
+from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.keys import ROOT, Keys
 from rigctl.wire.lease import ACTS
 
@@ -34,9 +35,9 @@ _LIVENESS = ("liveliness_query", "declare_liveliness_subscriber")
 
 
 def commands_of(role: Role) -> list[str]:
-    """Ends of the keys of the commands that a role may give, acts on the lease among them."""
+    """Ends of the keys of the commands that a role may give, acts on the lease and on alarms among them."""
     needed = {verb.name.lower(): ROLE_OF_VERB.get(verb, Role.OPERATOR) for verb in Verb}
-    needed |= dict.fromkeys(ACTS, Role.OPERATOR)
+    needed |= dict.fromkeys((*ACTS, *ALARM_ACTS), Role.OPERATOR)
     return [name for name, least in needed.items() if role.includes(least)]
 
 

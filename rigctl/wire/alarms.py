@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from enum import IntEnum
+from enum import Enum, IntEnum
 from typing import Any
 
 from rigctl.config.quantity import Number
@@ -34,6 +34,17 @@ class Priority(IntEnum):
     URGENT = 1  # the rig takes the drive off power, or could do no more
     HIGH = 2  # the rig holds or ramps down: it is out of service
     LOW = 3  # the rig goes on
+
+
+class AlarmAct(Enum):
+    """Decisions about an alarm; the value is the key's ending."""
+
+    ACKNOWLEDGE = "alarm_acknowledge"
+    SHELVE = "alarm_shelve"
+    UNSHELVE = "alarm_unshelve"
+
+
+ALARM_ACTS = {act.value: act for act in AlarmAct}
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from rigctl.control.events import Kind
 from rigctl.control.modes import Verb
 from rigctl.ipc.notes import Note
+from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.lease import LeaseAct
 
 Rows = tuple[tuple[str, str, str, str], ...]
@@ -87,6 +88,9 @@ NOTES: dict[Note, str] = {
     Note.LEASE_RETURNED: "operator gives the lease back",
     Note.LEASE_LAPSED: "the lease of operator has lapsed",
     Note.HOLD_WITHOUT_LEASE: "operator gives HOLD without the lease, which other holds",
+    Note.ALARM_ACKNOWLEDGED: "operator acknowledges the alarm other",
+    Note.ALARM_SHELVED: "operator shelves the alarm other; reason: 'SECONDS s: why'",
+    Note.ALARM_UNSHELVED: "operator takes the alarm other from the shelf",
     Note.TOO_MANY_COMMANDS: "commands of an operator were refused because there were too many; reason: how many",
     Note.MESSAGE_REFUSED: "the access list refused a message of operator's certificate; other: certificate and "
     "address, reason: message and key",
@@ -116,6 +120,13 @@ PAYLOAD: Rows = (
 LEASE_PAYLOAD: Rows = (
     ("operator", "string", "", "who asks; required"),
     ("reason", "string", "", "why it is taken over from another"),
+    ("run_id", "string", "", "run of the daemon it is meant for; any other refuses it"),
+)
+ALARM_PAYLOAD: Rows = (
+    ("operator", "string", "", "who decides; required"),
+    ("cause", "string", "", "which alarm, as rigctl alarms names it; required"),
+    ("reason", "string", "", "why it is shelved"),
+    ("for_s", "integer", "s", "how long it is shelved"),
     ("run_id", "string", "", "run of the daemon it is meant for; any other refuses it"),
 )
 ANSWER: Rows = (
@@ -152,6 +163,11 @@ VERBS: dict[Verb, tuple[str, tuple[str, ...]]] = {
 ACTS: dict[LeaseAct, tuple[str, tuple[str, ...]]] = {
     LeaseAct.TAKE: ("take the lease or renew it; from another only with a reason", ("reason",)),
     LeaseAct.RETURN: ("give the lease back", ()),
+}
+ALARM_DECISIONS: dict[AlarmAct, tuple[str, tuple[str, ...]]] = {
+    AlarmAct.ACKNOWLEDGE: ("somebody has seen the alarm", ()),
+    AlarmAct.SHELVE: ("the alarm is put aside for a time", ("reason", "for_s")),
+    AlarmAct.UNSHELVE: ("the alarm is put aside no longer", ()),
 }
 
 ACTIVE_CONFIGURATION: Rows = (

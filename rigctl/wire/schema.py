@@ -19,6 +19,8 @@ from rigctl.wire.keys import SEVERITIES, Keys
 from rigctl.wire.meanings import (
     ACTIVE_CONFIGURATION,
     ACTS,
+    ALARM_DECISIONS,
+    ALARM_PAYLOAD,
     ANSWER,
     GATEWAY_EVENT,
     KINDS,
@@ -128,6 +130,12 @@ def schema(rig: str, person: str = "") -> dict[str, Any]:
             "verbs": acts,
             "payload": _rows(LEASE_PAYLOAD),
             "rule": "one operator commands at a time; hold is accepted from anyone, and takes no lease",
+        },
+        "alarms": {
+            "verbs": _commands(keys, ALARM_DECISIONS, lambda act: str(act.value)),
+            "payload": _rows(ALARM_PAYLOAD),
+            "rule": "every operator may; the decision is a note of the gateway, and displays fold the alarms from "
+            "events and notes",
         },
         "enums": {name: {member.name: int(member) for member in kind if member.name} for name, kind in _ENUMS.items()},
         "fault_texts": {fault.name: fault.words for fault in Fault},

@@ -14,10 +14,11 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Verb, command_slot
 from rigctl.control.tension import Gains
+from rigctl.gateway import command_server
 from rigctl.ipc.ring import RingReader
-from rigctl.wire.command_request import Request, RequestError, parse, verb_of
+from rigctl.wire.alarms import ALARM_ACTS
+from rigctl.wire.command_request import Request, RequestError
 from rigctl.wire.lease import ACTS
-from rigctl.wire.lease_request import parse_lease
 from tests.fuzz import mutate
 from tests.fuzz.frames import ONWARD
 from tests.fuzz.judge import Tally
@@ -44,7 +45,7 @@ def query(chance: random.Random, mode: Mode) -> tuple[str, bytes | None]:
     body: Any = {"operator": "anna", **_OPTIONS.get(verb, {})}
     if verb is Verb.TARGET:
         body["value"] = chance.uniform(-50.0, 500.0)
-    name = chance.choice((*_NAMES, *ACTS)) if chance.random() < 0.1 else verb.name.lower()
+    name = chance.choice((*_NAMES, *ACTS, *ALARM_ACTS)) if chance.random() < 0.1 else verb.name.lower()
     kind = chance.random()
     if kind < 0.4:
         return name, json.dumps(body).encode()
@@ -60,8 +61,7 @@ def query(chance: random.Random, mode: Mode) -> tuple[str, bytes | None]:
 
 def parsed(name: str, payload: bytes | None) -> object:
     """Parse a query as the command server does."""
-    act = ACTS.get(name)
-    return parse(verb_of(name), payload) if act is None else parse_lease(act, payload)
+    return command_server.parsed(name, payload)
 
 
 def play(settings: RigSettings, gains: Gains, count: int, seed: int) -> Tally:

@@ -20,6 +20,7 @@ from rigctl.identity import credentials
 from rigctl.identity.issuing import KeyIssuer
 from rigctl.identity.roles import PEOPLE, Role
 from rigctl.wire.access_control import access_control
+from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.keys import Keys
 from rigctl.wire.lease import ACTS
 from rigctl.wire.session import SessionError, close, finish, open_client, open_router
@@ -185,7 +186,7 @@ def test_a_role_may_what_the_table_says(network: Network, message: str, key: str
 
 def test_the_table_has_every_verb_every_message_and_every_role() -> None:
     found = {(message, key) for message, key, _ in rows()}
-    commands = [*(verb.name.lower() for verb in Verb), *ACTS]
+    commands = [*(verb.name.lower() for verb in Verb), *ACTS, *ALARM_ACTS]
     assert {("query", f"cmd/NAME/{name}") for name in commands} <= found
     assert {message for message, _ in found} == TRIED.keys()
     assert {*NAMES} == {"revoked", *(role.value for role in PEOPLE)}

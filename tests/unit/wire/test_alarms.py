@@ -12,8 +12,19 @@ from hypothesis import strategies as st
 from rigctl.control.events import Kind, fault_text, worded
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.safety import Action
+from rigctl.ipc.notes import Note
 from rigctl.wire.alarm_words import alarm_rows, block, standing
-from rigctl.wire.alarms import CHATTERING_NS, LOOP_SILENT, ROWS, Alarms, Priority, as_message, cause_of, figure
+from rigctl.wire.alarms import (
+    CHATTERING_NS,
+    LONGEST_SHELF_S,
+    LOOP_SILENT,
+    ROWS,
+    Alarms,
+    Priority,
+    as_message,
+    cause_of,
+    figure,
+)
 
 S = 1_000_000_000
 CALM: dict[str, Any] = {"mode": "HOLD", "loop_alive": True, "age_ms": 1.0, "wall_ns": 0, "causes": []}
@@ -160,6 +171,46 @@ def test_value_and_limit_are_those_of_the_words(fault: Fault) -> None:
         assert figure(fault, name, number, "tension_n above") in words
         assert ("{" + name in fault.words) == bool(figure(fault, name, number, "tension_n above"))
         assert figure(fault, name, None) == figure(fault, name, math.nan) == ""
+
+
+def note(kind: Note, at_s: float, cause: str, reason: str = "") -> dict[str, Any]:
+    return {
+        "source": "gateway", "kind": kind.name, "operator": "kim", "other": cause, "reason": reason,
+        "wall_ns": round(at_s * S),
+    }  # fmt: skip
+
+
+def test_an_acknowledged_row_stays_while_its_cause_stands_and_is_back_with_the_next() -> None:
+    alarms = Alarms([trip(0), note(Note.ALARM_ACKNOWLEDGED, 1, "CELL_STALE")])
+    (row,) = alarms.rows(None, 2 * S)
+    assert row.acknowledged == "kim"
+    alarms.note(over(3))
+    assert alarms.rows(None, 4 * S) == []
+    alarms.note(trip(5))
+    (row,) = alarms.rows(None, 6 * S)
+    assert (row.acknowledged, row.count) == ("", 2)
+
+
+def test_a_shelved_row_is_last_until_its_time_is_over() -> None:
+    alarms = Alarms([trip(0, Fault.E_STOP, Action.POWER_OFF), trip(1, Fault.CELL_STALE)])
+    alarms.note(note(Note.ALARM_SHELVED, 2, "E_STOP", "60 s: being repaired"))
+    assert [row.cause for row in alarms.rows(None, 61 * S)] == ["CELL_STALE", "E_STOP"]
+    assert "shelved until" in standing(alarms.rows(None, 61 * S)[1], 61 * S)
+    assert alarm_rows(alarms.rows(None, 61 * S), 61 * S)[-1] == ("shelved", "1 alarm: rigctl alarms", "")
+    assert [row.cause for row in alarms.rows(None, 62 * S)] == ["E_STOP", "CELL_STALE"]
+    alarms.note(note(Note.ALARM_UNSHELVED, 3, "E_STOP"))
+    assert alarms.rows(None, 4 * S)[0].cause == "E_STOP"
+
+
+@pytest.mark.parametrize("reason", ["", "x s: y", "60: y", "9999999 s: y", "-5 s: y"])
+def test_a_note_of_another_form_shelves_nothing(reason: str) -> None:
+    alarms = Alarms([trip(0), note(Note.ALARM_SHELVED, 1, "CELL_STALE", reason)])
+    assert not alarms.rows(None, 2 * S)[0].shelved(2 * S)
+
+
+def test_no_shelf_lasts_longer_than_a_shift() -> None:
+    alarms = Alarms([trip(0), note(Note.ALARM_SHELVED, 0, "CELL_STALE", "999999 s: long")])
+    assert not alarms.rows(None, LONGEST_SHELF_S * S)[0].shelved(LONGEST_SHELF_S * S)
 
 
 KINDS = st.sampled_from([Kind.TRIP, Kind.CAUSE, Kind.CAUSE_OVER, Kind.RESET, Kind.STARTED, Kind.LIMIT, Kind.LIMIT_OVER])
