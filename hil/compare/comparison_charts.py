@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import pathlib
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.compare.comparison import SETTLED_PCT, Comparison
+from hil.compare.compared_runs import ComparedRun
+from hil.compare.comparison import SETTLED_PCT, Comparison, LawResult
 from hil.compare.rivals import OURS, PASSIVE
 from hil.study import plotting
 
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FIRST = "eta_max.png"
+COLUMNS = 3
+ROOM_FOR_VALUES = 3.0  # to the right of the largest error, on the logarithmic axis
+RIVAL, LIMIT = "#7c8590", "#d00000"
 COLORS = {
     "passive": "#b5b5b5",
     "p": "#e0a458",
@@ -34,43 +39,67 @@ _TRACES: dict[str, tuple[str, tuple[float, float], tuple[float, float] | None]] 
 
 
 def save(study: Comparison, folder: pathlib.Path) -> list[pathlib.Path]:
-    """Write the bar chart, and a plot of the traces that were run; returns their names.
+    """Write the errors of all runs, and a plot of the traces that were run; returns their names.
 
     Raises:
         OutputError: the folder cannot be written.
     """
     shown = [run.name for run in study.runs if run.name in _TRACES]
-    return [_bars(study, folder / FIRST), *(_trace(study, name, folder / f"{name}.png") for name in shown)]
+    return [_errors(study, folder / FIRST), *(_trace(study, name, folder / f"{name}.png") for name in shown)]
 
 
-def _bars(study: Comparison, file: pathlib.Path) -> pathlib.Path:
-    count = len(study.laws)
-    rows = len(study.runs)
-    figure, ((axis,),) = plotting.panels(1, 1, (13.0, 1.2 + 0.62 * max(rows, 3)))
-    height = 0.84 / count
-    places = np.arange(rows)[::-1]
-    for i, law in enumerate(study.laws):
-        results = [study.results[run.name, law.name] for run in study.runs]
-        values = [np.nan if result.eta_max_pct is None else result.eta_max_pct for result in results]
-        at = places + (0.5 * (count - 1) - i) * height
-        axis.barh(at, values, height, color=COLORS[law.name], label=law.title)
-        for y, result in zip(at, results, strict=True):
-            if not result.whole:
-                words = f"{law.title} {result.ended}"
-                axis.text(1.05e-3, y, words, fontsize=7.5, va="center", color=COLORS[law.name])
-    for y, run in zip(places, study.runs, strict=True):
-        for quantity, most in run.limits:
-            if quantity == "eta_true_max_pct":
-                axis.plot([most, most], [y - 0.46, y + 0.46], color="#d00000", linewidth=1.3, label="_")
-    axis.plot([], [], color="#d00000", linewidth=1.3, label="limit of ours")
-    axis.set_xscale("log")
-    axis.set_xlim(1e-3, 1.3 * axis.get_xlim()[1])  # the end of a bar must be visible
-    axis.set_yticks(places, [run.title for run in study.runs])
-    axis.set_ylim(-0.6, rows - 0.4)
-    plotting.label(axis, "largest error of the vertical force, %", axis="x", which="major", alpha=0.35)
-    axis.set_axisbelow(True)
-    figure.legend(loc="outside upper center", ncols=count + 1, frameon=False, fontsize=9)
+def _errors(study: Comparison, file: pathlib.Path) -> pathlib.Path:
+    """A panel per run, all on one logarithmic axis; a row per law: dot at the largest error, tick at the rms."""
+    columns = min(COLUMNS, len(study.runs))
+    rows = -(-len(study.runs) // columns)
+    size = (2.0 + 3.6 * columns, 1.0 + rows * (0.75 + 0.19 * len(study.laws)))
+    title = "Error of the vertical force, %: dot largest, bar rms; red line: limit of ours"
+    figure, axes = plotting.panels(rows, columns, size, title, sharex=True, sharey=True)
+    places = range(len(study.laws))[::-1]
+    for axis, run in zip(axes.flat, study.runs, strict=False):
+        for y, law in zip(places, study.laws, strict=True):
+            _row(axis, y, study.results[run.name, law.name], COLORS[law.name] if law.name == OURS else RIVAL)
+        for most in _limits_pct(study, run):
+            axis.axvline(most, color=LIMIT, linewidth=1.3)
+            axis.annotate(
+                f"{most:.2g}", (most, 1.0), (0, 2), ("data", "axes fraction"), "offset points", fontsize=7.5,
+                color=LIMIT, ha="center",
+            )  # fmt: skip
+        axis.set_title(run.title, fontsize=10, loc="left", pad=13.0)
+        axis.tick_params(labelbottom=True)
+        plotting.label(axis, axis="x", which="major", alpha=0.35)
+    for axis in list(axes.flat)[len(study.runs) :]:
+        axis.set_axis_off()
+    first = axes[0, 0]
+    first.set_xscale("log")
+    low, high = first.get_xlim()
+    first.set_xlim(0.8 * low, ROOM_FOR_VALUES * high)
+    first.set_ylim(-0.6, len(study.laws) - 0.4)
+    first.set_yticks(list(places), [law.title for law in study.laws], fontsize=9)
     return plotting.save(figure, file)
+
+
+def _row(axis: Axes, y: int, result: LawResult, color: str) -> None:
+    if result.eta_max_pct is None or result.eta_rms_pct is None:
+        axis.text(0.02, y, result.ended, fontsize=7.5, va="center", color=color, transform=axis.get_yaxis_transform())
+        return
+    axis.plot([result.eta_rms_pct, result.eta_max_pct], [y, y], color=color, linewidth=1.0)
+    axis.plot(result.eta_rms_pct, y, "|", color=color, markersize=8, markeredgewidth=1.6)
+    axis.plot(result.eta_max_pct, y, "o", color=color, markersize=5)
+    axis.annotate(
+        f"{result.eta_max_pct:.2g}", (result.eta_max_pct, y), (5, 0), textcoords="offset points", fontsize=7.5,
+        va="center", color=color, bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
+    )  # fmt: skip
+
+
+def _limits_pct(study: Comparison, run: ComparedRun) -> Iterator[float]:
+    """The limits of our largest error; one over that of the locked cylinder needs its run."""
+    passive = study.results.get((run.name, PASSIVE))
+    for quantity, most in run.limits:
+        if quantity == "eta_true_max_pct":
+            yield most
+        elif quantity == "eta_true_max_over_passive" and passive is not None and passive.eta_max_pct is not None:
+            yield most * passive.eta_max_pct
 
 
 def _trace(study: Comparison, name: str, file: pathlib.Path) -> pathlib.Path:
