@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rigctl.cli.operator_name import operator_name
 from rigctl.cli.options import (
     BAD,
     DONE,
@@ -19,7 +20,6 @@ from rigctl.cli.options import (
     daemon,
     end,
     end_with_answer,
-    operator_name,
     say,
     say_json,
 )

@@ -1,84 +1,16 @@
-"""The ``rigctl`` command: registers the commands, and turns wrong usage into one line."""
+"""The ``rigctl`` command: loads what the command given needs, and turns wrong usage into one line."""
 
 from __future__ import annotations
 
 import os
 import signal
 import sys
-from typing import Annotated, cast
 
-import typer
-
-from rigctl import __version__
-from rigctl.cli import (
-    alarms,
-    audit,
-    bench,
-    bridge,
-    commission,
-    descriptors,
-    doctor,
-    install,
-    keys,
-    lease,
-    page,
-    recordings,
-    replay,
-    report,
-    standard_output,
-    status,
-    verbs,
-    watch,
-)
-from rigctl.cli import run as daemon
-from rigctl.cli import tune as design
+from rigctl.cli import descriptors, standard_output
 from rigctl.ipc.termination import on_signals
 
-app = typer.Typer(
-    name="rigctl",
-    help="Active suspension rig: run it, watch it, command it.",
-    context_settings={"help_option_names": ["-h", "--help"]},
-    no_args_is_help=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-
-
-def _show_version(wanted: bool) -> None:
-    if wanted:
-        sys.stdout.write(f"rigctl {__version__}\n")
-        raise typer.Exit
-
-
-@app.callback()
-def _options(
-    _version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and end.")
-    ] = False,
-    key: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Your key file, for an endpoint tls/HOST:PORT [RIGCTL_KEY].")
-    ] = None,
-) -> None:
-    if key is not None:
-        os.environ["RIGCTL_KEY"] = key  # for every client of this process and of those it starts
-
-
-for command in (
-    daemon.run, daemon.demo, daemon.check, design.tune, status.status, alarms.alarms, watch.watch, page.page,
-    bridge.bridge, lease.lease,
-    keys.keys, doctor.doctor, bench.bench, audit.audit, replay.replay, report.report,
-    recordings.info, recordings.export,
-    verbs.arm, verbs.tension, verbs.release, verbs.hold, verbs.disarm, verbs.reset, verbs.move,
-    commission.tare, commission.calibrate, commission.identify, commission.gains,
-    install.install, install.uninstall,
-):  # fmt: skip
-    app.command()(command)
-# These take a negative number as a value, not as an option.
-app.command(context_settings={"ignore_unknown_options": True})(verbs.target)
-app.command(context_settings={"ignore_unknown_options": True})(verbs.confirm_stroke)
-
-# click's class; where typer keeps its click depends on typer's version.
-_UsageError = cast("type[typer.BadParameter]", typer.BadParameter.__bases__[0])
+_HELP = {"-h", "--help"}
+_OPTIONS_WITH_VALUE = {"--key"}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -88,23 +20,46 @@ def main(arguments: list[str] | None = None) -> None:
     if lacking := descriptors.shortage():
         sys.stderr.write(f"rigctl: {lacking}\n")
         raise SystemExit(1)
-    try:
-        code = app(args=arguments, standalone_mode=False)
-    except _UsageError as error:
-        text = " ".join(error.format_message().split()).rstrip(".")
-        sys.stderr.write(f"rigctl: {text} (see rigctl --help)\n")
-        code = 2
-    except (KeyboardInterrupt, typer.Abort):
-        sys.stderr.write("rigctl: interrupted; the rig goes on by itself\n")
-        code = 1
-    except OSError as error:  # a full or read-only disk, no memory, no folder for temporary files
-        where = f"{error.filename}: " if error.filename is not None else ""
-        sys.stderr.write(f"rigctl: {where}{error.strerror or error}\n")
-        code = 1
+    code = _run(sys.argv[1:] if arguments is None else arguments)
     if unsaid := standard_output.complaint():
         sys.stderr.write(f"rigctl: {unsaid}\n")
         code = 2
     raise SystemExit(code)
+
+
+def _run(words: list[str]) -> int | None:
+    first, completing = first_word(words), "_RIGCTL_COMPLETE" in os.environ
+    try:
+        if first in _HELP and not completing:
+            from rigctl.cli.top_help import top_help
+
+            sys.stdout.write(top_help())
+            return 0
+        if first == "hold" and not completing:
+            from rigctl.cli.quick_hold import hold_here
+
+            if (code := hold_here(words)) is not None:
+                return code
+        from rigctl.cli import typer_app
+
+        return typer_app.run(first, words)
+    except KeyboardInterrupt:
+        sys.stderr.write("rigctl: interrupted; the rig goes on by itself\n")
+    except OSError as error:  # a full or read-only disk, no memory, no folder for temporary files
+        where = f"{error.filename}: " if error.filename is not None else ""
+        sys.stderr.write(f"rigctl: {where}{error.strerror or error}\n")
+    return 1
+
+
+def first_word(words: list[str]) -> str:
+    """The command, or a request for help or any other option before it; empty without either."""
+    rest = iter(words)
+    for word in rest:
+        if word in _OPTIONS_WITH_VALUE:
+            next(rest, None)
+        elif word.partition("=")[0] not in _OPTIONS_WITH_VALUE:
+            return word
+    return ""
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from rigctl.cli.lease import give
+from rigctl.cli.operator_name import operator_name
 from rigctl.cli.options import (
     BAD,
     USAGE,
@@ -20,7 +21,6 @@ from rigctl.cli.options import (
     end,
     end_with_answer,
     finite_number,
-    operator_name,
     say,
 )
 

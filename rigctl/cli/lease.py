@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rigctl.cli.lease_file import LeaseFile
+from rigctl.cli.operator_name import operator_name
 from rigctl.cli.options import (
     DONE,
     USAGE,
@@ -18,7 +19,6 @@ from rigctl.cli.options import (
     daemon,
     end,
     end_with_answer,
-    operator_name,
     say,
     say_json,
 )

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import getpass
 import math
-import os
 import pathlib
 import sys
 from collections.abc import Callable, Iterator
@@ -59,16 +57,6 @@ def finite_number(unit: str) -> Callable[[str], float]:
 
 
 Wait = Annotated[bool, typer.Option("--wait", help="Return when it is over, or has failed.")]
-
-
-def operator_name(given: str | None) -> str:
-    """The operator's name for a command."""
-    if given := given or os.environ.get("RIGCTL_OPERATOR"):
-        return given.encode(errors="replace").decode()
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # there is no login name, as in a bare container
-        return f"uid {os.getuid()}"
 
 
 def say(text: str) -> None:

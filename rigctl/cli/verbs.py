@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import time
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from rigctl.cli.lease import give
+from rigctl.cli.operator_name import operator_name
 from rigctl.cli.options import (
     Connect,
     Json,
@@ -19,7 +18,6 @@ from rigctl.cli.options import (
     daemon,
     end_with_answer,
     finite_number,
-    operator_name,
     say,
 )
 from rigctl.wire import state_words as figures
@@ -58,57 +56,38 @@ def arm(
     operator: Operator = None,
 ) -> None:
     """Drive on, brake open, stroke held: DISARMED to HOLD. Refused with everything that stands against it."""
-    _give("arm", json, connect, rig, operator, near_end=near_end)
+    give_and_end("arm", json, connect, rig, operator, near_end=near_end)
 
 
 def tension(
     wait: Wait = False, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
 ) -> None:
     """Ramp to the target and hold it: TENSIONING, then COMPENSATING."""
-    _give("tension", json, connect, rig, operator, wait=wait)
+    give_and_end("tension", json, connect, rig, operator, wait=wait)
 
 
 def release(
     wait: Wait = False, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
 ) -> None:
     """Ramp to a slack rope, then HOLD."""
-    _give("release", json, connect, rig, operator, wait=wait)
-
-
-def hold(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
-    """Stop and hold the stroke where it is. Anyone may, always: it needs no lease and takes none.
-
-    To a daemon of this computer and user it goes past the network, on a socket of its own (FOLDER/hold.sock in memory),
-    and works while the gateway is flooded, hangs or is gone; to any other as every command.
-    """
-    from rigctl.client import local_hold
-    from rigctl.client.connection import ChoiceError, endpoint_of
-
-    answer = None
-    with contextlib.suppress(ChoiceError):  # `_give` below reports it
-        named = rig or os.environ.get("RIGCTL_RIG") or None
-        answer = local_hold.hold(endpoint_of(connect), named, operator_name(operator))
-    if answer is None:
-        _give("hold", json, connect, rig, operator)
-    else:
-        end_with_answer(answer, json)
+    give_and_end("release", json, connect, rig, operator, wait=wait)
 
 
 def disarm(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
     """Drive off, brake closed."""
-    _give("disarm", json, connect, rig, operator)
+    give_and_end("disarm", json, connect, rig, operator)
 
 
 def reset(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
     """Acknowledge a fault whose cause is gone."""
-    _give("reset", json, connect, rig, operator)
+    give_and_end("reset", json, connect, rig, operator)
 
 
 def target(
     newtons: Newtons, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
 ) -> None:
     """Set the vertical tension to hold."""
-    _give("target", json, connect, rig, operator, newtons)
+    give_and_end("target", json, connect, rig, operator, newtons)
 
 
 def confirm_stroke(
@@ -119,17 +98,17 @@ def confirm_stroke(
     operator: Operator = None,
 ) -> None:
     """Confirm the stroke after the drive's position was lost or differs from the last one known."""
-    _give("confirm_stroke", json, connect, rig, operator, millimetres)
+    give_and_end("confirm_stroke", json, connect, rig, operator, millimetres)
 
 
 def move(
     number: MoveNumber, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
 ) -> None:
     """A move of the mechanism begins now: play what was learnt from it, and learn from it; 0: it has ended."""
-    _give("move", json, connect, rig, operator, float(number))
+    give_and_end("move", json, connect, rig, operator, float(number))
 
 
-def _give(
+def give_and_end(
     verb: str,
     json: bool,
     connect: str | None,
@@ -139,7 +118,8 @@ def _give(
     *,
     wait: bool = False,
     near_end: bool = False,
-) -> None:
+) -> NoReturn:
+    """Give a command over the network, print its answer and end; ``wait``: when it is over."""
     with daemon(connect, rig) as client:
         states = client.follow(client.keys.state) if wait else None
         answer = give(client, verb, operator_name(operator), value, near_end=near_end)

@@ -20,6 +20,7 @@ import zenoh
 from rigctl.client import shapes
 from rigctl.client.block_order import DEPTH_BLOCKS, BlockSource
 from rigctl.client.decoding import SampleLayout, SchemaError, layout_of, usable_schema
+from rigctl.client.endpoint import chosen_endpoint
 from rigctl.client.event_order import Events, EventSource
 from rigctl.client.mailbox import Mailbox
 from rigctl.client.messages import MessageSource, shape_of
@@ -109,7 +110,7 @@ def endpoint_of(connect: str | None) -> str:
     Raises:
         ChoiceError: it is not a valid endpoint.
     """
-    endpoint = connect or os.environ.get("RIGCTL_CONNECT") or keys.DEFAULT_ENDPOINT
+    endpoint = chosen_endpoint(connect)
     if not re.fullmatch(r"[a-z-]+/\S+", endpoint):
         raise ChoiceError(f"found endpoint {endpoint!r}, expected e.g. {keys.DEFAULT_ENDPOINT}")
     return endpoint

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from rigctl.config.address import EVERY_ADDRESS, NETWORK_PROTOCOLS, Address, is_address
-from rigctl.ipc.runtime_folder import ACTIVE, Runtime, daemon_pid
+from rigctl.ipc.folder_files import ACTIVE, FolderFiles, daemon_pid
 from rigctl.ipc.trusted_folders import trusted_folders
 from rigctl.wire.run_keys import PUBLIC_KEY
 
@@ -42,7 +42,7 @@ def socket_of(endpoint: str, rig: str | None) -> pathlib.Path | None:
         if not daemon_pid(folder):
             continue
         with contextlib.suppress(OSError, msgspec.MsgspecError, RecursionError, KeyError, TypeError):
-            found = Runtime(folder)
+            found = FolderFiles(folder)
             if rig not in (None, folder.name.removeprefix("rigctl-")):
                 continue
             if same_endpoint(endpoint, _listen(found)):
@@ -50,7 +50,7 @@ def socket_of(endpoint: str, rig: str | None) -> pathlib.Path | None:
     return None
 
 
-def _listen(folder: Runtime) -> str:
+def _listen(folder: FolderFiles) -> str:
     """The daemon's endpoint: from its settings, or, for operators of the installed service, from its public key."""
     with contextlib.suppress(OSError, msgspec.MsgspecError):
         if active := folder.read_json(ACTIVE):

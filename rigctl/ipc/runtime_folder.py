@@ -16,7 +16,7 @@ The installed service has its folders in ``/run/rigctl``, which belongs to the s
 be entered but not listed (0751), its group reads rings and files (0640), everyone reads ``public_key.json``, and what
 another process than supervisor and loop writes is in a folder or of a group of its own (`rigctl.ipc.writers`).
 
-A file that other processes read has a shape in ``SHAPES``; a file of another shape is not believed.
+What reads only the small files uses `rigctl.ipc.folder_files`, which loads no numpy.
 """
 
 from __future__ import annotations
@@ -24,106 +24,50 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
-import hashlib
 import os
 import pathlib
 import shutil
 import stat
 import threading
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from rigctl.config import input_file, layout
+from rigctl.config import layout
 from rigctl.ipc import record, whole_file, writers
+from rigctl.ipc.folder_files import ACTIVE, DESIGN, LOCK, LONGEST_LOCK, RECORDED, FolderFiles, daemon_pid, digest
 from rigctl.ipc.ring import RingReader, RingWriter, create, identity
 
 if TYPE_CHECKING:
     from rigctl.config.settings import RigSettings  # slow: the public client reads folders too
 
-ACTIVE = "active.json"
-RECORDED = "recorder.json"
-DESIGN = "design.json"
+__all__ = [
+    "ACTIVE",
+    "BASE",
+    "DESIGN",
+    "RECORDED",
+    "AlreadyRunningError",
+    "FolderError",
+    "RingFile",
+    "Runtime",
+    "daemon_pid",
+    "daemons",
+    "frames_held",
+    "is_free",
+    "recorded",
+]
+
 BASE = layout.SHARED_MEMORY
 """Parent of the folders of the daemons that users start on this computer; anyone may make a folder there."""
-_LONGEST_LOCK, _LARGEST_PID = 20, 1 << 22
 _SMALL_RING = 4096
 _NOTES = 1024
 _SHORTEST_FRAME_BITS = 47  # 11-bit identifier, no data, no stuffing, the gap to the next frame
 _FASTEST_BIT_S = 1_000_000
-_LOCK = "lock"
 _DESCRIPTORS = pathlib.Path("/proc/self/fd")
 _END = "end."
 _WARM_UP = "warm-up-"
 _FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
-_Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
-_Object = dict[str, Any]
-
-
-class _ActiveFile(msgspec.Struct):
-    settings: _Object = {}
-    version: str = ""
-    started_wall_ns: _Count = 0
-    pid: _Count = 0
-    run_id: str = ""
-    design: _Object = {}
-
-
-class _AppliedEntry(msgspec.Struct):
-    name: str
-    in_force: str
-    ok: bool
-    warning: str = ""
-
-
-class _StopSetting(msgspec.Struct):
-    object: str
-    name: str
-    wanted: Any
-    found: Any
-    ok: bool
-    why: str = ""
-
-
-class _ControlFile(msgspec.Struct):
-    pid: _Count = 0
-    host_checks: _Count = 0
-    realtime: list[_AppliedEntry] = []
-    warnings: list[str] = []
-    supervision: list[_StopSetting] = []
-
-
-class _RecordingFile(msgspec.Struct):
-    folder: str
-    file: str | None
-
-
-class _RecorderFile(msgspec.Struct):
-    run: _Count = 0
-    pid: _Count = 0
-    audit_log: str = ""
-    entries: _Count = 0
-    head: str = ""
-    trip_dump: str | None = None
-    recording: _RecordingFile | None = None
-    failures: _Count = 0
-    warnings: list[str] = []
-    t_ns: _Count = 0
-
-
-class _DesignFile(msgspec.Struct):
-    run_id: str
-    design: _Object
-
-
-SHAPES: dict[str, Any] = {
-    ACTIVE: _ActiveFile,
-    DESIGN: _DesignFile,
-    "control.json": _ControlFile,
-    RECORDED: _RecorderFile,
-}
-"""Shapes of the files that the daemon's processes share; the readers of other files check these themselves."""
 
 
 class FolderError(RuntimeError):
@@ -158,15 +102,6 @@ def daemons(*bases: pathlib.Path) -> list[tuple[str, int]]:
     return [(folder.name.removeprefix("rigctl-"), pid) for folder in folders if (pid := daemon_pid(folder))]
 
 
-def daemon_pid(folder: pathlib.Path) -> int:
-    """Process of the daemon that runs in a folder, by its lock; 0 without one."""
-    with contextlib.suppress(OSError, ValueError):  # just being deleted, or not written yet
-        pid = int(input_file.read(folder / _LOCK, largest=_LONGEST_LOCK))
-        if 0 < pid < _LARGEST_PID and _alive(pid):
-            return pid
-    return 0
-
-
 def is_free(rig: str, base: pathlib.Path = BASE) -> bool:
     """Whether this user could start a daemon of this name: none runs, and no other user owns the folder."""
     try:
@@ -175,20 +110,6 @@ def is_free(rig: str, base: pathlib.Path = BASE) -> bool:
         return True
     own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
     return own and rig not in dict(daemons(base))
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
-
-
-def _digest(data: bytes) -> bytes:
-    return hashlib.sha256(data).hexdigest().encode()
 
 
 @dataclass(frozen=True)
@@ -207,13 +128,12 @@ class RingFile:
         return RingWriter(self.path, self.slot.layout)
 
 
-class Runtime:
-    """Paths of one rig's rings and files; every process of the daemon opens what it needs."""
+class Runtime(FolderFiles):
+    """One rig's rings and files; every process of the daemon opens what it needs."""
 
     def __init__(self, directory: str | pathlib.Path, *, shared: bool | None = None) -> None:
         """``shared``: whether it is the installed service's, which its place shows otherwise."""
-        self.directory = folder = pathlib.Path(directory)
-        self._shared = folder.parent == layout.RUN if shared is None else shared
+        super().__init__(directory, shared=shared)
         self.records = self._ring("records", record.RECORD)
         self.frames = self._ring("frames", record.FRAME)
         self.events = self._ring("events", record.EVENT)
@@ -267,11 +187,6 @@ class Runtime:
     def _ring(self, name: str, slot: record.Slot) -> RingFile:
         return RingFile(self.directory / writers.RINGS / name if self._shared else self.directory / name, slot)
 
-    def place(self, name: str) -> pathlib.Path:
-        """Where a file of this name is: in the folder, or in that of the process that writes it."""
-        folder = writers.FOLDER_OF.get(name) if self._shared else None
-        return self.directory / name if folder is None else self.directory / folder / name
-
     def claim(self) -> int:
         """Become the only daemon of this rig; returns the lock's file descriptor, held until the process ends.
 
@@ -284,11 +199,11 @@ class Runtime:
             fd = self._open_lock(folder)
         except OSError as error:
             os.close(folder)
-            raise FolderError(f"{self.directory}/{_LOCK} cannot be made: {error.strerror}") from None
+            raise FolderError(f"{self.directory}/{LOCK} cannot be made: {error.strerror}") from None
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            pid = os.read(fd, _LONGEST_LOCK).decode(errors="replace").strip() or "unknown"
+            pid = os.read(fd, LONGEST_LOCK).decode(errors="replace").strip() or "unknown"
             os.close(fd)
             os.close(folder)
             raise AlreadyRunningError(f"another daemon (process {pid}) already runs this rig") from None
@@ -303,11 +218,6 @@ class Runtime:
             raise FolderError(f"{self.directory} cannot be used: {error.strerror}") from None
         self._claimed = folder
         return fd
-
-    @property
-    def is_shared(self) -> bool:
-        """Whether it is the installed service's, whose processes are of several users."""
-        return self._shared
 
     @property
     def _folder_mode(self) -> int:
@@ -354,9 +264,9 @@ class Runtime:
     def _open_lock(self, folder: int) -> int:
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
         with contextlib.suppress(FileNotFoundError):
-            if not stat.S_ISREG(os.stat(_LOCK, dir_fd=folder, follow_symlinks=False).st_mode):
-                self._clear(folder, _LOCK)
-        fd = os.open(_LOCK, flags, 0o600, dir_fd=folder)
+            if not stat.S_ISREG(os.stat(LOCK, dir_fd=folder, follow_symlinks=False).st_mode):
+                self._clear(folder, LOCK)
+        fd = os.open(LOCK, flags, 0o600, dir_fd=folder)
         os.fchmod(fd, self.public_mode)  # clients and services find the daemon by the process number in it
         return fd
 
@@ -462,20 +372,6 @@ class Runtime:
         os.close(folder)
         self._claimed = -1
 
-    def mark(self, name: str) -> tuple[int, ...]:
-        """Changes whenever `read_json` of ``name`` may give something else.
-
-        Raises:
-            OSError: there is no such file.
-        """
-        found = self.place(name).stat()
-        marks: tuple[int, ...] = (found.st_ino, found.st_mtime_ns)
-        if name == ACTIVE:
-            with contextlib.suppress(OSError):
-                design = self.place(DESIGN).stat()
-                marks += (design.st_ino, design.st_mtime_ns)
-        return marks
-
     def end(self, process: str) -> None:
         """Have a process that is a service of its own end: see `rigctl.ipc.joining`.
 
@@ -488,11 +384,6 @@ class Runtime:
     def is_to_end(self, process: str) -> bool:
         """Whether `end` was called for it in this run."""
         return (self.directory / f"{_END}{process}").exists()
-
-    @property
-    def hold_socket(self) -> pathlib.Path:
-        """Socket on which the hold service takes HOLD from processes of this computer."""
-        return self.place("hold.sock")
 
     @property
     def gateway_cursor(self) -> pathlib.Path:
@@ -522,7 +413,7 @@ class Runtime:
                     os.fchown(fd, -1, group)
                 os.fchmod(fd, self.file_mode if mode is None else mode)
                 data = msgspec.json.encode(value)
-                file.write(data + b"\n" + _digest(data) + b"\n")
+                file.write(data + b"\n" + digest(data) + b"\n")
             try:
                 part.rename(place)
             except IsADirectoryError:
@@ -532,29 +423,3 @@ class Runtime:
             with contextlib.suppress(OSError):
                 part.unlink(missing_ok=True)
             raise
-
-    def read_json(self, name: str) -> dict[str, Any]:
-        """``name``, or an empty dict while it is not there; the active configuration has the design in force in it.
-
-        Raises:
-            OSError: it cannot be read, or is no file.
-            msgspec.MsgspecError: its checksum is wrong, it is no JSON object, or has another shape than in ``SHAPES``.
-        """
-        try:
-            data, _, seal = input_file.read(self.place(name)).rstrip(b"\n").rpartition(b"\n")
-        except FileNotFoundError:
-            return {}
-        if seal != _digest(data):
-            raise msgspec.DecodeError("its content does not give its SHA-256")
-        value: dict[str, Any] = input_file.decoded(data, dict[str, Any])
-        if (shape := SHAPES.get(name)) is not None:
-            msgspec.convert(value, shape)
-        if name == ACTIVE and (exchanged := self.read_json(DESIGN)) and exchanged["run_id"] == value.get("run_id"):
-            value["design"] = exchanged["design"]
-        return value
-
-    def known(self, name: str) -> dict[str, Any]:
-        """As `read_json`, but empty where the file is unreadable or invalid, so that recording goes on without it."""
-        with contextlib.suppress(OSError, msgspec.MsgspecError):
-            return self.read_json(name)
-        return {}

@@ -14,12 +14,11 @@ import stat
 from collections.abc import Iterator
 
 from rigctl.config import layout
-from rigctl.ipc import runtime_folder
 
 
 def trusted_folders() -> Iterator[pathlib.Path]:
     """Every run-time folder that this user may believe and enter, in the order of their names."""
-    for base in (layout.RUN, runtime_folder.BASE):
+    for base in (layout.RUN, layout.SHARED_MEMORY):
         with contextlib.suppress(OSError):
             owners = {os.geteuid()} | (_service_owners(base) if base == layout.RUN else set())
             for folder in sorted(base.glob("rigctl-*")):

@@ -105,10 +105,10 @@ class File:
         if len(seal) != 64:
             return mutate.raw(whole, chance)
         with contextlib.suppress(RecursionError, UnicodeEncodeError, ValueError):
-            from rigctl.ipc.runtime_folder import _digest
+            from rigctl.ipc.folder_files import digest
 
             data = json.dumps(mutate.data(json.loads(text), chance)).encode()
-            return data + b"\n" + _digest(data) + b"\n"
+            return data + b"\n" + digest(data) + b"\n"
         return mutate.raw(whole, chance)
 
 

@@ -24,7 +24,7 @@ import typer
 import yaml
 
 from hil.__main__ import app as hil_app
-from rigctl.cli.app import app as rigctl_app
+from rigctl.cli import typer_app
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
@@ -49,7 +49,7 @@ PROGRAMS = frozenset({"rigctl", "python", "make", "ip", "apt", "systemctl", ".ve
 """Words that a command in a block may begin with."""
 README_LINES = 150
 PICTURE_BYTES = 150_000
-GROUPS = {"rigctl": typer.main.get_group(rigctl_app), "hil": typer.main.get_group(hil_app)}
+GROUPS = {"rigctl": typer.main.get_group(typer_app.program()), "hil": typer.main.get_group(hil_app)}
 PATH = re.compile(r"(?:rigctl|hil|tests|config|docs)(?:/[\w.-]+)+/?|(?:rigctl|hil|tests|config|docs)/")
 NAME = re.compile(r"((?:rigctl|hil|tests)(?:\.[A-Za-z_]\w*)+)(?:\(.*\))?")
 

@@ -110,6 +110,7 @@ def test_a_folder_that_is_exchanged_while_the_daemon_runs_is_not_used(own: Daemo
 
 def test_another_users_folder_is_no_root_of_trust(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runtime_folder, "BASE", tmp_path)
+    monkeypatch.setattr(layout, "SHARED_MEMORY", tmp_path)
     mine, his, open_to_all = (tmp_path / f"rigctl-{name}" for name in ("mine", "his", "open"))
     for folder in (mine, his, open_to_all):
         folder.mkdir(mode=0o700)

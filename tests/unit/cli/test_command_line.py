@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import os
+import re
 import subprocess
 import sys
 
@@ -10,10 +12,13 @@ import pytest
 import typer
 
 import rigctl
-from rigctl.cli.app import app
+from rigctl.cli import typer_app
+from rigctl.cli.app import first_word
+from rigctl.cli.quick_hold import HoldWords, read_words
+from rigctl.cli.top_help import top_help
+from rigctl.cli.typer_app import program
+from rigctl.cli.verb_table import VERBS
 from tests.conftest import Command
-
-VERBS = sorted(typer.main.get_group(app).commands)
 
 
 def test_it_says_its_version(in_process: Command) -> None:
@@ -21,7 +26,7 @@ def test_it_says_its_version(in_process: Command) -> None:
     assert (shown.returncode, shown.stdout, shown.stderr) == (0, f"rigctl {rigctl.__version__}\n", "")
 
 
-@pytest.mark.parametrize("verb", ["", *VERBS])
+@pytest.mark.parametrize("verb", ["", *(row.name for row in VERBS)])
 def test_help_has_a_short_name_everywhere(in_process: Command, verb: str) -> None:
     words = [verb] if verb else []
     short, long = in_process("rigctl", *words, "-h"), in_process("rigctl", *words, "--help")
@@ -34,4 +39,78 @@ def test_a_shell_completes_the_verbs() -> None:
     asked = {"_RIGCTL_COMPLETE": "complete_bash", "COMP_WORDS": "rigctl ta", "COMP_CWORD": "1"}
     command = [sys.executable, "-c", "import sys; sys.argv[0] = 'rigctl'; from rigctl.cli.app import main; main()"]
     done = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, timeout=60, check=False)
-    assert done.stdout.split() == ["tare", "target"]
+    assert sorted(done.stdout.split()) == ["tare", "target"]
+
+
+def test_the_table_of_commands_has_the_first_sentence_of_each() -> None:
+    commands = typer.main.get_group(program()).commands
+    assert [row.name for row in VERBS] == [*commands]
+    for row in VERBS:
+        words = " ".join((inspect.getdoc(commands[row.name].callback) or "").partition("\n\n")[0].split())
+        assert row.line == re.split(r"(?<=\.) ", words)[0], row.name
+
+
+def test_the_help_of_the_program_has_every_option_in_its_own_words(
+    in_process: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    group = typer.main.get_command(program())
+    monkeypatch.setenv("COLUMNS", "80")
+    own = group.get_help(group.make_context("rigctl", ["hold"])).partition("Commands:")[0]
+    shown = in_process("rigctl", "--help").stdout
+    assert shown.partition("Commands:")[0] == own
+    for row in VERBS:
+        assert f"\n  {row.name} " in shown
+        assert row.line in " ".join(shown.split())
+
+
+@pytest.mark.parametrize("columns", ["20", "60", "300"])
+def test_the_help_fits_the_terminal(monkeypatch: pytest.MonkeyPatch, columns: str) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    commands = top_help().partition("Commands:")[2]
+    assert max(len(line) for line in commands.splitlines()) <= min(max(int(columns) - 2, 40), 100)
+
+
+@pytest.mark.parametrize(
+    ("words", "first"),
+    [
+        (["hold", "--help"], "hold"),
+        (["--key", "--help", "hold"], "hold"),
+        (["--key=a", "-h", "hold"], "-h"),
+        (["--version"], "--version"),
+        (["--key"], ""),
+        ([], ""),
+    ],
+)
+def test_the_command_is_the_first_word_that_is_no_option_nor_its_value(words: list[str], first: str) -> None:
+    assert first_word(words) == first
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["hold"],
+        ["hold", "--json"],
+        ["hold", "--connect", "tcp/a:1", "--rig=one", "--operator", "kim", "--json", "--"],
+        ["--key", "hold", "hold", "--connect=tls/a:1", "--operator=a=b"],
+        ["hold", "--rig", "--json"],
+        ["hold", "--help"],
+        ["hold", "--rig", ""],
+        ["hold", "--rig"],
+        ["hold", "now"],
+        ["hold", "--", "--json"],
+        ["hold", "--key", "a"],
+        ["hold", "--oper", "kim"],
+        ["--json", "hold"],
+    ],
+)
+def test_the_short_way_reads_a_hold_as_every_command_is_read(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What typer accepts it reads to the same values, and what typer refuses or explains it leaves to typer."""
+    monkeypatch.setenv("RIGCTL_KEY", "")
+    found: list[HoldWords] = []
+
+    def give(_verb: str, json: bool, connect: str | None, rig: str | None, operator: str | None) -> None:
+        found.append(HoldWords(json, connect, rig, operator, os.environ["RIGCTL_KEY"] or None))
+
+    monkeypatch.setattr("rigctl.cli.hold.give_and_end", give)
+    typer_app.run("hold", words)
+    assert read_words(words) == (found[0] if found else None)

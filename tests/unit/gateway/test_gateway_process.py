@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from rigctl.client.connection import Client
+from rigctl.config import layout
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_NS
@@ -117,6 +118,7 @@ def until(true: Callable[[], object]) -> None:
 def _shared_memory(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The client finds the keys of this run in a folder of shared memory, which is this test's own."""
     monkeypatch.setattr(runtime_folder, "BASE", tmp_path)
+    monkeypatch.setattr(layout, "SHARED_MEMORY", tmp_path)
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ import msgspec
 import pytest
 
 from rigctl.client import local_hold
+from rigctl.config import layout
 from rigctl.config import rig_file as config
 from rigctl.control.modes import Mode, Refusal
 from rigctl.hold import service
@@ -30,6 +31,7 @@ ENDPOINT = "tcp/127.0.0.1:7447"
 @pytest.fixture
 def runtime(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> Runtime:
     monkeypatch.setattr(folders, "BASE", tmp_path)
+    monkeypatch.setattr(layout, "SHARED_MEMORY", tmp_path)
     found = Runtime.of("paper_rig")
     found.claim()
     found.make_rings(config.load(daemons.PAPER))

@@ -1,0 +1,15 @@
+"""``rigctl hold`` where `rigctl.cli.quick_hold` finds no daemon on this computer: over the network."""
+
+from __future__ import annotations
+
+from rigctl.cli.options import Connect, Json, Operator, Rig
+from rigctl.cli.verbs import give_and_end
+
+
+def hold(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
+    """Stop and hold the stroke where it is. Anyone may, always: it needs no lease and takes none.
+
+    To a daemon of this computer and user it goes past the network, on a socket of its own (FOLDER/hold.sock in memory),
+    and works while the gateway is flooded, hangs or is gone; to any other as every command.
+    """
+    give_and_end("hold", json, connect, rig, operator)

@@ -1,0 +1,129 @@
+"""What a command loads: a terminal answers only as fast as its imports (`python -m tests.bench terminal` measures)."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+
+import msgspec
+import pytest
+
+from rigctl.cli.verb_table import VERBS, VerbRow
+from rigctl.config import layout
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from tests.builders.daemons import free_port
+from tests.builders.paths import ROOT
+
+LOOK = """
+import sys
+from rigctl.cli.entry import main
+sys.argv = ["rigctl", *{words!r}]
+try:
+    main()
+except SystemExit as ended:
+    import json
+    sys.stderr.write("\\n" + json.dumps([ended.code or 0, sorted(sys.modules)]))
+"""
+SLOW = {"numpy", "zenoh", "pydantic", "pydantic_core", "scipy", "yaml", "rich", "asyncio", "cryptography", "can",
+        "canopen", "cantools", "mcap", "google", "matplotlib", "numba", "control", "starlette", "hil"}  # fmt: skip
+PARSERS = {"typer", "click", "argparse", "msgspec", "dataclasses", "inspect"}
+STATUS_NEEDS = {"numpy", "zenoh", "cryptography", "asyncio", "pydantic", "pydantic_core"}  # typer loads pydantic
+SHARED = {
+    **dict.fromkeys(("arm", "tension", "release", "hold", "disarm", "reset", "move", "target", "confirm-stroke", "tare",
+                     "calibrate", "identify", "gains"), ("rigctl.cli.lease", "rigctl.cli.verbs")),
+    **dict.fromkeys(("replay", "report"), ("rigctl.cli.recordings",)),
+}  # fmt: skip
+"""Other commands' modules that a command shares."""
+OWN_OF_HOLD = {
+    "rigctl", "rigctl.cli", "rigctl.cli.app", "rigctl.cli.descriptors", "rigctl.cli.entry", "rigctl.cli.operator_name",
+    "rigctl.cli.quick_hold", "rigctl.cli.standard_output",
+    "rigctl.client", "rigctl.client.endpoint", "rigctl.client.local_hold", "rigctl.config", "rigctl.config.address",
+    "rigctl.config.extras", "rigctl.config.input_file", "rigctl.config.layout", "rigctl.ipc",
+    "rigctl.ipc.folder_files", "rigctl.ipc.termination", "rigctl.ipc.trusted_folders",
+    "rigctl.ipc.writers", "rigctl.wire", "rigctl.wire.keys", "rigctl.wire.run_keys",
+}  # fmt: skip
+
+
+def loaded(*words: str) -> tuple[int, str, set[str]]:
+    """Exit code, what was printed, and every module that was loaded by a command in a fresh process."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("RIGCTL", "COV"))}
+    done = subprocess.run(
+        [sys.executable, "-c", LOOK.format(words=list(words))],
+        cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    code, modules = json.loads(done.stderr.splitlines()[-1])
+    return code, done.stdout, set(modules)
+
+
+def top(modules: set[str]) -> set[str]:
+    return {name.partition(".")[0] for name in modules}
+
+
+@pytest.fixture
+def held() -> Iterator[str]:
+    """The endpoint of a daemon of this computer whose hold service is this test."""
+    folder = layout.SHARED_MEMORY / f"rigctl-test_loaded_{os.getpid()}"
+    folder.mkdir(mode=0o700)
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    files = Runtime(folder)
+    files.write_json(ACTIVE, {"settings": {"telemetry": {"listen": endpoint}}})
+    (folder / "lock").write_text(f"{os.getpid()}\n")
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    listener.settimeout(60)
+    listener.bind(str(files.hold_socket))
+    listener.listen(1)
+    answering = threading.Thread(target=_answer, args=(listener,), daemon=True)
+    answering.start()
+    yield endpoint
+    listener.close()
+    answering.join(60)
+    shutil.rmtree(folder)
+
+
+def _answer(listener: socket.socket) -> None:
+    connection, _ = listener.accept()
+    with connection:
+        asked = msgspec.json.decode(connection.recv(1024))
+        connection.send(msgspec.json.encode({"accepted": True, "text": f"HOLD for {asked['operator']}"}))
+
+
+def test_help_loads_no_command_and_no_parser() -> None:
+    code, shown, modules = loaded("--help")
+    assert (code, shown.splitlines()[0]) == (0, "Usage: rigctl [OPTIONS] COMMAND [ARGS]...")
+    assert not top(modules) & (SLOW | PARSERS)
+    assert {name for name in modules if name.startswith("rigctl.")} == {
+        "rigctl.cli", "rigctl.cli.app", "rigctl.cli.descriptors", "rigctl.cli.entry", "rigctl.cli.standard_output",
+        "rigctl.cli.top_help", "rigctl.cli.verb_table", "rigctl.config", "rigctl.config.extras", "rigctl.ipc",
+        "rigctl.ipc.termination",
+    }  # fmt: skip
+
+
+def test_hold_loads_what_its_socket_needs(held: str) -> None:
+    code, said, modules = loaded("hold", "--connect", held, "--operator", "kim")
+    assert (code, said) == (0, "HOLD for kim\n")
+    assert not top(modules) & (SLOW | {"typer", "click"})
+    assert {name for name in modules if name.partition(".")[0] == "rigctl"} == OWN_OF_HOLD
+
+
+def test_status_loads_the_client_and_nothing_of_the_daemon() -> None:
+    code, _said, modules = loaded("status", "--connect", f"tcp/127.0.0.1:{free_port()}")
+    assert code == 1
+    assert not top(modules) & (SLOW - STATUS_NEEDS)
+    folders = {name.split(".")[1] for name in modules if name.startswith("rigctl.")}
+    assert folders <= {"cli", "client", "wire", "identity", "ipc", "config", "control", "metrics"}
+
+
+@pytest.mark.parametrize("row", VERBS, ids=lambda row: row.name)
+def test_a_command_loads_no_other_command(row: VerbRow) -> None:
+    code, shown, modules = loaded(row.name, "--help")
+    assert code == 0
+    assert shown.startswith(f"Usage: rigctl {row.name} ")
+    assert not top(modules) & {"zenoh", "scipy", "asyncio", "matplotlib", "numba", "control"}
+    places = {f"rigctl.cli.{other.place.partition(':')[0]}" for other in VERBS} - {"rigctl.cli.run"}
+    assert modules & places <= {f"rigctl.cli.{row.place.partition(':')[0]}", *SHARED.get(row.name, ())}
