@@ -42,7 +42,9 @@ def _serve(
     truth: Annotated[pathlib.Path | None, typer.Option(help="write the plant's true state here, 1 kHz")] = None,
 ) -> None:
     """Serve the rig of FILE on its CAN bus until interrupted."""
-    serve(file, truth, _announce)
+    from hil.faults.served import taking_faults
+
+    serve(file, truth, _announce, taking_faults)
 
 
 @app.command("scenario")
@@ -153,6 +155,23 @@ def _faults(
         raise typer.Exit(command.run_kills(file, gateway_kills, json, gateway=True))
     else:
         raise typer.Exit(command.run(file, only or [], mode or [], json))
+
+
+@app.command("inject")
+def _inject(
+    file: Annotated[pathlib.Path | None, typer.Argument(help="rig file, whose simulated rig is served")] = None,
+    fault: Annotated[str | None, typer.Argument(help="id of the fault")] = None,
+    for_: Annotated[float | None, typer.Option("--for", metavar="S", help="seconds; else until --end")] = None,
+    end: Annotated[bool, typer.Option("--end", help="end the fault that stands")] = False,
+    list_: Annotated[bool, typer.Option("--list", help="print the faults that can be put into a running rig")] = False,
+) -> None:
+    """Put a fault of the catalogue into the simulated rig that runs (python -m hil serve), for a while or until --end.
+
+    At its end the wire, the readings and the mechanics are as before; what has happened meanwhile stays.
+    """
+    from hil.cli import inject as command
+
+    raise typer.Exit(command.show_list() if list_ else command.run(file, fault, for_, end=end))
 
 
 def _announce(text: str) -> None:

@@ -8,6 +8,7 @@ import pathlib
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from time import monotonic_ns
 from typing import Protocol
 
@@ -76,8 +77,12 @@ class Service:
     """
 
     def __init__(self, settings: RigSettings, truth: pathlib.Path | None = None) -> None:
-        self._settings = settings
+        self.settings = settings
         self._stopping = False
+        self.each_turn: Callable[[int], None] | None = None
+        """Called with the time after every turn; see `hil.faults.served`."""
+        self.hub: Hub | None = None
+        """The wire, where it is this process's."""
         self._truth_log: TruthLog | None = None
         compile_kernel()  # before the bus can be joined: a daemon waits no longer for devices than its rig file says
         self.line, send = self._join()
@@ -100,7 +105,7 @@ class Service:
     @property
     def ready(self) -> str:
         """One line for the operator, once the rig answers frames."""
-        s = self._settings
+        s = self.settings
         places = {name: str(node) for name, node in s.canopen_nodes.items()}
         places |= {name: f"0x{message.can_id:03X}" for name, message in s.plain_messages.items()}
         names = {"tension_cell": "tension cell", "inclinometer": "inclinometer", "cylinder": "cylinder"}
@@ -130,6 +135,8 @@ class Service:
             now_ns = monotonic_ns()
             rig.advance(now_ns)
             rig.supervise(now_ns)
+            if self.each_turn is not None:
+                self.each_turn(now_ns)
 
     def close(self) -> None:
         """Leave the bus and close the truth log."""
@@ -138,10 +145,10 @@ class Service:
             self._truth_log.close()
 
     def _join(self) -> tuple[Line, Callable[[bytes], None]]:
-        bus = self._settings.can
+        bus = self.settings.can
         try:
             if bus.interface == "rigsim":
-                hub = Hub()
+                hub = self.hub = Hub()
                 return HubServer(bus.channel, hub), hub.attach(self._on_frame).send
             link = BusLink(bus.interface, bus.channel, bus.bitrate_bit_s, self._on_frame)
             return link, link.send
@@ -155,8 +162,13 @@ class Service:
         self.rig.receive(frame)
 
 
-def serve(file: pathlib.Path, truth: pathlib.Path | None, announce: Callable[[str], None]) -> None:
-    """Serve the rig of ``file`` until SIGTERM, SIGINT or SIGHUP.
+def serve(
+    file: pathlib.Path,
+    truth: pathlib.Path | None,
+    announce: Callable[[str], None],
+    beside: Callable[[Service], AbstractContextManager[None]] | None = None,
+) -> None:
+    """Serve the rig of ``file`` until SIGTERM, SIGINT or SIGHUP; ``beside``: entered around the serving.
 
     Raises:
         ServeError: with the message for the operator and the exit code.
@@ -181,9 +193,10 @@ def serve(file: pathlib.Path, truth: pathlib.Path | None, announce: Callable[[st
     on_signals(lambda *_: service.stop(), *ENDING)
     try:
         _prepare_process(settings)
-        announce(service.ready)
-        notify("READY=1")
-        service.run()
+        with beside(service) if beside is not None else nullcontext():
+            announce(service.ready)
+            notify("READY=1")
+            service.run()
     finally:
         service.close()
     announce(service.summary)

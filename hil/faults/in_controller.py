@@ -14,7 +14,7 @@ def hangs(ticks: int) -> Injector:
     """The loop stands still for this many ticks, the rig goes on."""
 
     def inject(stand: Stand) -> None:
-        stand.rig.clock.skip = ticks
+        stand.lockstep.clock.skip = ticks
 
     return inject
 
@@ -28,7 +28,7 @@ def overruns(ticks: int, every_s: float) -> Injector:
         def step(t_s: float) -> None:
             if t_s >= due[0]:
                 due[0] += every_s
-                stand.rig.clock.skip = ticks
+                stand.lockstep.clock.skip = ticks
 
         return step
 
@@ -37,7 +37,7 @@ def overruns(ticks: int, every_s: float) -> Injector:
 
 def _give(stand: Stand, verbs: Iterable[Verb]) -> None:
     for verb in verbs:
-        stand.rig.give(verb)
+        stand.lockstep.give(verb)
 
 
 def commanded(*verbs: Verb, after_s: float = 0.01) -> Injector:
@@ -45,7 +45,7 @@ def commanded(*verbs: Verb, after_s: float = 0.01) -> Injector:
 
     def inject(stand: Stand) -> Step:
         first, *others = verbs
-        stand.rig.give(first)
+        stand.lockstep.give(first)
         return stand.ends_after(after_s, lambda: _give(stand, others))
 
     return inject
@@ -55,7 +55,7 @@ def quick_stop_then(*verbs: Verb, after_s: float = 0.01) -> Injector:
     """A limit whose action is a quick stop trips; the commands come while the drive is still stopping."""
 
     def inject(stand: Stand) -> Step:
-        stand.rig.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), stand.rig.clock.now())
+        stand.lockstep.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), stand.lockstep.clock.now())
         return stand.ends_after(after_s, lambda: _give(stand, verbs))
 
     return inject

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from typing import Protocol, TypeVar
 
+from hil.hub import Hub
 from hil.lockstep import Lockstep
 from hil.nodes.cylinder_drive import CylinderDrive
 from hil.nodes.inclinometer import Inclinometer
 from hil.nodes.io_node import IoNode
 from hil.nodes.node import Node
 from hil.nodes.rail_encoder import RailEncoder
-from hil.nodes.second_force import SecondCell, StretchEncoder
+from hil.nodes.second_force import SecondForceNode
 from hil.nodes.tension_amplifier import TensionAmplifier
 from hil.plant import Plant
+from hil.rig import SimulatedRig
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.devices import objects
@@ -30,6 +33,7 @@ CLOSED_BELOW_N = 25.0
 """Preload below the target: enough way for the sign checks of the first tensioning."""
 TENSION_LIMIT_S = 20.0
 
+_Device = TypeVar("_Device")
 _CLOSED = (Mode.COMPENSATING, Mode.FAULT)
 
 Step = Callable[[float], None]
@@ -39,12 +43,44 @@ FindNode = Callable[["Stand"], Node]
 """Finds one device of the rig."""
 
 
-class Stand:
-    """A lockstep rig. A fault takes its random numbers from ``random``, which a row always seeds alike."""
+class NoDeviceError(LookupError):
+    """The rig lacks the device that a fault is about; ``str()`` is one line."""
 
-    def __init__(self, rig: Lockstep, seed: str) -> None:
+
+class FaultyRig(Protocol):
+    """A running rig as a fault meets it: `hil.lockstep.Lockstep`, or the rig that ``python -m hil serve`` runs."""
+
+    @property
+    def settings(self) -> RigSettings:
+        """The rig file."""
+
+    @property
+    def rig(self) -> SimulatedRig:
+        """Plant and devices."""
+
+    @property
+    def hub(self) -> Hub:
+        """The wire."""
+
+    def inject(self, frame: bytes) -> None:
+        """Put a frame on the bus as a foreign node would."""
+
+
+class Stand:
+    """A rig. A fault takes its random numbers from ``random``, which a row always seeds alike."""
+
+    def __init__(self, rig: FaultyRig, seed: str) -> None:
         self.rig = rig
         self.random = random.Random(seed)
+
+    @property
+    def lockstep(self) -> Lockstep:
+        """The loop beside the rig, for faults of the loop itself.
+
+        Raises:
+            NoDeviceError: the loop is another process.
+        """
+        return _there(self.rig if isinstance(self.rig, Lockstep) else None, "loop in lockstep")
 
     @property
     def settings(self) -> RigSettings:
@@ -64,32 +100,29 @@ class Stand:
     @property
     def cell(self) -> TensionAmplifier:
         """The cell's amplifier, CANopen."""
-        assert isinstance(self.rig.rig.cell, TensionAmplifier)
-        return self.rig.rig.cell
+        cell = self.rig.rig.cell
+        return _there(cell if isinstance(cell, TensionAmplifier) else None, "CANopen tension amplifier")
 
     @property
     def slope(self) -> Inclinometer:
         """The inclinometer, CANopen."""
-        assert isinstance(self.rig.rig.inclinometer, Inclinometer)
-        return self.rig.rig.inclinometer
+        slope = self.rig.rig.inclinometer
+        return _there(slope if isinstance(slope, Inclinometer) else None, "CANopen inclinometer")
 
     @property
     def io(self) -> IoNode:
         """The I/O node, in the rows whose rig has one."""
-        assert self.rig.rig.io is not None
-        return self.rig.rig.io
+        return _there(self.rig.rig.io, "I/O node")
 
     @property
     def rail(self) -> RailEncoder:
         """The rail's encoder, in the rows whose rig has one."""
-        assert self.rig.rig.rail_encoder is not None
-        return self.rig.rig.rail_encoder
+        return _there(self.rig.rig.rail_encoder, "rail encoder")
 
     @property
-    def second(self) -> SecondCell | StretchEncoder:
+    def second(self) -> SecondForceNode:
         """The second force path, in the rows whose rig has one."""
-        assert self.rig.rig.second_force is not None
-        return self.rig.rig.second_force
+        return _there(self.rig.rig.second_force, "second force path")
 
     def ends_after(self, seconds: float, undo: Callable[[], None]) -> Step:
         """A step that calls ``undo`` once, ``seconds`` after the fault began."""
@@ -100,6 +133,12 @@ class Stand:
                 pending.pop()()
 
         return step
+
+
+def _there(device: _Device | None, words: str) -> _Device:
+    if device is None:
+        raise NoDeviceError(f"this rig has no {words}")
+    return device
 
 
 def start(rig: Lockstep, mode: Mode, preload_n: float | None) -> None:

@@ -290,6 +290,19 @@ class Node:
         self.readers[index, subindex] = lambda: how(reader())
         self._tpdos.clear()
 
+    def putting_back(self) -> Callable[[], None]:
+        """What undoes, when called, every `distort` and the loss of the heartbeat after this moment."""
+        readers, heartbeat_ns = dict(self.readers), self._heartbeat_ns
+
+        def undo() -> None:
+            self.readers.clear()
+            self.readers.update(readers)
+            self._tpdos.clear()
+            if not self._heartbeat_ns:
+                self._set_heartbeat(heartbeat_ns // 1_000_000)
+
+        return undo
+
     @property
     def errors(self) -> tuple[int, ...]:
         """Emergency codes of the errors present, oldest first."""
