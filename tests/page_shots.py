@@ -63,7 +63,7 @@ def play(folder: pathlib.Path, work: pathlib.Path) -> None:
         for (width, height), theme in zip(SIZES, (*THEMES, "light"), strict=True):
             seen = look(chromium, server.address, width, height, theme)
             seen.live()
-            seen.until("!document.querySelector('[data-verb=release]').disabled")
+            seen.until("!document.querySelector('[data-verb=release]').dataset.why")
             seen.page.click("[data-verb=release]")
             seen.until("!document.querySelector('#confirm').hidden")
             shoot(seen, folder, f"confirm-{width}x{height}-{theme}")

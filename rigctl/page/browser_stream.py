@@ -84,7 +84,8 @@ class BrowserStream:
             await self._put(events_message(picture))
         if count % WORDS_EVERY == 0:
             commands = self._commands
-            await self._put(state_message(picture, commands is not None and commands.holds_lease(picture.state)))
+            mine = commands is not None and commands.holds_lease(picture.state)
+            await self._put(state_message(picture, mine, commands.asked if commands is not None else ""))
         if count % LATENESS_EVERY == 0:
             with picture.lock:
                 found = picture.lateness.window(WINDOWS_S[self._window])

@@ -15,6 +15,7 @@ from typing import Any
 from rigctl.client import local_hold
 from rigctl.client.connection import ChoiceError, Client, NoDaemonError
 from rigctl.page.picture import Picture
+from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.lease import Denial
 from rigctl.wire.state_words import number
 
@@ -40,16 +41,17 @@ class Proposal:
 
 def meaning(verb: str, value: float | None, state: dict[str, Any]) -> str:
     """The effect of a command, in one line."""
-    target = number(state.get("target_n"), 1, "N")
+    target, now = number(state.get("target_n"), 1, "N"), number(state.get("tension_n"), 1, "N")
+    stroke = number(state.get("stroke_mm"), 1, "mm")
     match verb:
         case "arm":
-            what = "drive on, brake open, stroke held"
+            what = f"drive on, brake open, stroke held at {stroke} with {now} on the rope"
         case "tension":
-            what = f"ramp to {target} and hold it"
+            what = f"ramp from {now} to {target} and hold it; the stroke moves from {stroke}"
         case "release":
-            what = "ramp to a slack rope"
+            what = f"ramp from {now} down to a slack rope; the stroke moves from {stroke}"
         case "disarm":
-            what = "drive off, brake closed"
+            what = f"drive off, brake closed; {now} stay on rope and brake"
         case "reset":
             what = f"acknowledge {state.get('fault') or 'the fault'}: {state.get('fault_text') or 'its cause is gone'}"
         case _:
@@ -87,6 +89,18 @@ class PageCommands:
             return self._ask(lambda client: client.return_lease(self.operator))
         raise RefusedError(f"found act {act!r}, expected take, return")
 
+    def alarm(self, act: str, cause: str, reason: str, for_s: int) -> Answer:
+        """Acknowledge, shelve or unshelve an alarm; it needs no lease.
+
+        Raises:
+            RefusedError: no daemon answers, or ``act`` is not valid.
+        """
+        try:
+            decision = AlarmAct(f"alarm_{act}")
+        except ValueError:
+            raise RefusedError(f"found act {act[:40]!r}, expected acknowledge, shelve, unshelve") from None
+        return self._ask(lambda client: client.decide_alarm(decision, self.operator, cause, reason, for_s))
+
     def propose(self, verb: str, value: float | None) -> Answer:
         """Propose a command, to be confirmed by the number ``confirm``; HOLD is given at once.
 
@@ -105,6 +119,14 @@ class PageCommands:
         self._proposal = Proposal(secrets.token_hex(8), verb, value, state.get("mode"), time.monotonic() + CONFIRM_S)
         text = meaning(verb, value, state)
         return {"accepted": True, "confirm": self._proposal.id, "text": text, "for_s": CONFIRM_S}
+
+    @property
+    def asked(self) -> str:
+        """What the command that waits for its confirmation would do now; "" without one."""
+        proposal = self._proposal
+        if proposal is None or time.monotonic() > proposal.until:
+            return ""
+        return meaning(proposal.verb, proposal.value, self._picture.state or {})
 
     def _hold(self) -> Answer:
         """Give HOLD; to a daemon of this computer without the network, so a flood or a hung gateway cannot delay it."""

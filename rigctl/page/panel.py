@@ -5,8 +5,10 @@ from __future__ import annotations
 import time
 from typing import Any
 
+from rigctl.page import operator_panel
 from rigctl.page.picture import Picture
 from rigctl.wire import state_words as figures
+from rigctl.wire.alarms import as_message
 
 _NUMBERS = (
     "vertical_n", "tension_n", "target_n", "error_n", "error_pct", "stroke_mm", "speed_mm_s", "tangential_deg",
@@ -14,10 +16,29 @@ _NUMBERS = (
 )  # fmt: skip
 
 
-def state_message(picture: Picture, holds_lease: bool) -> dict[str, Any]:
-    """The newest state for the browser; ``holds_lease``: whether this page's operator holds the lease."""
+_MINUTE_S = 60
+
+
+def _period_us(active: dict[str, Any]) -> float | None:
+    rate_hz = ((active.get("settings") or {}).get("loop") or {}).get("rate_hz")
+    return 1e6 / rate_hz if rate_hz else None
+
+
+def _target_range(active: dict[str, Any]) -> tuple[float, float]:
+    tension = (active.get("settings") or {}).get("tension") or {}
+    return float(tension.get("target_min_n") or 0.0), float(tension.get("target_max_n") or 0.0)
+
+
+def state_message(picture: Picture, holds_lease: bool, asked: str = "") -> dict[str, Any]:
+    """The newest state for the browser; ``holds_lease``: whether this page's operator holds the lease.
+
+    ``asked``: what a command that waits for its confirmation would do now.
+    """
+    now_ns = time.time_ns()
     with picture.lock:
-        state, passed = picture.state, picture.limits.now
+        state, passed, active = picture.state, picture.limits.now, picture.active
+        alarms = picture.alarms.rows(state, now_ns)
+        missed = picture.lateness.window(_MINUTE_S)["missed"]
     message: dict[str, Any] = {
         "kind": "state",
         "endpoint": picture.endpoint,
@@ -26,9 +47,12 @@ def state_message(picture: Picture, holds_lease: bool) -> dict[str, Any]:
         "trouble": picture.trouble,
         "samples_lost": picture.samples_lost,
         "server_wall_ms": time.time() * 1000,
+        "asked": asked,
     }
+    message["alarms"] = [as_message(row, now_ns) for row in alarms]
     if state is None:
         return message
+    message["answers"] = operator_panel.answers(state, alarms)
     message |= {"rig": state.get("rig"), "mode": figures.mode(state), "why": figures.why(state)}
     message["causes"] = figures.causes(state)
     refused = [picture.refused] if picture.refused else []
@@ -39,6 +63,10 @@ def state_message(picture: Picture, holds_lease: bool) -> dict[str, Any]:
         return message
     return message | {
         "values": {name: state.get(name) for name in _NUMBERS},
+        "flag_names": state.get("flag_names", []),
+        "verbs": operator_panel.possible(state, _target_range(active)),
+        "devices": operator_panel.devices(state, active),
+        "timing": operator_panel.timing(state, _period_us(active), missed),
         "flags": figures.flags(state),
         "limits": passed,
         "flaws": figures.flaws(state),
@@ -73,7 +101,7 @@ def settings_message(active: dict[str, Any]) -> dict[str, Any]:
         "rig": settings.get("rig"),
         "version": active.get("version"),
         "band_pct": figures.BAND_PCT,
-        "period_us": 1e6 / rate_hz if (rate_hz := (settings.get("loop") or {}).get("rate_hz")) else None,
+        "period_us": _period_us(active),
         "error_n": rows("vertical_error_n"),
         "tension_n": [
             {"value": safety[name], "action": "hold"} for name in ("tension_high_n", "tension_low_n") if name in safety
@@ -87,11 +115,23 @@ def settings_message(active: dict[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+_TIMING = frozenset({"CLOCK", "READ_BACK"})
+"""Events of the computer's own, which the history shows only where it is asked to."""
+
+
 def events_message(picture: Picture) -> dict[str, Any]:
     """The newest events, oldest first."""
     with picture.lock:
         events = list(picture.events)
     rows = [
-        {"severity": event["severity"], "text": event["text"], "wall_ms": event["wall_ns"] / 1e6} for event in events
+        {
+            "severity": event["severity"],
+            "text": event["text"],
+            "wall_ms": event["wall_ns"] / 1e6,
+            "source": event["source"],
+            "kind": event["kind"],
+            "timing": event["kind"] in _TIMING,
+        }
+        for event in events
     ]
     return {"kind": "events", "events": rows}

@@ -55,6 +55,13 @@ class _LeaseBody(msgspec.Struct, forbid_unknown_fields=True):
     reason: str = ""
 
 
+class _AlarmBody(msgspec.Struct, forbid_unknown_fields=True):
+    act: str
+    cause: str
+    reason: str = ""
+    for_s: int = 0
+
+
 class _LinkBody(msgspec.Struct, forbid_unknown_fields=True):
     link: str
 
@@ -109,6 +116,7 @@ class Page:
         self._threads = ThreadPoolExecutor(32, "commands")
         acts: dict[str, tuple[type[Any], Callable[[PageCommands, Any], Answer]]] = {
             "lease": (_LeaseBody, lambda commands, body: commands.lease(body.act, body.reason)),
+            "alarm": (_AlarmBody, lambda commands, body: commands.alarm(body.act, body.cause, body.reason, body.for_s)),
             "command": (_CommandBody, lambda commands, body: commands.propose(body.verb, body.value)),
             "confirm": (_ConfirmationBody, lambda commands, body: commands.confirm(body.confirm)),
         }

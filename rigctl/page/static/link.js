@@ -2,11 +2,11 @@
 const FIRST_MS = 250, LONGEST_MS = 2000, SILENT_MS = 4000;
 
 export class Link {
-  constructor(take, session, refused) {
+  constructor(take, session, refused, window = 0) {
     this.take = take;
     this.session = session;
     this.refused = refused;
-    this.window = 0;
+    this.window = window;
     this.connected = false;
     this.opened = 0;
     this.waitMs = FIRST_MS;

@@ -1,5 +1,5 @@
 // Colours of the theme in force, the theme itself, and round numbers for axes.
-const NAMES = ["panel", "ink", "dim", "line", "grid", "trace", "trace2", "band", "own", "mark", "warn", "bad"];
+const NAMES = ["panel", "ink", "dim", "line", "grid", "trace", "trace2", "band", "own", "mark", "warn", "bad", "idle", "limit"];
 const dark = matchMedia("(prefers-color-scheme: dark)");
 
 export function colours() {
@@ -7,17 +7,26 @@ export function colours() {
   return Object.fromEntries(NAMES.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 
-function kept() {
+// What this browser remembers for this page; null where it keeps nothing.
+export function kept(name) {
   try {
-    return localStorage.getItem("rigctl-theme");
+    return localStorage.getItem(`rigctl-${name}`);
   } catch {
-    return null; // a browser that keeps nothing
+    return null;
+  }
+}
+
+export function keep(name, value) {
+  try {
+    localStorage.setItem(`rigctl-${name}`, value);
+  } catch {
+    // then it holds until the page is left
   }
 }
 
 export class Theme {
   constructor(button, changed) {
-    this.chosen = kept();
+    this.chosen = kept("theme");
     this.button = button;
     this.changed = changed;
     button.addEventListener("click", () => this.choose(this.now === "dark" ? "light" : "dark"));
@@ -31,11 +40,7 @@ export class Theme {
 
   choose(theme) {
     this.chosen = theme;
-    try {
-      localStorage.setItem("rigctl-theme", theme);
-    } catch {
-      // then it holds until the page is left
-    }
+    keep("theme", theme);
     this.apply();
   }
 

@@ -1,8 +1,12 @@
 // The live page: one websocket in, charts and words out. `window.rigctl` is for whoever looks into it.
+import { AlarmTable } from "./alarms.js";
+import { Bar } from "./bar.js";
 import { Commands } from "./commands.js";
 import { Histogram } from "./histogram.js";
+import { History } from "./events.js";
 import { Link } from "./link.js";
-import { Theme } from "./look.js";
+import { keep, kept, Theme } from "./look.js";
+import { Mimic } from "./mimic.js";
 import { Panel } from "./panel.js";
 import { Polar } from "./polar.js";
 import { Store } from "./store.js";
@@ -15,11 +19,15 @@ const SHORTEST_MS = 22, LONGEST_MS = 500; // ... within these bounds
 const POLAR_MS = 100;
 const byId = (id) => document.getElementById(id);
 
-const store = new Store(), panel = new Panel(), session = new Session(), commands = new Commands(session);
+const store = new Store(), session = new Session(), commands = new Commands(session), events = new History();
+const alarms = new AlarmTable(session, (text, ok) => commands.say(text, ok));
+const panel = new Panel(new Bar(byId("bar")), new Mimic(document.querySelector("#mimic svg")), alarms);
 const strips = new Strips(byId("strips"), store);
 const polar = new Polar(document.querySelector("#polar canvas"), byId("polar-range"), store);
 const histogram = new Histogram(document.querySelector("#lateness canvas"), byId("lateness-figures"));
 let hello = null, state = null, heard = 0, names = [], windowsS = [60], firstDrawMs = null, drawn = 0, drawnFrames = -1, polarDrawn = 0;
+let chosen = Number(kept("window") ?? 0);
+if (!(chosen in [0, 1, 2, 3])) chosen = 0;
 
 const theme = new Theme(byId("theme"), () => {
   strips.restyle();
@@ -33,10 +41,15 @@ function take(data) {
   const message = JSON.parse(data);
   if (message.kind === "hello") greet(message);
   else if (message.kind === "state") show(message);
-  else if (message.kind === "events") panel.events(message.events);
+  else if (message.kind === "events") {
+    events.take(message.events);
+    strips.events = events.marks;
+    drawn = 0;
+  }
   else if (message.kind === "lateness") histogram.take(message);
   else if (message.kind === "settings") {
     strips.settings = polar.settings = message;
+    panel.settings = message;
     histogram.periodUs = message.period_us;
   }
 }
@@ -53,16 +66,29 @@ function greet(message) {
     const button = document.createElement("button");
     button.type = "button";
     button.textContent = seconds < 3600 ? (seconds <= 60 ? `${seconds} s` : `${seconds / 60} min`) : `${seconds / 3600} h`;
-    button.setAttribute("aria-pressed", String(i === link.window));
+    button.setAttribute("aria-pressed", String(i === chosen));
     button.addEventListener("click", () => choose(i));
     return button;
   });
   byId("windows").replaceChildren(...buttons);
 }
 
+// The span shown; the charts follow the newest data again.
 function choose(window) {
+  chosen = window;
+  keep("window", window);
+  strips.follow();
   link.choose(window);
+  drawn = 0;
   [...byId("windows").children].forEach((button, i) => button.setAttribute("aria-pressed", String(i === window)));
+}
+
+function see(view) {
+  document.querySelector("main").dataset.view = view;
+  for (const button of byId("views").querySelectorAll("button")) button.setAttribute("aria-pressed", String(button.dataset.view === view));
+  strips.resize();
+  histogram.draw();
+  polarDrawn = drawn = 0;
 }
 
 function show(message) {
@@ -70,7 +96,7 @@ function show(message) {
   heard = performance.now();
   panel.show(state);
   commands.show(state);
-  if (state.values) strips.title(state.values, typeof state.values.error_n === "number");
+  if (state.values && !strips.paused) strips.title(state.values, typeof state.values.error_n === "number");
   look();
 }
 
@@ -101,15 +127,17 @@ function look() {
 
 function animate() {
   requestAnimationFrame(animate);
-  const now = performance.now(), windowS = windowsS[store.window];
+  const now = performance.now(), windowS = windowsS[chosen];
   if (store.newest < 0 || windowS === undefined) return;
+  const level = strips.levelFor(windowsS, chosen, store.edge(now) / 1000);
+  if (level !== link.window) link.choose(level); // older data than those at hand come in wider buckets
   const moving = (STEP_PX * 1000 * windowS) / Math.max(300, strips.root.clientWidth);
   const stepMs = Math.min(Math.max(SHORTEST_MS, moving), LONGEST_MS);
   const resting = now - heard > 1000 && store.frames === drawnFrames;
-  if (now - drawn < stepMs || (resting && drawn)) return;
+  if (now - drawn < stepMs || ((resting || strips.settled) && drawn)) return;
   drawn = Math.max(drawn + stepMs, now - stepMs); // on average so often, whatever the screen's own rate
   drawnFrames = store.frames;
-  strips.draw(now, windowS, names);
+  strips.draw(store.edge(now) / 1000, windowS, names);
   if (now - polarDrawn >= POLAR_MS) {
     polarDrawn = now;
     polar.draw(names);
@@ -118,12 +146,15 @@ function animate() {
 }
 
 await session.enter();
-const link = new Link(take, session, () => commands.rights());
+const link = new Link(take, session, () => commands.rights(), chosen);
+strips.onView = () => (drawn = 0);
+strips.tools();
+for (const button of byId("views").querySelectorAll("button")) button.addEventListener("click", () => see(button.dataset.view));
 setInterval(look, 200);
 requestAnimationFrame(animate);
 
 window.rigctl = {
-  store, strips, link, choose, theme,
+  store, strips, link, choose, theme, see, commands, events,
   get state() { return state; },
   get stale() { return document.body.classList.contains("stale"); },
   get draws() { return strips.draws; },

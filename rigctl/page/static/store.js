@@ -72,11 +72,13 @@ export class Store {
     }
   }
 
-  // Smallest and largest value shown; null without any.
-  extremes(signal) {
-    const low = this.low[signal], high = this.high[signal];
+  // Smallest and largest value between two times in s, without them of all that is held; null without any.
+  extremes(signal, from = -Infinity, to = Infinity) {
+    const low = this.low[signal], high = this.high[signal], oldest = this.newest - BUCKETS + 1, w = this.widthMs / 1000;
+    const first = Math.max(oldest, Math.floor(from / w)), last = Math.min(this.newest, Math.ceil(to / w));
     let min = Infinity, max = -Infinity;
-    for (let i = 0; low && i < BUCKETS; i++) {
+    for (let n = first; low && n <= last; n++) {
+      const i = ((n % BUCKETS) + BUCKETS) % BUCKETS;
       if (low[i] < min) min = low[i];
       if (high[i] > max) max = high[i];
     }

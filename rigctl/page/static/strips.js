@@ -1,17 +1,19 @@
 // Strip charts: one uPlot each, one path each, all on the same time axis.
 import { Store } from "./store.js";
-import { colours, nice } from "./look.js";
+import { colours, keep, kept, nice } from "./look.js";
 
-const AXIS_PX = 60;
+const AXIS_PX = 66;
+const SHORTEST_S = 2; // the closest zoom
+const COMPENSATING = 3, CLOSED = [2, 3, 4]; // rigctl.control.modes.Mode: where the error, the tension is regulated
 const HAIR_PX = 0.7;
 const POINTS = 2 * Store.BUCKETS;
 
 // What each strip shows; `least`: smallest span of its axis.
 const STRIPS = [
-  { signal: "vertical_n", title: "tension, vertical", unit: "N", digits: 2, least: 2 },
-  { signal: "error_pct", title: "vertical error", unit: "%", digits: 3, least: 0.02, newtons: true },
-  { signal: "stroke_mm", title: "stroke", unit: "mm", digits: 2, least: 0.5 },
-  { signal: "speed_mm_s", title: "speed", unit: "mm/s", digits: 2, least: 0.5 },
+  { signal: "vertical_n", title: "tension, vertical", unit: "N", digits: 2, least: 10 },
+  { signal: "error_pct", title: "vertical error", unit: "%", digits: 3, least: 2, newtons: true },
+  { signal: "stroke_mm", title: "stroke", unit: "mm", digits: 2, least: 5 },
+  { signal: "speed_mm_s", title: "speed", unit: "mm/s", digits: 2, least: 2 },
 ];
 
 export class Strips {
@@ -20,6 +22,12 @@ export class Strips {
     this.store = store;
     this.settings = null;
     this.draws = 0;
+    this.end = this.span = null; // time in s at the right edge, and the span, where not those of the newest data
+    this.cursorAt = null;
+    this.events = [];
+    this.marks = JSON.parse(kept("marks") ?? "[]");
+    this.modes = new Array(POINTS).fill(null);
+    this.onView = () => {};
     this.x = new Array(POINTS).fill(0);
     this.target = new Array(POINTS).fill(null);
     this.charts = STRIPS.map((strip, i) => this.make(strip, i === STRIPS.length - 1));
@@ -48,25 +56,28 @@ export class Strips {
       chart.u?.destroy();
       const grid = { stroke: c.grid, width: 1 }, ticks = { show: false };
       const axis = { stroke: c.dim, grid, ticks, font: "12px DejaVu Sans, sans-serif" };
+      const labelled = { labelSize: 15, labelFont: axis.font, labelGap: 0 };
       const sides = [
-        { ...axis, show: true, size: chart.last ? 24 : 0, space: 90,
+        { ...axis, show: true, size: chart.last ? 22 : 0, space: 90, ...(chart.last ? { ...labelled, label: "time of day, h:min:s" } : {}),
           values: (u, splits) => splits.map((at) => (chart.last ? clock(at) : "")) },
-        { ...axis, size: AXIS_PX, space: 26 },
+        { ...axis, ...labelled, label: chart.strip.unit, size: AXIS_PX - 15, space: 26 },
       ];
       const scales = { x: { time: true, auto: false }, y: { auto: false, range: () => chart.range } };
-      const rightSide = { ...axis, side: 1, scale: "newtons", size: AXIS_PX, space: 26, grid: { show: false },
-        values: (u, splits) => splits.map((v) => (v === null ? "" : `${trimmed(v)} N`)) };
+      const rightSide = { ...axis, side: 1, scale: "newtons", ...labelled, label: "N", size: AXIS_PX - 15, space: 26, grid: { show: false },
+        values: (u, splits) => splits.map((v) => (v === null ? "" : trimmed(v))) };
       if (chart.strip.newtons) {
         scales.newtons = { auto: false, range: (u, min, max) => [min, max] };
         sides.push(rightSide);
       } else {
-        sides.push({ ...rightSide, scale: "y", values: (u, splits) => splits.map(() => "") });
+        sides.push({ ...rightSide, label: "", scale: "y", values: (u, splits) => splits.map(() => "") });
       }
       chart.u = new uPlot({
         width: chart.plot.clientWidth || 300, height: chart.plot.clientHeight || 100, pxAlign: 0,
-        legend: { show: false }, cursor: { show: false }, select: { show: false }, scales, axes: sides,
+        legend: { show: false }, select: { show: true },
+        cursor: { show: true, x: true, y: false, points: { show: false }, drag: { x: true, y: false, setScale: false }, sync: { key: "rigctl" } },
+        scales, axes: sides,
         series: [{}, { stroke: c.trace, width: 1.5, points: { show: false }, spanGaps: false }],
-        hooks: { drawClear: [(u) => this.under(u, chart, c)] },
+        hooks: { drawClear: [(u) => this.under(u, chart, c)], draw: [(u) => this.over(u, chart, c)], setCursor: [(u) => this.pointed(u)], setSelect: [(u) => this.chosen(u)] },
         padding: [6, 0, chart.last ? 0 : 4, 0],
       }, [this.x, chart.y], chart.plot);
     }
@@ -80,18 +91,22 @@ export class Strips {
     for (const chart of this.charts) chart.u?.setSize({ width: chart.plot.clientWidth, height: chart.plot.clientHeight });
   }
 
-  draw(now, windowS, names) {
-    const store = this.store, edge = store.edge(now) / 1000;
+  draw(newest, windowS, names) {
+    const store = this.store, edge = this.end ?? newest, spanS = this.span ?? windowS;
+    this.newest = newest;
+    this.windowS = windowS;
+    this.settled = this.paused;
+    store.points(names.indexOf("mode"), this.modes, 0);
     store.times(this.x);
     store.points(names.indexOf("target_n"), this.target, 0);
     this.targetNow = this.target.findLast((value) => value !== null) ?? 0;
     for (const chart of this.charts) {
       const signal = names.indexOf(chart.strip.signal);
-      chart.range = this.rangeOf(chart, store.extremes(signal));
+      chart.range = this.rangeOf(chart, store.extremes(signal, edge - spanS, edge));
       store.points(signal, chart.y, (HAIR_PX * (chart.range[1] - chart.range[0])) / Math.max(chart.plot.clientHeight, 50));
       chart.u.batch(() => {
         chart.u.setData([this.x, chart.y], false);
-        chart.u.setScale("x", { min: edge - windowS, max: edge });
+        chart.u.setScale("x", { min: edge - spanS, max: edge });
         chart.u.setScale("y", { min: chart.range[0], max: chart.range[1] });
         if (chart.strip.newtons) {
           const [min, max] = chart.range.map((pct) => (pct * this.newtonsFor(100)) / 100);
@@ -100,6 +115,86 @@ export class Strips {
       });
     }
     this.draws++;
+    if (this.paused) this.atCursor();
+  }
+
+  get paused() {
+    return this.end !== null;
+  }
+
+  // The buckets to ask the server for: the narrowest that reach back to the left edge.
+  levelFor(windowsS, chosen, newest) {
+    if (!this.paused) return chosen;
+    const needed = newest - this.end + (this.span ?? windowsS[chosen]);
+    const found = windowsS.findIndex((seconds, i) => seconds >= needed && (i >= chosen || this.span !== null));
+    return found < 0 ? windowsS.length - 1 : found;
+  }
+
+  follow() {
+    this.look(null, null);
+  }
+
+  look(end, span) {
+    this.end = end === null || end >= this.newest ? (span === null || end === null ? null : this.newest) : end;
+    this.span = this.end === null ? null : span;
+    this.settled = false;
+    const pause = document.getElementById("pause");
+    pause.setAttribute("aria-pressed", String(this.paused));
+    pause.textContent = this.paused ? "go on" : "pause";
+    this.onView();
+  }
+
+  // Buttons and keys beside the mouse.
+  tools() {
+    const on = (id, act) => document.getElementById(id).addEventListener("click", act);
+    const span = () => this.span ?? this.windowS, end = () => this.end ?? this.newest;
+    on("pause", () => (this.paused ? this.follow() : this.look(this.newest - 1e-3, this.windowS)));
+    on("back", () => this.look(end() - 0.5 * span(), span()));
+    on("forward", () => (end() + 0.5 * span() >= this.newest ? this.follow() : this.look(end() + 0.5 * span(), span())));
+    on("closer", () => this.look(Math.min(end() - 0.25 * span() * (this.paused ? 1 : 0), this.newest - 1e-3), Math.max(SHORTEST_S, 0.5 * span())));
+    on("wider", () => this.look(Math.min(end() + 0.5 * span(), this.newest - 1e-3), Math.min(3600, 2 * span())));
+    on("marker", () => {
+      this.marks = [...this.marks, Math.round(1000 * (this.cursorAt ?? this.newest)) / 1000].slice(-9);
+      keep("marks", JSON.stringify(this.marks));
+      this.settled = false;
+      this.onView();
+    });
+    this.root.addEventListener("keydown", (event) => {
+      const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key], u = this.charts[0].u;
+      if (event.key === "Escape") this.follow();
+      if (!step || !u) return;
+      event.preventDefault();
+      const left = (u.cursor.left >= 0 ? u.cursor.left : u.over.clientWidth) + step * (event.shiftKey ? 40 : 4);
+      u.setCursor({ left: Math.min(Math.max(left, 0), u.over.clientWidth), top: 10 });
+    });
+  }
+
+  pointed(u) {
+    this.cursorAt = u.cursor.left >= 0 && u.cursor.idx != null ? u.posToVal(u.cursor.left, "x") : null;
+    this.atCursor();
+  }
+
+  chosen(u) {
+    if (u.select.width < 5) return;
+    const from = u.posToVal(u.select.left, "x"), to = u.posToVal(u.select.left + u.select.width, "x");
+    for (const chart of this.charts) chart.u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+    this.look(Math.min(to, this.newest - 1e-3), Math.max(SHORTEST_S, to - from));
+  }
+
+  // The values under the cursor, and the event nearest to it.
+  atCursor() {
+    const at = this.cursorAt, said = document.getElementById("cursor");
+    if (at === null) {
+      if (said.textContent) said.textContent = "";
+      return;
+    }
+    const width = this.store.widthMs / 1000, i = Math.round((at - this.x[0]) / (width / 2));
+    const parts = this.charts.map(({ strip, y }) => {
+      const found = [y[i - 1], y[i], y[i + 1]].filter((value) => typeof value === "number");
+      return found.length ? `${strip.title} ${(found.reduce((a, b) => a + b) / found.length).toFixed(strip.digits)} ${strip.unit}` : "";
+    });
+    const near = this.events.find((event) => Math.abs(event.wall_ms / 1000 - at) < Math.max(width, (this.span ?? this.windowS) / 150));
+    said.textContent = [clock(at), ...parts.filter(Boolean), near?.text ?? ""].filter(Boolean).join(" · ");
   }
 
   rangeOf(chart, found) {
@@ -126,7 +221,66 @@ export class Strips {
     if (chart.strip.signal === "vertical_n") this.targetBands(u, c);
     if (chart.strip.signal === "error_pct" && this.settings) this.errorBands(u, c);
     for (const limit of this.settings?.[chart.strip.signal === "vertical_n" ? "tension_n" : chart.strip.signal] ?? []) {
-      line(u, limit.value, limit.action === "log" ? c.warn : c.bad);
+      line(u, limit.value, c.limit);
+    }
+    this.moments(u, chart, c);
+    ctx.restore();
+  }
+
+  // Events on the time axis, and the reader's own markers.
+  moments(u, chart, c) {
+    const { ctx } = u, { left, top, width, height } = u.bbox, { min, max } = u.scales.x;
+    for (const event of this.events) {
+      const at = event.wall_ms / 1000;
+      if (at < min || at > max) continue;
+      const x = u.valToPos(at, "x", true);
+      ctx.strokeStyle = ctx.fillStyle = event.severity === "error" ? c.bad : event.severity === "warning" ? c.warn : c.dim;
+      ctx.lineWidth = 1;
+      ctx.globalAlpha = 0.55;
+      ctx.beginPath();
+      ctx.moveTo(x, top);
+      ctx.lineTo(x, top + height);
+      ctx.stroke();
+      ctx.globalAlpha = 1;
+      ctx.beginPath();
+      if (event.severity === "error") ctx.rect(x - 5, top + height - 10, 10, 10);
+      else ctx.moveTo(x - 6, top + height), ctx.lineTo(x, top + height - 10), ctx.lineTo(x + 6, top + height);
+      ctx.fill();
+    }
+    ctx.fillStyle = ctx.strokeStyle = c.ink;
+    this.marks.forEach((at, i) => {
+      if (at < min || at > max) return;
+      const x = u.valToPos(at, "x", true);
+      ctx.setLineDash([2, 4]);
+      ctx.beginPath();
+      ctx.moveTo(x, top);
+      ctx.lineTo(x, top + height);
+      ctx.stroke();
+      ctx.setLineDash([]);
+      ctx.font = `${12 * devicePixelRatio}px DejaVu Sans, sans-serif`;
+      ctx.textAlign = "left";
+      if (chart.strip.signal === "vertical_n") ctx.fillText(`M${i + 1}`, Math.min(x + 3, left + width - 20), top + height - 14);
+    });
+  }
+
+  // Where nothing is regulated, error and tension are grey.
+  over(u, chart, c) {
+    const { signal } = chart.strip, { ctx } = u, { left, top, width, height } = u.bbox;
+    if (signal !== "vertical_n" && signal !== "error_pct") return;
+    const idle = (mode) => typeof mode === "number" && (signal === "error_pct" ? mode !== COMPENSATING : !CLOSED.includes(mode));
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(left, top, width, height);
+    ctx.clip();
+    ctx.fillStyle = c.idle;
+    for (let i = 0; i < POINTS; ) {
+      let j = i + 2;
+      if (idle(this.modes[i])) {
+        while (j < POINTS && idle(this.modes[j])) j += 2;
+        const from = u.valToPos(this.x[i], "x", true), to = u.valToPos(j < POINTS ? this.x[j] : this.x[POINTS - 1] + 1, "x", true);
+        ctx.fillRect(from, top, to - from, height);
+      }
+      i = j;
     }
     ctx.restore();
   }
@@ -153,7 +307,7 @@ export class Strips {
     band(u, left, left + width, -pct, pct, c.band);
     for (const limit of this.settings.error_n) {
       const share = (100 * limit.value) / this.newtonsFor(300);
-      for (const side of [-share, share]) line(u, side, limit.action === "log" ? c.warn : c.bad);
+      for (const side of [-share, share]) line(u, side, c.limit);
     }
     line(u, 0, c.mark);
   }
