@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
-import pathlib
 import socket
 import sys
 import time
@@ -20,6 +18,7 @@ from rigctl.bridge import json_channels as texts
 from rigctl.bridge import record_channel
 from rigctl.bridge.foxglove_protocol import Channel
 from rigctl.bridge.foxglove_server import FoxgloveServer
+from rigctl.bridge.processor import keep_off
 from rigctl.bridge.record_channel import RecordEncoding, thinned
 from rigctl.bridge.rig_parameters import parameters_of
 from rigctl.client import AsyncRig, NoDaemonError, Rig, SchemaError
@@ -126,15 +125,6 @@ class FoxgloveBridge:
     def _publish_json(self, channel: Channel, wall_ns: int, message: Mapping[str, Any]) -> None:
         if self._server.is_wanted(channel):
             self._server.publish(channel, [wall_ns], [msgspec.json.encode(message)])
-
-
-def keep_off(cpu: int | None) -> None:
-    """Keep every thread of this process off the loop's processor, where there is another."""
-    others = os.sched_getaffinity(0) - {cpu}
-    if cpu is not None and others:
-        for thread in pathlib.Path("/proc/self/task").iterdir():
-            with contextlib.suppress(OSError):  # it has ended
-                os.sched_setaffinity(int(thread.name), others)
 
 
 async def _serve(rig: Rig, listening: socket.socket, address: Address, origins: Sequence[str], rate_hz: float) -> None:

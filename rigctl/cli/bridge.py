@@ -5,13 +5,15 @@ from __future__ import annotations
 import pathlib
 import sys
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rigctl.cli import standard_output
-from rigctl.cli.options import BAD, DONE, USAGE, Connect, Rig, end, load_rig_file, say
+from rigctl.cli.options import BAD, DONE, USAGE, Connect, Rig, end, load_rig_file, say, wrong_usage
 from rigctl.config.address import Address, AddressError, CannotListenError, here
 
 if TYPE_CHECKING:
@@ -21,26 +23,46 @@ RETRY_S = 0.5
 
 
 class BridgeTo(Enum):
-    """Programs that are served."""
+    """Programs that are served, or that read a recording with our layout."""
 
     FOXGLOVE = "foxglove"
+    PROMETHEUS = "prometheus"
+    PLOTJUGGLER = "plotjuggler"
 
 
-LISTEN = {BridgeTo.FOXGLOVE: "127.0.0.1:8765"}
-What = Annotated[BridgeTo, typer.Argument(metavar="foxglove", help="Which tool.")]
+LISTEN = {BridgeTo.FOXGLOVE: "127.0.0.1:8765", BridgeTo.PROMETHEUS: "127.0.0.1:9477"}
+LAYOUTS = {
+    BridgeTo.FOXGLOVE: "foxglove.json",
+    BridgeTo.PROMETHEUS: "grafana.json",
+    BridgeTo.PLOTJUGGLER: "plotjuggler.xml",
+}
+What = Annotated[BridgeTo, typer.Argument(metavar="|".join(to.value for to in BridgeTo), help="Which tool.")]
 File = Annotated[
     pathlib.Path | None, typer.Argument(metavar="[FILE]", help="Rig file, for name and endpoint [--connect, --rig].")
 ]
 Listen = Annotated[
-    str | None, typer.Option("--listen", metavar="HOST:PORT", help="Where it is served [127.0.0.1:8765].")
+    str | None,
+    typer.Option("--listen", metavar="HOST:PORT", help="Where it is served [127.0.0.1:8765, prometheus :9477]."),
 ]
 Rate = Annotated[
-    float, typer.Option("--rate", metavar="HZ", min=0.1, max=4000.0, help="Of the records; every tick at the most.")
+    float,
+    typer.Option("--rate", metavar="HZ", min=0.1, max=4000.0, help="foxglove: of the records; every tick at the most."),
 ]
 Origins = Annotated[
     list[str] | None,
-    typer.Option("--origin", metavar="URL", help="A web page of elsewhere that may connect; may be repeated."),
+    typer.Option("--origin", metavar="URL", help="foxglove: a web page of elsewhere that may connect; several times."),
 ]
+Layout = Annotated[
+    pathlib.Path | None,
+    typer.Option("--layout", metavar="FILE", help="Write the tool's layout for a rig there (-: print it), and end."),
+]
+
+
+@dataclass(frozen=True)
+class _Asked:
+    address: Address
+    rate_hz: float
+    origins: list[str]
 
 
 def bridge(
@@ -49,10 +71,16 @@ def bridge(
     listen: Listen = None,
     rate: Rate = 100.0,
     origin: Origins = None,
+    layout: Layout = None,
     connect: Connect = None,
     rig: Rig = None,
 ) -> None:
     """Serve a running rig to other tools, read-only, until Ctrl-C; waits for a daemon."""
+    if layout is not None:
+        _write_layout(to, layout)
+        end(DONE)
+    if to not in LISTEN:
+        end(USAGE, f"{to.value} opens recordings: found no --layout, expected --layout FILE for its layout")
     try:
         address = Address.parse(listen or LISTEN[to])
     except AddressError as error:
@@ -60,19 +88,59 @@ def bridge(
     if file is not None:
         settings = load_rig_file(file)
         connect, rig = connect or here(settings.telemetry.listen), rig or settings.rig
+    if not address.is_loopback:
+        say("WARNING: unencrypted and without sign-in: whoever reaches the address reads the rig")
     try:
-        listening = address.listen()
+        _SERVERS[to](_Asked(address, rate, origin or []), connect, rig)
     except CannotListenError as error:
         end(BAD, str(error))
-    address = Address(address.host, listening.getsockname()[1])
-    with _daemon(connect, rig) as found:
-        if not address.is_loopback:
-            say("WARNING: unencrypted and without sign-in: whoever reaches the address reads the rig")
-        from rigctl.bridge.foxglove_bridge import serve
+    end(DONE)
 
-        say(f"foxglove: ws://{address}, {found.name} at {found.connection.endpoint}, records at {rate:g} Hz")
-        complaint = serve(found, listening, address, origin or [], rate)
+
+def _write_layout(to: BridgeTo, file: pathlib.Path) -> None:
+    from rigctl.bridge import layouts
+    from rigctl.ipc import output_file
+
+    text = layouts.text_of(LAYOUTS[to])
+    if str(file) == "-":
+        say(text.rstrip("\n"))
+    else:
+        with wrong_usage(output_file.OutputError):
+            output_file.replace(file, text)
+
+
+def _foxglove(asked: _Asked, connect: str | None, rig: str | None) -> None:
+    from rigctl.bridge.foxglove_bridge import serve
+
+    listening = asked.address.listen()
+    address = Address(asked.address.host, listening.getsockname()[1])
+    with _daemon(connect, rig) as found:
+        say(f"foxglove: ws://{address}, {found.name} at {found.connection.endpoint}, records at {asked.rate_hz:g} Hz")
+        complaint = serve(found, listening, address, asked.origins, asked.rate_hz)
     end(DONE if complaint is None else BAD, complaint)
+
+
+def _prometheus(asked: _Asked, connect: str | None, rig: str | None) -> None:
+    from rigctl.bridge.prometheus_bridge import serve
+    from rigctl.client import NoDaemonError
+
+    with _daemon(connect, rig) as found:
+
+        def told(address: Address) -> None:
+            say(f"prometheus: http://{address}/metrics, {found.name} at {found.connection.endpoint}")
+
+        try:
+            serve(found, asked.address, told, standard_output.nobody_reads)
+        except NoDaemonError as error:
+            end(BAD, str(error))
+        except KeyboardInterrupt:
+            end(DONE)
+
+
+_SERVERS: dict[BridgeTo, Callable[[_Asked, str | None, str | None], None]] = {
+    BridgeTo.FOXGLOVE: _foxglove,
+    BridgeTo.PROMETHEUS: _prometheus,
+}
 
 
 def _daemon(connect: str | None, rig: str | None) -> client.Rig:

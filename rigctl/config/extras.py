@@ -13,6 +13,7 @@ EXTRAS = {
     },
     "ops": {"matplotlib", "jinja2", "pyarrow"},
     "sim": {"numba", "simple_pid", "control"},
+    "bridge": {"prometheus_client"},
 }  # fmt: skip
 """Top-level modules that each extra of pyproject.toml brings; the control process needs none of them."""
 

@@ -78,17 +78,22 @@ class FoxgloveClient:
             pool.Add(file)
         return message_factory.GetMessageClass(pool.FindMessageTypeByName(channel["schemaName"])).FromString
 
-    def message(self) -> tuple[int, int, Any]:
-        """Number of the subscription, wall time in ns and content of the next message of data."""
+    def raw(self) -> bytes:
+        """The next message of data."""
         until = time.monotonic() + PATIENCE_S
         while time.monotonic() < until:
             found = self.socket.recv(PATIENCE_S)
             if isinstance(found, bytes):
-                opcode, number, wall_ns = struct.unpack_from("<BIQ", found)
-                assert opcode == 1
-                return number, wall_ns, self._subscribed[number](found[13:])
+                return found
             self._heard(found)
         raise AssertionError("no data")
+
+    def message(self) -> tuple[int, int, Any]:
+        """Number of the subscription, wall time in ns and content of the next message of data."""
+        found = self.raw()
+        opcode, number, wall_ns = struct.unpack_from("<BIQ", found)
+        assert opcode == 1
+        return number, wall_ns, self._subscribed[number](found[13:])
 
     def messages(self, count: int) -> list[Any]:
         return [self.message()[2] for _ in range(count)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import itertools
 import json
@@ -11,10 +12,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from typing import Any
 
+import foxglove
 import pytest
+from foxglove.websocket import Capability, ServerListener
 from websockets.exceptions import InvalidStatus
 
+from rigctl.bridge import foxglove_protocol as protocol
 from rigctl.control.modes import Mode
 from tests.builders.foxglove_client import FoxgloveClient, stalled
 from tests.builders.miniature import Daemon, until
@@ -201,3 +206,41 @@ def test_json_of_the_state_schema_is_read_by_lichtblick(full: Bridge) -> None:
                 assert row["type"] in ("string", "number", "integer", "boolean", "object", "array"), name
                 assert "items" in row or row["type"] != "array", name
                 assert "properties" in row or row["type"] != "object", name
+
+
+# -- the SDK's own server as the oracle ----------------------------------------------------------------------------
+def test_our_server_says_what_the_sdks_server_says(full: Bridge) -> None:
+    """The same client, the same channels: the same keys, and the same bytes of a message."""
+    with FoxgloveClient(full.port) as ours:
+        mine, offered = ours.info, ours.channels["/records"]
+    context = foxglove.Context()
+    parameters = [foxglove.Parameter("plant.radius_mm", value=750.0), foxglove.Parameter("rig", value="paper_rig")]
+
+    class Listener(ServerListener):
+        def on_get_parameters(self, client: object, names: list[str], request_id: str | None = None) -> list[Any]:  # noqa: ARG002
+            return parameters
+
+    server = foxglove.start_server(
+        port=0, context=context, capabilities=[Capability.Parameters], session_id="one", server_listener=Listener()
+    )
+    try:
+        schema = foxglove.Schema(name="rigctl.Record", encoding="protobuf", data=base64.b64decode(offered["schema"]))
+        records = foxglove.Channel("/records", message_encoding="protobuf", schema=schema, context=context)
+        foxglove.Channel("/bridge", message_encoding="json", context=context)
+        with FoxgloveClient(server.port, "foxglove.sdk.v1") as client:
+            theirs = client.channels["/records"]
+            assert mine.keys() >= client.info.keys()
+            assert mine["capabilities"] == client.info["capabilities"]
+            assert {name: offered[name] for name in theirs if name != "id"} == {
+                name: value for name, value in theirs.items() if name != "id"
+            }
+            client.send(op="getParameters", parameterNames=[], id="q")
+            assert client.told("parameterValues") == json.loads(
+                protocol.parameter_values({"plant.radius_mm": 750.0, "rig": "paper_rig"}, "q")
+            )
+            client.subscribe("/records", 5)
+            until(records.base.has_sinks, "the subscription")
+            records.log(b"\x08\x01", log_time=123456789)
+            assert client.raw() == protocol.message_data(5, 123456789, b"\x08\x01")
+    finally:
+        server.stop()

@@ -1,0 +1,51 @@
+"""``rigctl bridge prometheus``: a rig's client on one side, a page of metrics on the other."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from prometheus_client import CollectorRegistry, start_http_server
+
+from rigctl.bridge.processor import keep_off
+from rigctl.bridge.prometheus_metrics import RigMetrics
+from rigctl.client import Rig
+from rigctl.config.address import Address, CannotListenError, is_local
+
+TURN_S = 0.1
+SILENT_S = 1.0
+
+
+def serve(rig: Rig, address: Address, told: Callable[[Address], None], stop: Callable[[], bool]) -> None:
+    """Serve until ``stop()``.
+
+    Args:
+        rig: a client of the daemon.
+        address: where to listen.
+        told: called with the address once it listens.
+        stop: whether to end.
+
+    Raises:
+        CannotListenError: the port is in use, may not be used, or the host is not this computer's.
+        NoDaemonError: no answer.
+    """
+    metrics, registry = RigMetrics(rig.name, rig.schema()["enums"]), CollectorRegistry()
+    registry.register(metrics)
+    if is_local(rig.connection.endpoint):
+        keep_off(((rig.config().get("settings") or {}).get("loop") or {}).get("cpu"))
+    try:
+        server, _ = start_http_server(address.port, address.host, registry)
+    except OSError as error:
+        raise CannotListenError(f"cannot listen on {address}: {error.strerror or error}") from None
+    told(Address(address.host, server.server_port))
+    with rig.fast() as samples, rig.states() as states, rig.events() as events:
+        state, heard_at = None, time.monotonic()
+        while not stop():
+            if (newest := states.newest()) is not None:
+                state, heard_at = newest, time.monotonic()
+            elif time.monotonic() - heard_at > SILENT_S:
+                state = None
+            count = samples.count
+            metrics.take(state, list(samples.arrived()), list(events.arrived()), (count.received, count.lost))
+            time.sleep(TURN_S)
+    server.shutdown()
