@@ -1,12 +1,14 @@
-"""``python -m tests.page_shots DIR``: pictures of the live page in both themes and three sizes, to be looked at.
+"""``python -m tests.page_shots DIR [--everywhere]``: 12 pictures of the live page, 4 modes and 8 faults.
 
-A real daemon on the simulated rig: tension on target with the rope swinging, a confirmation asked for, a fault, and a
-page whose daemon has gone.
+A real daemon on the simulated rig, whose devices are made to fail one after the other. Each picture must answer by
+itself: is it safe to walk in, why did it stop, what do I do, how long has it been so, which limit and which value.
+``--everywhere`` takes each state on tablets and a phone and in the dark theme as well.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import pathlib
 import signal
@@ -14,83 +16,141 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 
 from playwright.sync_api import Browser
 
 from tests.builders import daemons
-from tests.builders.pages import PATIENT, PageView, Server, browser, look, serving
+from tests.builders.pages import PATIENT, Server, browser, look, serving
 from tests.builders.paths import ROOT
 
 BROWSER_PACKAGES = ("chromium", "fonts-dejavu-core")
-SIZES = ((1920, 1080), (1024, 768), (820, 1180))
-THEMES = ("light", "dark")
+SIZE = (1600, 900)
+ELSEWHERE = ((1180, 820, "light"), (1024, 768, "light"), (390, 844, "light"), (1600, 900, "dark"))
+FAULTS = ("e_stop", "cell_silent", "cell_high", "rope_lost", "drive_trips", "runs_away")
+SHOWN_S = 4.0  # a fault stands for some seconds, so that "since when" says something
 
 
-def shoot(seen: PageView, folder: pathlib.Path, name: str) -> None:
-    """A picture of what the screen shows, and of the whole page where it is longer."""
-    seen.page.screenshot(path=folder / f"{name}.png")
-    if seen.run("document.documentElement.scrollHeight > innerHeight + 10"):
-        seen.page.screenshot(path=folder / f"{name}-whole.png", full_page=True)
+@contextlib.contextmanager
+def faulty_rig(file: pathlib.Path, log: pathlib.Path) -> Iterator[subprocess.Popen[str]]:
+    """The served rig, with its standard input for faults."""
+    with log.open("wb") as out:
+        child = subprocess.Popen(
+            [sys.executable, "-m", "tests.builders.faulty_rig", str(file)],
+            stdin=subprocess.PIPE, stdout=out, stderr=subprocess.STDOUT, text=True, cwd=ROOT,
+        )  # fmt: skip
+    try:
+        daemons.wait_for(lambda: child.poll() is not None or b"serving" in log.read_bytes(), log=log)
+        yield child
+    finally:
+        child.kill()
+        child.wait()
 
 
-def everywhere(chromium: Browser, server: Server, folder: pathlib.Path, name: str) -> None:
-    """One picture for each size and theme."""
-    for width, height in SIZES:
-        for theme in THEMES:
-            seen = look(chromium, server.address, width, height, theme)
+def say(rig: subprocess.Popen[str], fault: str) -> None:
+    """Put a fault in, or with "" take all out."""
+    assert rig.stdin is not None
+    rig.stdin.write(f"{fault}\n")
+    rig.stdin.flush()
+
+
+class Album:
+    """Pictures of one page server."""
+
+    def __init__(self, chromium: Browser, server: Server, folder: pathlib.Path, everywhere: bool) -> None:
+        self.chromium, self.server, self.folder, self.everywhere = chromium, server, folder, everywhere
+        self.seen = look(chromium, server.address, *SIZE)
+        self.seen.live()
+
+    def take(self, name: str) -> None:
+        """A picture of the state now, of what fits the screen."""
+        time.sleep(1.5)
+        self.seen.page.screenshot(path=self.folder / f"page-{name}.png")
+        print(f"{name}: {self.seen.text('#mode')}; {self.seen.errors}", flush=True)
+        for width, height, theme in ELSEWHERE if self.everywhere else ():
+            seen = look(self.chromium, self.server.address, width, height, theme)
             seen.live()
             time.sleep(1.5)
-            shoot(seen, folder, f"{name}-{width}x{height}-{theme}")
+            seen.page.screenshot(path=self.folder / f"page-{name}-{width}-{theme}.png")
             seen.page.close()
 
 
-def play(folder: pathlib.Path, work: pathlib.Path) -> None:
+def rigctl(file: pathlib.Path, *verb: str) -> None:
+    """A command of the operator; its answer is printed."""
+    answer = daemons.rigctl(*verb, file=file)
+    print((answer.stdout or answer.stderr).strip(), flush=True)
+
+
+def up(file: pathlib.Path) -> None:
+    """The tension on its target."""
+    for _ in range(20):
+        state = daemons.state(file)
+        if state.get("mode") == "COMPENSATING":
+            return
+        if state.get("mode") == "FAULT":
+            rigctl(file, "reset")
+        elif state.get("mode") == "DISARMED":
+            rigctl(file, "arm")
+        elif state.get("mode") == "HOLD":
+            rigctl(file, "tension", "--wait")
+        time.sleep(1.0)
+    raise AssertionError(f"the rig is not up: {daemons.state(file).get('fault_text')}")
+
+
+def play(folder: pathlib.Path, work: pathlib.Path, everywhere: bool) -> None:
     """The rig through its states, pictures on the way."""
     file = daemons.rig_file(work, PATIENT)
+    control = "rigctl.control.control_process"
     with (
         browser() as chromium,
-        daemons.simulated_rig(file, work / "rig.log") as rig,
+        faulty_rig(file, work / "rig.log") as rig,
         daemons.daemon(file, work / "daemon.log"),
         serving(daemons.endpoint(file), "--operator", "kim") as server,
     ):
-        everywhere(chromium, server, folder, "disarmed")
-        for verb in (("lease", "take"), ("arm",), ("tension", "--wait")):
-            answer = daemons.rigctl(*verb, file=file)
-            print(answer.stdout or answer.stderr, end="")
+        album = Album(chromium, server, folder, everywhere)
+        rigctl(file, "lease", "take")
+        album.take("disarmed")
+        rigctl(file, "arm")
+        album.take("hold")
+        rigctl(file, "tension")
+        time.sleep(1.0)
+        album.take("tensioning")
+        up(file)
         time.sleep(10.0)
-        everywhere(chromium, server, folder, "compensating")
-        server.command("lease", {"act": "take", "reason": "pictures"})
-        for (width, height), theme in zip(SIZES, (*THEMES, "light"), strict=True):
-            seen = look(chromium, server.address, width, height, theme)
-            seen.live()
-            seen.until("!document.querySelector('[data-verb=release]').dataset.why")
-            seen.page.click("[data-verb=release]")
-            seen.until("!document.querySelector('#confirm').hidden")
-            shoot(seen, folder, f"confirm-{width}x{height}-{theme}")
-            seen.page.close()
-        rig.send_signal(signal.SIGSTOP)  # the bus falls silent
-        everywhere(chromium, server, folder, "fault")
-        rig.send_signal(signal.SIGCONT)
-        seen = look(chromium, server.address, *SIZES[0])
-        seen.live()
-        os.kill(daemons.process_with("rigctl.gateway.gateway_process", daemons.name_of(file)), signal.SIGSTOP)
-        seen.until("rigctl.stale")
-        time.sleep(2.0)
-        shoot(seen, folder, "stale-1920x1080-light")
-        os.kill(daemons.process_with("rigctl.gateway.gateway_process", daemons.name_of(file)), signal.SIGCONT)
+        album.take("compensating")
+        for fault in FAULTS:
+            up(file)
+            time.sleep(3.0)
+            say(rig, fault)
+            album.seen.until("rigctl.state.mode === 'FAULT'")
+            time.sleep(SHOWN_S)
+            album.take(fault.replace("_", "-"))
+            say(rig, "")
+            time.sleep(1.0)
+        up(file)
+        os.kill(rig.pid, signal.SIGSTOP)
+        album.seen.until("rigctl.state.mode === 'FAULT'")
+        time.sleep(SHOWN_S)
+        album.take("bus-silent")
+        os.kill(rig.pid, signal.SIGCONT)
+        os.kill(stopped := daemons.process_with(control, daemons.name_of(file)), signal.SIGSTOP)
+        time.sleep(SHOWN_S)
+        album.take("loop-stopped")
+        os.kill(stopped, signal.SIGCONT)
 
 
 def main() -> None:
     """Take the pictures."""
     parser = argparse.ArgumentParser(prog="python -m tests.page_shots", description=__doc__)
     parser.add_argument("folder", type=pathlib.Path, metavar="DIR", help="where the pictures go")
-    folder = parser.parse_args().folder
+    parser.add_argument("--everywhere", action="store_true", help="on tablets and a phone and in the dark theme too")
+    options = parser.parse_args()
     if subprocess.run([ROOT / "tests/guest/apt", *BROWSER_PACKAGES], check=False).returncode:
         sys.exit(1)  # it has said what is missing
-    folder.mkdir(parents=True, exist_ok=True)
+    options.folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="rigctl-page-") as work:
-        play(folder, pathlib.Path(work))
-    print(f"{len(list(folder.glob('*.png')))} pictures in {folder}")
+        play(options.folder, pathlib.Path(work), options.everywhere)
+    print(f"{len(list(options.folder.glob('page-*.png')))} pictures in {options.folder}")
 
 
 if __name__ == "__main__":

@@ -128,5 +128,5 @@ def timing(state: dict[str, Any], period_us: float | None, missed: int) -> dict[
     """The summary light of the loop's timing over the last second, and deadlines ``missed`` in the last minute."""
     worst = max((state.get(name) or {}).get("p999", 0.0) for name in ("lateness_us", "work_us"))
     late = period_us is not None and worst > period_us
-    words = f"{missed} deadlines missed in the last minute" if missed else "later than a period" if late else "in time"
+    words = f"{missed} late in a minute" if missed else "late" if late else "in time"
     return {"good": not (late or missed), "text": words}

@@ -38,7 +38,7 @@ export class AlarmTable {
     tr.className = `${row.priority}${row.stands && !row.shelved ? " stands" : ""}${row.acknowledged ? " seen" : ""}`;
     cell(tr, "").append(span(`${SIGN[row.priority]} ${row.priority.toUpperCase()}`, "badge-of"));
     const cause = cell(tr, "");
-    cause.append(span(row.cause, "cause"), span(` ${row.text}`), span(`→ ${row.remedy}`, "remedy"));
+    cause.append(span(row.cause, "cause"), span(` ${row.text} `), span(`→ ${row.remedy}`, "remedy"));
     cell(tr, row.value || row.limit ? `${row.value || "-"}, limit ${row.limit || "-"}` : "");
     const times = row.count > 1 ? `first ${clock(row.first_ns)}, last ${clock(row.last_ns)}, ${row.count} times` : clock(row.first_ns);
     cell(tr, `${times}${row.chatters ? ", chatters" : ""}`);

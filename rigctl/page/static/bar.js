@@ -27,7 +27,7 @@ export class Bar {
     track.setAttribute("class", regulated ? "bar-track" : "bar-track idle");
     word(low, LEFT, "start", `${Math.round(from)} N`);
     word(high, RIGHT, "end", `${Math.round(to)} N`);
-    word(mid, Math.min(Math.max(x(target), 120), 255), "middle", target > 0 ? `target ${Math.round(10 * target) / 10} N ±${bandPct} %` : "no target");
+    word(mid, Math.min(Math.max(x(target), 160), 240), "middle", target > 0 ? `target ${Math.round(10 * target) / 10} N ±${bandPct} %` : "no target");
     const said = known ? `${value.toFixed(1)} N, target ${target} N, ${outside ? "outside" : "within"} its band of ±${bandPct} %` : "tension not known";
     if (this.said !== said) this.svg.setAttribute("aria-label", (this.said = said));
   }
@@ -38,6 +38,6 @@ function put(node, attributes) {
 }
 
 function word(node, x, anchor, text) {
-  put(node, { x, y: 43, "text-anchor": anchor });
+  put(node, { x, y: 47, "text-anchor": anchor });
   if (node.textContent !== text) node.textContent = text;
 }

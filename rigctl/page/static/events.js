@@ -16,7 +16,7 @@ export class History {
 
   // Events for the charts: what an operator would ask about.
   get marks() {
-    return this.events.filter((event) => !event.timing && (event.severity !== "info" || event.kind === "MODE"));
+    return this.events.filter((event) => event.severity === "error" || event.kind === "MODE");
   }
 
   draw() {

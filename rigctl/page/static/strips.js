@@ -230,10 +230,11 @@ export class Strips {
   // Events on the time axis, and the reader's own markers.
   moments(u, chart, c) {
     const { ctx } = u, { left, top, width, height } = u.bbox, { min, max } = u.scales.x;
+    let last = -Infinity;
     for (const event of this.events) {
-      const at = event.wall_ms / 1000;
-      if (at < min || at > max) continue;
-      const x = u.valToPos(at, "x", true);
+      const at = event.wall_ms / 1000, x = u.valToPos(at, "x", true);
+      if (at < min || at > max || x - last < 12) continue; // of events at the same place, the first
+      last = x;
       ctx.strokeStyle = ctx.fillStyle = event.severity === "error" ? c.bad : event.severity === "warning" ? c.warn : c.dim;
       ctx.lineWidth = 1;
       ctx.globalAlpha = 0.55;

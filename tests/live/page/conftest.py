@@ -35,3 +35,16 @@ def readonly(daemon: Daemon) -> Iterator[pages.Server]:
 def commanding(daemon: Daemon) -> Iterator[pages.Server]:
     with pages.serving(daemon.endpoint, "--operator", "kim") as server:
         yield server
+
+
+@pytest.fixture
+def own() -> Iterator[Daemon]:
+    """A daemon in miniature for one test."""
+    yield from running()
+
+
+@pytest.fixture
+def own_page(own: Daemon) -> Iterator[pages.Server]:
+    own.client().close()
+    with pages.serving(own.endpoint, "--operator", "kim") as server:
+        yield server

@@ -87,7 +87,7 @@ def test_the_light_of_the_timing() -> None:
     told = state(Mode.HOLD, lateness_us=figures, work_us=None)
     assert timing(told, 1000.0, 0) == {"good": True, "text": "in time"}
     assert not timing(told, 500.0, 0)["good"]
-    assert timing(told, 1000.0, 3)["text"] == "3 deadlines missed in the last minute"
+    assert timing(told, 1000.0, 3)["text"] == "3 late in a minute"
 
 
 def test_the_answers_are_ready_for_the_browser() -> None:
