@@ -21,6 +21,7 @@ class To(Enum):
     PARQUET = "parquet"
     CSV = "csv"
     MAT = "mat"
+    MDF4 = "mdf4"
 
 
 Files = Annotated[list[pathlib.Path], typer.Argument(metavar="FILE...", help="Recording, its parts, or a trip dump.")]
@@ -43,7 +44,7 @@ def info(files: Files, run: Run = False, json: Json = False) -> None:
 
 
 def export(files: Files, to: Format, out: Out, run: Run = False) -> None:
-    """Write a recording as Parquet, CSV or MAT: a new folder with a table for each topic, units included."""
+    """Write a recording as Parquet, CSV, MAT or MDF4: a new folder with a table for each topic, units included."""
     from rigctl.ipc.output_file import OutputError
     from rigctl.recorder import export as exporting
 

@@ -14,6 +14,7 @@ EXTRAS = {
     "ops": {"matplotlib", "jinja2", "pyarrow"},
     "sim": {"numba", "simple_pid", "control"},
     "bridge": {"prometheus_client"},
+    "mdf": {"asammdf"},
 }  # fmt: skip
 """Top-level modules that each extra of pyproject.toml brings; the control process needs none of them."""
 

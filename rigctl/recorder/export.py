@@ -1,4 +1,4 @@
-"""Export of a recording as Parquet, CSV or MAT; the folder is complete or absent."""
+"""Export of a recording as Parquet, CSV, MAT or MDF4; the folder is complete or absent."""
 
 from __future__ import annotations
 
@@ -146,6 +146,12 @@ def _mat(recording: Recording, found: Tables, folder: pathlib.Path) -> None:
     savemat(folder / "recording.mat", content, long_field_names=True, do_compression=True, oned_as="column")
 
 
+def _mdf4(recording: Recording, found: Tables, folder: pathlib.Path) -> None:
+    from rigctl.recorder import mdf4
+
+    mdf4.write(recording, found, folder / "recording.mf4")
+
+
 def _for_matlab(column: Column) -> Any:
     values = column.values
     if column.absent is not None and isinstance(values, np.ndarray) and column.absent.any():
@@ -161,4 +167,5 @@ KINDS: dict[str, Callable[[Recording, Tables, pathlib.Path], None]] = {
     "parquet": _parquet,
     "csv": _csv,
     "mat": _mat,
+    "mdf4": _mdf4,
 }
