@@ -15,6 +15,7 @@ EXTRAS = {
     "sim": {"numba", "simple_pid", "control"},
     "bridge": {"prometheus_client"},
     "mdf": {"asammdf"},
+    "test": {"pytest", "pandas"},
 }  # fmt: skip
 """Top-level modules that each extra of pyproject.toml brings; the control process needs none of them."""
 

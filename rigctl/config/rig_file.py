@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+import sys
 
 from pydantic import ValidationError
 
@@ -19,6 +20,19 @@ class ConfigError(ValueError):
     def __init__(self, findings: list[str]) -> None:
         self.findings = [printable(finding) for finding in findings]
         super().__init__("\n".join(self.findings))
+
+
+def shipped(name: str) -> pathlib.Path:
+    """A rig file that comes with the program: of a checkout, or where the wheel has put it.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    places = (pathlib.Path(__file__).parents[2] / "config", pathlib.Path(sys.prefix) / "share/rigctl/config")
+    for place in places:
+        if (place / name).is_file():
+            return place / name
+    raise ConfigError([f"{name}: found it neither in {places[0]} nor in {places[1]}, expected an installed rigctl"])
 
 
 def load(path: str | pathlib.Path, *, study: bool = False) -> RigSettings:

@@ -36,6 +36,7 @@ ARCHITECTURE = ROOT / "docs/architecture.md"
 KINDS = frozenset({
     "python",  # run against a live gateway
     "python test",  # run by pytest, on a rig in lockstep
+    "python live",  # run by pytest, on a daemon of its own
     "python recording",  # run beside a recording
     "python serve",  # run beside a served rig
     "console",  # `$ ` and a command; every other line is output of it

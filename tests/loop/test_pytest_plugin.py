@@ -1,0 +1,122 @@
+"""The pytest plugin in a fresh pytest of a fresh folder, as its user has it."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import re
+
+import pytest
+
+from tests.builders.paths import ROOT
+
+pytest_plugins = "pytester"
+PAGE = (ROOT / "docs/hil-tests.md").read_text()
+LOADED = "import json, sys, pathlib\n"
+
+
+def shown(kind: str) -> list[str]:
+    blocks = re.findall(rf"^```python {kind}\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
+    return [block for block in blocks if "hil_" in block]
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_what_the_page_shows_passes(pytester: pytest.Pytester, number: int) -> None:
+    pytester.makepyfile(test_shown=shown("test")[number])
+    assert pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider").ret == 0
+    assert not (pytester.path / "results").exists()
+
+
+def test_the_page_begins_with_a_test_of_eight_lines() -> None:
+    assert len(shown("test")) == 4
+    assert len(shown("live")) == 1
+    assert len(shown("test")[0].splitlines()) <= 8
+
+
+@pytest.mark.real_time
+def test_what_the_page_shows_in_real_time_passes(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(test_shown=shown("live")[0])
+    assert pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider").ret == 0
+
+
+def test_a_failed_test_keeps_its_picture_and_its_recording(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        """
+        def test_trips(hil_rig):
+            hil_rig.do("arm")
+            hil_rig.inject("cell_silent", for_s=0.05)
+            assert hil_rig.run(0.5).mode == "HOLD"
+        """
+    )
+    done = pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider", "-o", "hil_results=kept")
+    done.assert_outcomes(failed=1)
+    done.stdout.re_match_lines([r"FAULT, fault CELL_STALE, at [\d.]+ s", r"kept: .*run\.png", r"kept: .*\.mcap"])
+    (folder,) = (pytester.path / "kept").iterdir()
+    (picture,), (recording,) = folder.glob("*.png"), folder.glob("*.mcap")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    from rigctl.recorder.recording import read
+
+    records = read(recording).records
+    assert records["mode"][-1] == 5 or records["fault"][-1] != 0
+    assert len(records) > 700  # 0.2 s of waking, the arming, 0.5 s
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        ("hil_rig.run(3.1)", "the test may take 3 s of simulated time: 0.2 s are used and 3.1 s are asked for"),
+        ("hil_rig.run_until('HOLD', 1.0)", "not in HOLD within 1 s of simulated time, but in DISARMED"),
+        ("hil_rig.do('tension')", "tension was refused in DISARMED: WRONG_MODE"),
+        ("hil_rig.inject('none_such')", "found 'none_such', expected a fault of the catalogue"),
+        ("hil_rig.command('fly')", "found command 'fly', expected"),
+        ("hil_rig.disturb(mass=[{'change_kg': 'x'}])", "mass.0"),
+        ("hil_rig.run(0.1).figure('eta')", "found figure 'eta', expected eta_max_pct"),
+    ],
+)
+def test_what_cannot_be_is_one_line(pytester: pytest.Pytester, body: str, says: str) -> None:
+    pytester.makepyfile(
+        f"""
+        import pytest
+
+        @pytest.mark.hil(timeout_s=3)
+        def test_it(hil_rig):
+            with pytest.raises((ValueError, AssertionError)) as refused:
+                {body}
+            assert {says!r} in str(refused.value)
+            assert "\\n" not in str(refused.value)
+        """
+    )
+    pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider").assert_outcomes(passed=1)
+
+
+@pytest.mark.parametrize(
+    ("marker", "says"),
+    [
+        ('rig="none.yaml"', "none.yaml"),
+        ("seed=3", "marker hil: found seed, expected rig, change, timeout_s"),
+        ('change={"plant.none": 3}', "marker hil: "),
+    ],
+)
+def test_a_marker_that_is_wrong_is_said_without_a_traceback(pytester: pytest.Pytester, marker: str, says: str) -> None:
+    pytester.makepyfile(f"import pytest\n\n@pytest.mark.hil({marker})\ndef test_it(hil_rig):\n    pass\n")
+    done = pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider")
+    done.assert_outcomes(errors=1)
+    assert says in done.stdout.str()
+    assert "Traceback" not in done.stdout.str()
+
+
+def test_a_run_without_a_rig_loads_none(pytester: pytest.Pytester) -> None:
+    """The plugin neither slows nor breaks the tests of other projects in the same environment."""
+    pytester.makepyfile(
+        """
+        import json, pathlib, sys
+
+        def test_nothing():
+            pathlib.Path("loaded.json").write_text(json.dumps(sorted(sys.modules)))
+        """
+    )
+    pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider", "--strict-markers").assert_outcomes(passed=1)
+    loaded = set(json.loads(pathlib.Path(pytester.path / "loaded.json").read_text()))
+    assert {name for name in loaded if name.split(".")[0] in ("hil", "rigctl")} == {
+        "hil", "hil.testing", "hil.testing.plugin",
+    }  # fmt: skip
