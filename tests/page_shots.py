@@ -25,9 +25,11 @@ from tests.builders.pages import PATIENT, Server, browser, look, serving
 from tests.builders.paths import ROOT
 
 BROWSER_PACKAGES = ("chromium", "fonts-dejavu-core")
-SIZE = (1600, 900)
+SIZE = (1600, 900, "light")
 ELSEWHERE = ((1180, 820, "light"), (1024, 768, "light"), (390, 844, "light"), (1600, 900, "dark"))
 FAULTS = ("e_stop", "cell_silent", "cell_high", "rope_lost", "drive_trips", "runs_away")
+# Five status frames late are a fault, and the pictures may be taken on a busy computer.
+SLOW = {"cylinder": {**PATIENT["cylinder"], "status_rate_hz": 5}}
 SHOWN_S = 4.0  # a fault stands for some seconds, so that "since when" says something
 
 
@@ -59,19 +61,16 @@ class Album:
 
     def __init__(self, chromium: Browser, server: Server, folder: pathlib.Path, everywhere: bool) -> None:
         self.chromium, self.server, self.folder, self.everywhere = chromium, server, folder, everywhere
-        self.seen = look(chromium, server.address, *SIZE)
-        self.seen.live()
 
     def take(self, name: str) -> None:
-        """A picture of the state now, of what fits the screen."""
-        time.sleep(1.5)
-        self.seen.page.screenshot(path=self.folder / f"page-{name}.png")
-        print(f"{name}: {self.seen.text('#mode')}; {self.seen.errors}", flush=True)
-        for width, height, theme in ELSEWHERE if self.everywhere else ():
+        """A picture of the state now. No browser draws in between: it would disturb the loop."""
+        for width, height, theme in (SIZE, *(ELSEWHERE if self.everywhere else ())):
             seen = look(self.chromium, self.server.address, width, height, theme)
-            seen.live()
-            time.sleep(1.5)
-            seen.page.screenshot(path=self.folder / f"page-{name}-{width}-{theme}.png")
+            seen.until("window.rigctl && rigctl.draws > 1")
+            time.sleep(1.0)
+            more = "" if (width, height, theme) == SIZE else f"-{width}-{theme}"
+            seen.page.screenshot(path=self.folder / f"page-{name}{more}.png")
+            print(f"{name}: {seen.text('#mode')}; {seen.errors}", flush=True)
             seen.page.close()
 
 
@@ -81,13 +80,21 @@ def rigctl(file: pathlib.Path, *verb: str) -> None:
     print((answer.stdout or answer.stderr).strip(), flush=True)
 
 
+def held(file: pathlib.Path) -> None:
+    """Armed, with a slack rope."""
+    up(file)
+    rigctl(file, "release", "--wait")
+
+
 def up(file: pathlib.Path) -> None:
     """The tension on its target."""
-    for _ in range(20):
+    for _ in range(60):
         state = daemons.state(file)
         if state.get("mode") == "COMPENSATING":
             return
         if state.get("mode") == "FAULT":
+            if state["fault"] == "STROKE_JUMPED":  # a busy computer held the simulated drive up
+                rigctl(file, "confirm-stroke", f"{state['stroke_mm']:.2f}")
             rigctl(file, "reset")
         elif state.get("mode") == "DISARMED":
             rigctl(file, "arm")
@@ -99,7 +106,7 @@ def up(file: pathlib.Path) -> None:
 
 def play(folder: pathlib.Path, work: pathlib.Path, everywhere: bool) -> None:
     """The rig through its states, pictures on the way."""
-    file = daemons.rig_file(work, PATIENT)
+    file = daemons.rig_file(work, {**PATIENT, **SLOW})
     control = "rigctl.control.control_process"
     with (
         browser() as chromium,
@@ -112,24 +119,30 @@ def play(folder: pathlib.Path, work: pathlib.Path, everywhere: bool) -> None:
         album.take("disarmed")
         rigctl(file, "arm")
         album.take("hold")
-        rigctl(file, "tension")
-        time.sleep(1.0)
-        album.take("tensioning")
-        up(file)
-        time.sleep(10.0)
-        album.take("compensating")
+        for name, mode in (("tensioning", "TENSIONING"), ("compensating", "COMPENSATING")):
+            while True:  # a trip of a busy computer is no picture of a mode
+                if name == "tensioning":
+                    held(file)
+                    rigctl(file, "tension")
+                    time.sleep(1.0)
+                else:
+                    up(file)
+                    time.sleep(10.0)
+                album.take(name)
+                if daemons.state(file).get("mode") == mode:
+                    break
         for fault in FAULTS:
             up(file)
             time.sleep(3.0)
             say(rig, fault)
-            album.seen.until("rigctl.state.mode === 'FAULT'")
+            daemons.wait_for(lambda: daemons.state(file).get("mode") == "FAULT")
             time.sleep(SHOWN_S)
             album.take(fault.replace("_", "-"))
             say(rig, "")
             time.sleep(1.0)
         up(file)
         os.kill(rig.pid, signal.SIGSTOP)
-        album.seen.until("rigctl.state.mode === 'FAULT'")
+        daemons.wait_for(lambda: daemons.state(file).get("mode") == "FAULT")
         time.sleep(SHOWN_S)
         album.take("bus-silent")
         os.kill(rig.pid, signal.SIGCONT)

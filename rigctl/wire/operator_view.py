@@ -118,12 +118,16 @@ def _next(state: dict[str, Any], causes: tuple[StandingCause, ...]) -> str:
     if state.get("fault"):
         first = next((cause for cause in causes if cause.stands and cause.blocks_reset), None)
         if first is not None:
-            return f"{first.remedy} Then reset."
+            return _then_reset(first.remedy)
         if not any(cause.stands for cause in causes):
             return f"Reset: no cause stands any more. Before that: {causes[0].remedy}"
-        return f"{causes[0].remedy} Then reset."
+        return _then_reset(causes[0].remedy)
     failing = ((state.get("preflight") or {}).get("failing") or {}) if state["mode"] == "DISARMED" else {}
     return f"Before arming: {next(iter(failing.values()))}" if failing else ""
+
+
+def _then_reset(remedy: str) -> str:
+    return remedy if "reset" in remedy else f"{remedy} Then reset."
 
 
 def _entry(state: dict[str, Any], flags: list[str]) -> str:

@@ -58,7 +58,7 @@ export class Mimic {
     set(part.rope, { d: slack ? "M0 0 q9 12 0 24 t0 24 t0 24 t0 24" : "M0 0 V96", class: slack ? "rope slack" : "rope" });
     const zig = Array.from({ length: 8 }, (_, i) => `L${i % 2 ? -9 : 9} ${102 + 7 * i}`).join(" ");
     set(part.spring, { d: `M0 96 ${zig} L0 160 V166` });
-    text(part.tension, typeof tension === "number" ? `${tension.toFixed(1)} N` : "tension ?");
+    text(part.tension, typeof tension === "number" ? `${Math.abs(tension) < 0.05 ? "0.0" : tension.toFixed(1)} N` : "tension ?");
     text(part.pull, slack ? "rope slack" : "in the rope");
     const beyond = typeof angle === "number" && Math.abs(TIMES * angle) > MOST_DEG;
     text(part.angle, typeof angle === "number" ? `${angle < 0 ? "" : "+"}${angle.toFixed(2)}°` : "angle ?");

@@ -54,7 +54,7 @@ export class Panel {
       return parts.join(" · ");
     });
     if (!lines.length && why) lines.push(`■ ${why}`);
-    if (lines.length) lines.push(`The rig ${does}. Reset: ${blocks ? (/^nothing/.test(blocks) ? "is accepted" : `blocked by ${blocks}`) : "not needed"}.`, `Next: ${next || "-"}`);
+    if (lines.length) lines.push(`Now: ${does}. Reset: ${blocks ? (/^nothing/.test(blocks) ? "is accepted" : `blocked by ${blocks}`) : "not needed"}.`, `Next: ${next || "-"}`);
     byId("alarm").hidden = !lines.length;
     set(byId("alarm"), lines.join("\n"));
     byId("next").hidden = lines.length > 0;
