@@ -134,6 +134,17 @@ def _moves(
     raise typer.Exit(run(file, only or [], json, plots))
 
 
+@app.command("fmu")
+def _fmu(
+    file: Annotated[pathlib.Path, typer.Argument(help="rig file")],
+    out: Annotated[pathlib.Path, typer.Option(help="write the FMU here")],
+) -> None:
+    """Write the plant as an FMU (FMI 3.0, co-simulation): compiled C, which needs no Python."""
+    from hil.cli.fmu import run
+
+    raise typer.Exit(run(file, out))
+
+
 @app.command("faults")
 def _faults(
     file: Annotated[pathlib.Path, typer.Argument(help="rig file")] = pathlib.Path("config/paper_rig.yaml"),
