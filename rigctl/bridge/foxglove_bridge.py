@@ -134,7 +134,15 @@ async def _serve(rig: Rig, listening: socket.socket, address: Address, origins: 
         loop.add_signal_handler(number, main.cancel)
     server = FoxgloveServer(rig.name, address, origins, _complain)
     async with server.serving(listening):
-        await FoxgloveBridge(AsyncRig(rig), server, rig.schema(), rate_hz).run()
+        await FoxgloveBridge(AsyncRig(rig), server, await _schema(rig), rate_hz).run()
+
+
+async def _schema(rig: Rig) -> Message:
+    """The daemon's schema, as soon as it answers: a busy computer may take longer than a query waits."""
+    while True:
+        with contextlib.suppress(NoDaemonError):
+            return await asyncio.to_thread(rig.schema)
+        await asyncio.sleep(AGAIN_S)
 
 
 def _complain(text: str) -> None:
@@ -156,7 +164,7 @@ def serve(rig: Rig, listening: socket.socket, address: Address, origins: Sequenc
         asyncio.run(_serve(rig, listening, address, origins, rate_hz))
     except asyncio.CancelledError:
         return None
-    except NoDaemonError as error:
+    except SchemaError as error:
         return str(error)
     except BaseExceptionGroup as group:
         if group.subgroup(SchemaError) is None:
