@@ -15,7 +15,8 @@ def _from_hexadecimal(value: object) -> object:
     return int(value, 16) if isinstance(value, str) and _HEXADECIMAL.match(value) else value
 
 
-Hexadecimal = Annotated[int, BeforeValidator(_from_hexadecimal)]
+_Digits = Annotated[str, Field(pattern=r"^0x[0-9A-Fa-f]{1,8}$")]
+Hexadecimal = Annotated[int, BeforeValidator(_from_hexadecimal, json_schema_input_type=int | _Digits)]
 """A number given in hexadecimal by data sheets: quoted, as strict YAML has no such numbers, or an integer."""
 PdoNumber = Annotated[int, Field(ge=1, le=4, description="number of the PDO")]
 NodeId = Annotated[int, Field(ge=1, le=127, description="CANopen node id")]
