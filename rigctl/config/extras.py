@@ -7,8 +7,9 @@ import sys
 from collections.abc import Iterator
 
 EXTRAS = {
+    "client": {"cryptography", "zenoh"},
     "rt": {
-        "yaml", "cantools", "cryptography", "scipy", "zenoh", "mcap", "google", "typer", "rich", "starlette", "uvicorn",
+        "yaml", "cantools", "scipy", "mcap", "google", "typer", "rich", "starlette", "uvicorn",
         "websockets", "h11",
     },
     "ops": {"matplotlib", "jinja2", "pyarrow"},

@@ -67,6 +67,34 @@ def test_the_control_process_needs_no_extra_and_few_modules() -> None:
     assert len(modules) < 600
 
 
+def test_the_client_needs_zenoh_msgspec_numpy_and_cryptography_only() -> None:
+    """A colleague reads live data without the daemon's libraries: each is out of reach here."""
+    names = "connect, connect_async, rigs, Rig, AsyncRig, Samples, Stream, AsyncStream, AsyncSamples, Count"
+    absent = set().union(*(EXTRAS[extra] for extra in ("rt", "ops", "sim", "test"))) | {"can", "canopen", "pydantic"}
+    run = (
+        f"from rigctl.client import {names}\n"
+        "import rigctl.client\n"
+        "try:\n    connect('tcp/127.0.0.1:1')\nexcept rigctl.client.NoDaemonError as error:\n    print(error)\n"
+        "print(*sorted({name.partition('.')[0] for name in sys.modules}))"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", BLOCK.format(absent=absent) + run],
+        cwd=ROOT, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert answer.returncode == 0, answer.stderr
+    said, loaded = answer.stdout.splitlines()
+    assert said.startswith("no daemon answers at tcp/127.0.0.1:1")
+    brings = packages_distributions()
+    found = {brings[top][0] for top in loaded.split() if top in brings}
+    needed = {"rigctl", "numpy", "msgspec", "eclipse-zenoh", "cryptography"}
+    assert needed <= found <= needed | {"cffi", "typing_extensions", "setuptools", "_distutils_hack", "coverage"}
+
+
+@pytest.mark.parametrize("module", ["numba", "matplotlib", "control", "pandas", "pytest", "jinja2", "pyarrow"])
+def test_the_rigs_computer_carries_nothing_of_simulation_and_plots(module: str) -> None:
+    assert extra_of(module) not in (None, "client", "rt")
+
+
 @pytest.mark.parametrize(
     "module", ["supervisor.daemon", "control.control_process", "gateway.gateway_process", "hold.service",
                "recorder.recorder_process", "page.serve", "cli.app", "design.in_use", "commission.preflight"],
