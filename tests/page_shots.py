@@ -29,7 +29,7 @@ SIZE = (1600, 900, "light")
 ELSEWHERE = ((1180, 820, "light"), (1024, 768, "light"), (390, 844, "light"), (1600, 900, "dark"))
 FAULTS = ("e_stop", "cell_silent", "cell_high", "rope_lost", "drive_trips", "runs_away")
 # Slow motion and few status frames: the pictures may be taken on a busy computer.
-SLOW = {"cylinder": {**PATIENT["cylinder"], "status_rate_hz": 5}, "tension": {"ramp_n_s": 20.0}}
+SLOW = {"cylinder": {**PATIENT["cylinder"], "status_rate_hz": 5}, "tension": {"ramp_n_s": 40.0}}
 SHOWN_S = 4.0  # a fault stands for some seconds, so that "since when" says something
 
 
@@ -123,18 +123,9 @@ def play(folder: pathlib.Path, work: pathlib.Path, everywhere: bool) -> None:
         album.take("disarmed")
         rigctl(file, "arm")
         album.take("hold")
-        for name, mode in (("tensioning", "TENSIONING"), ("compensating", "COMPENSATING")):
-            while True:  # a trip of a busy computer is no picture of a mode
-                if name == "tensioning":
-                    held(file)
-                    rigctl(file, "tension")
-                    time.sleep(1.0)
-                else:
-                    up(file)
-                    time.sleep(10.0)
-                album.take(name)
-                if daemons.state(file).get("mode") == mode:
-                    break
+        up(file)
+        time.sleep(10.0)
+        album.take("compensating")
         for fault in FAULTS:
             up(file)
             time.sleep(3.0)
@@ -150,10 +141,14 @@ def play(folder: pathlib.Path, work: pathlib.Path, everywhere: bool) -> None:
         time.sleep(SHOWN_S)
         album.take("bus-silent")
         os.kill(rig.pid, signal.SIGCONT)
+        up(file)
         os.kill(stopped := daemons.process_with(control, daemons.name_of(file)), signal.SIGSTOP)
         time.sleep(SHOWN_S)
         album.take("loop-stopped")
         os.kill(stopped, signal.SIGCONT)
+        held(file)
+        rigctl(file, "tension")
+        album.take("tensioning")  # last: a pause of a busy computer trips a rig in motion
 
 
 def main() -> None:
