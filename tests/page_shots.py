@@ -115,9 +115,9 @@ def play(folder: pathlib.Path, work: pathlib.Path, everywhere: bool) -> None:
         daemons.daemon(file, work / "daemon.log"),
         contextlib.ExitStack() as stack,
     ):
-        os.nice(15)  # from here on: the browser gives way to the loop
-        chromium = stack.enter_context(browser())
         server = stack.enter_context(serving(daemons.endpoint(file), "--operator", "kim"))
+        os.nice(15)  # from here on: the browser gives way to loop and page server
+        chromium = stack.enter_context(browser())
         album = Album(chromium, server, folder, everywhere)
         rigctl(file, "lease", "take")
         album.take("disarmed")
