@@ -1,4 +1,4 @@
-"""``rigctl bridge foxglove`` on a real gateway, with a client of its own and with Chromium's WebSocket."""
+"""``rigctl bridge foxglove`` on a real gateway, with a client of its own and the SDK's server as the oracle."""
 
 from __future__ import annotations
 
