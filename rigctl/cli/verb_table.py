@@ -74,7 +74,7 @@ VERBS = (
     VerbRow(
         "export",
         "recordings:export",
-        "Write a recording as Parquet, CSV or MAT: a new folder with a table for each topic, units included.",
+        "Write a recording as Parquet, CSV, MAT or MDF4: a new folder with a table for each topic, units included.",
     ),
     VerbRow("arm", "verbs:arm", "Drive on, brake open, stroke held: DISARMED to HOLD."),
     VerbRow("tension", "verbs:tension", "Ramp to the target and hold it: TENSIONING, then COMPENSATING."),
