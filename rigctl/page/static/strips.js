@@ -188,12 +188,13 @@ export class Strips {
       if (said.textContent) said.textContent = "";
       return;
     }
-    const width = this.store.widthMs / 1000, i = Math.round((at - this.x[0]) / (width / 2));
+    // Of the points as drawn: while paused the store may have gone on to wider buckets.
+    const half = this.x[1] - this.x[0], i = Math.round((at - this.x[0]) / half);
     const parts = this.charts.map(({ strip, y }) => {
       const found = [y[i - 1], y[i], y[i + 1]].filter((value) => typeof value === "number");
       return found.length ? `${strip.title} ${(found.reduce((a, b) => a + b) / found.length).toFixed(strip.digits)} ${strip.unit}` : "";
     });
-    const near = this.events.find((event) => Math.abs(event.wall_ms / 1000 - at) < Math.max(width, (this.span ?? this.windowS) / 150));
+    const near = this.events.find((event) => Math.abs(event.wall_ms / 1000 - at) < Math.max(2 * half, (this.span ?? this.windowS) / 150));
     said.textContent = [clock(at), ...parts.filter(Boolean), near?.text ?? ""].filter(Boolean).join(" · ");
   }
 

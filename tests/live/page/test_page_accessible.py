@@ -162,6 +162,8 @@ def test_the_charts_are_worked_by_keyboard(chromium: Browser, readonly: Server) 
     assert seen.run("rigctl.strips.charts[0].u.scales.x.max") == before
     assert seen.run("rigctl.draws") - draws <= 2
     seen.page.focus("#strips")
+    seen.page.keyboard.press("ArrowLeft")
+    seen.until("document.querySelector('#cursor').textContent.includes('stroke')")
     seen.page.click("#closer")
     seen.until("rigctl.strips.span === 30")
     seen.page.click("#back")
