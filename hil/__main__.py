@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pathlib
 import signal
 import sys
@@ -12,6 +13,7 @@ from rigctl.ipc import output_file
 from rigctl.ipc.termination import on_signals
 
 PROGRAM = "python -m hil"
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: more threads are slower with matrices this small
 with extras.refused(PROGRAM):
     import typer
     from typer.exceptions import TyperException

@@ -5,6 +5,7 @@ Tests that run real processes in real time (``real_time``) have the machine for 
 
 from __future__ import annotations
 
+import os
 import pathlib
 import signal
 import subprocess
@@ -18,6 +19,7 @@ from tests.builders.host_pause import pytest_runtest_makereport, pytest_runtest_
 
 __all__ = ["pytest_runtest_makereport", "pytest_runtest_protocol"]
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in rigctl and hil; the workers of xdist inherit it
 HERE = pathlib.Path(__file__).parent
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 REAL_TIME = ("guest", "live/system")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import pathlib
 import sys
 from collections.abc import Sequence
@@ -85,7 +84,6 @@ def run_front(rig_file: pathlib.Path, file: pathlib.Path, asked: Asked) -> int:
 
 
 def _rig(rig_file: pathlib.Path, asked: Asked, picture: pathlib.Path | None = None) -> RigSettings:
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     check_outputs({"--json": asked.json, "--front": picture}, [rig_file])
     return simulated_rig(rig_file)
 

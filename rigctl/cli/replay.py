@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 import pathlib
 import time
 from typing import TYPE_CHECKING, Annotated, Any
@@ -38,7 +37,6 @@ def replay(
     json: Json = False,
 ) -> None:
     """Play a recording through the loop again: every command and mode bit-identical, or the first that is not."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if plot is not None and against is None:
         end(USAGE, "--plot draws what --against compares; give both")
     check_output("--plot", plot)

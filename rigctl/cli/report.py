@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import pathlib
 from typing import TYPE_CHECKING, Annotated
 
@@ -35,7 +34,6 @@ def report(
     """Write a test report of a recording: verdict, charts, provenance. Exit code 1 if the verdict is not "passed"."""
     from rigctl.recorder.contents import seals_in_words
 
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     page = output if output is not None or json else pathlib.Path(f"{file.stem}.html")
     if page is not None:
         if page.suffix.lower() not in SUFFIXES:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import os
 import pathlib
 import time
 from typing import TYPE_CHECKING, Annotated
@@ -113,7 +112,6 @@ def run(
     ] = False,
 ) -> None:
     """Run the daemon until SIGTERM, SIGHUP or Ctrl-C; it ends with the stroke held."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     settings = _adopted(_with_page(load_rig_file(file), page, page_listen))
     from rigctl.cli.check import accepted, verdict
     from rigctl.supervisor.daemon import CannotRunError, Supervisor
@@ -138,7 +136,6 @@ def demo(
     ] = DEMO_RECORDINGS,
 ) -> None:
     """Play the paper's move on the simulated rig and judge it by the rig file's own limits."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     settings = load_rig_file(file)
     for section in ("demo", "simulation"):
         if getattr(settings, section) is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import pathlib
 import sys
 from collections.abc import Iterator
@@ -59,7 +58,6 @@ def tune(
 
     The plant is that of the rig file, judged over the assumed family; with --from the identified one, over its own.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     settings = load_rig_file(file, study=True)
     _check_outputs(file, {"--json": None if json == STANDARD_OUTPUT else json, "--plot": plot, "--gains": gains})
     if auto and (optimize or from_ is not None):

@@ -127,3 +127,31 @@ def test_a_command_loads_no_other_command(row: VerbRow) -> None:
     assert not top(modules) & {"zenoh", "scipy", "asyncio", "matplotlib", "numba", "control"}
     places = {f"rigctl.cli.{other.place.partition(':')[0]}" for other in VERBS} - {"rigctl.cli.run"}
     assert modules & places <= {f"rigctl.cli.{row.place.partition(':')[0]}", *SHARED.get(row.name, ())}
+
+
+WHEN_NUMPY_LOADS = """
+import os, runpy, sys
+
+class Look:
+    def find_spec(self, name, path=None, target=None):
+        if name == "numpy":
+            sys.stderr.write("numpy with " + os.environ.get("OPENBLAS_NUM_THREADS", "no limit of") + " threads\\n")
+        return None
+
+sys.meta_path.insert(0, Look())
+sys.argv = {words!r}
+runpy.run_module(sys.argv[0], run_name="__main__")
+"""
+
+
+@pytest.mark.parametrize(
+    "words", [("rigctl", "tune", "config/paper_rig.yaml"), ("hil", "compare", "--only", "nothing")], ids=" ".join
+)
+def test_a_program_limits_numpys_threads_before_it_loads_numpy(words: tuple[str, ...]) -> None:
+    """On two cores the search of `hil compare --random` took four times as long with a thread for each core."""
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    done = subprocess.run(
+        [sys.executable, "-c", WHEN_NUMPY_LOADS.format(words=list(words))],
+        cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert "numpy with 1 threads\n" in done.stderr
