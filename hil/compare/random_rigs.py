@@ -21,8 +21,10 @@ from hil.compare.rivals import OURS
 from hil.compare.rivals.tunable import TUNABLE
 from hil.compare.tuned_laws import FamilyResponses, TunedLaw, judged
 from hil.plant.layout import MECHANISM
+from hil.study import runner
 from hil.study.planned_run import RAMP_S, SPEED_DEG_S, onwards
 from hil.study.rows_file import RowsFile
+from hil.study.runner import Work
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.design.margins import design_and_check, judge
@@ -102,14 +104,19 @@ def study(rig: RigSettings, count: int, seed: int, laws: Sequence[str], rows: Ro
         ScenarioError: a rig cannot be simulated.
     """
     bases = {law: tuning(Known.of(rig), law, rows) for law in laws if law != ASSUMED}
-    found = []
-    for index in range(count):
-        for law in laws:
-            key = f"rig {index} {law}"
-            kept = rows.get(key) or rows.put(key, _row(rig, seed, index, law, bases.get(law))._asdict())
-            found.append(row := RigRow(**kept))
-            say(_words(row))
-    return found
+    keys = {(index, law): f"rig {index} {law}" for index in range(count) for law in laws}
+    missing = {
+        (index, law): Work(_row, (rig, seed, index, law, bases.get(law)), key)
+        for (index, law), key in keys.items()
+        if rows.get(key) is None
+    }
+
+    def keep(key: tuple[int, str], row: RigRow) -> None:
+        rows.put(keys[key], row._asdict())
+        say(_words(row))
+
+    runner.play(missing, lambda _cost, _title: None, keep=keep)
+    return [RigRow(**rows.get(key)) for key in keys.values()]
 
 
 def _row(rig: RigSettings, seed: int, index: int, law: str, base: TunedLaw | None) -> RigRow:

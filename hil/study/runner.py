@@ -30,6 +30,7 @@ def play(
     pieces: Mapping[Key, Work],
     advance: Advance,
     *,
+    keep: Callable[[Key, Any], None] | None = None,
     pieces_per_worker: int = 1,
     start: Callable[..., None] | None = None,
     start_arguments: tuple[Any, ...] = (),
@@ -39,6 +40,7 @@ def play(
     Args:
         pieces: the work; begin with what takes long, so that no processor is left alone with it at the end.
         advance: called after each piece with its cost and title.
+        keep: called in this process with each key and result as it comes, before ``advance``.
         pieces_per_worker: fewest pieces that are worth a process.
         start: called once in every process before its first piece, with ``start_arguments``.
     """
@@ -49,6 +51,8 @@ def play(
             start(*start_arguments)
         for key, piece in pieces.items():
             found[key] = piece.function(*piece.arguments)
+            if keep is not None:
+                keep(key, found[key])
             advance(piece.cost, piece.title)
         return found
     spawn = multiprocessing.get_context("spawn")
@@ -58,6 +62,8 @@ def play(
             for future in as_completed(futures):
                 key = futures[future]
                 found[key] = future.result()
+                if keep is not None:
+                    keep(key, found[key])
                 advance(pieces[key].cost, pieces[key].title)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)

@@ -182,3 +182,21 @@ def test_the_quick_comparison_is_a_part_of_the_whole_one() -> None:
     whole = {run.name: run.seconds for run in compared_runs(RIG)}
     assert set(QUICK) < set(whole)
     assert sum(whole[name] for name in QUICK) < 0.3 * sum(whole.values())
+
+
+def test_a_study_of_random_rigs_goes_on_where_it_was(tmp_path: pathlib.Path) -> None:
+    """Processes share the rigs; a row is on disk once its rig is done, and none is played again."""
+    rows, files = tmp_path / "rows.jsonl", [tmp_path / "two.json", tmp_path / "three.json", tmp_path / "again.json"]
+
+    def said(count: int, file: pathlib.Path) -> tuple[str, list[dict[str, Any]]]:
+        done = compare("--random", str(count), "--controllers", "ours_assumed", "--rows", str(rows), "--json", str(file))
+        assert done.returncode == 0, done.stderr
+        return done.stdout, json.loads(file.read_text())["rigs"]
+
+    two, three, again = (said(count, file) for count, file in zip((2, 3, 3), files, strict=True))
+    assert [row["rig"] for row in three[1]] == [0, 1, 2]
+    assert three[1][:2] == two[1]
+    assert again[1] == three[1]
+    assert [out.count("\nrig ") + out.startswith("rig ") for out, _ in (two, three, again)] == [2, 1, 0]
+    assert len(rows.read_text().splitlines()) == 1 + 3
+    assert len({row["stiffness_n_mm"] for row in three[1]}) == 3
