@@ -189,7 +189,8 @@ def test_a_study_of_random_rigs_goes_on_where_it_was(tmp_path: pathlib.Path) -> 
     rows, files = tmp_path / "rows.jsonl", [tmp_path / "two.json", tmp_path / "three.json", tmp_path / "again.json"]
 
     def said(count: int, file: pathlib.Path) -> tuple[str, list[dict[str, Any]]]:
-        done = compare("--random", str(count), "--controllers", "ours_assumed", "--rows", str(rows), "--json", str(file))
+        files = "--rows", str(rows), "--json", str(file)
+        done = compare("--random", str(count), "--controllers", "ours_assumed", *files)
         assert done.returncode == 0, done.stderr
         return done.stdout, json.loads(file.read_text())["rigs"]
 
