@@ -182,6 +182,13 @@ class PlantSettings(Settings):
             return self.rope_n_mm
         return 1.0 / (1.0 / self.spring_n_mm + 1.0 / self.rope_n_mm)
 
+    @property
+    def slow_stiffness_n_mm(self) -> float:
+        """What a slow stroke meets: spring, rope and mechanism in series."""
+        if self.mechanism_n_mm is None:
+            return self.stiffness_n_mm
+        return 1.0 / (1.0 / self.stiffness_n_mm + 1.0 / self.mechanism_n_mm)
+
 
 class TensionSettings(Settings):
     """Target and ramps of the tension, and the bounds of the stroke's motion."""

@@ -139,7 +139,7 @@ class Fault(IntEnum):
     SIGN_CELL = (
         17,
         "the tension does not follow the stroke as the plant says: check the signs of cell and drive",
-        "Correct the cell's sign, or the plant's stiffness, in the rig file.",
+        "Correct the cell's sign, or the plant's stiffness (mechanism_n_mm too, where it gives way), in the rig file.",
     )
     # A row of the rig file's limits; the trip's event names it
     LIMIT = (

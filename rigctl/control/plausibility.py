@@ -44,6 +44,11 @@ class Plausibility:
         self._stretch_keep = math.exp(-dt / STRETCH_MEMORY_S)
         self._stroke_mm = self._tension_n = self._smooth_n = self._repeated_n = math.nan
         self._largest_n = LARGEST_STEP_NOISES * settings.tension_cell.noise_n + plant.stiffness_n_mm
+        self._compliance, self._yield_share = 0.0, 0.0  # of the mechanism: mm/N, and what it gives way by in a tick
+        if plant.mechanism_n_mm is not None:
+            self._compliance = 1.0 / plant.mechanism_n_mm
+            self._yield_share = 1.0 - math.exp(-dt * math.sqrt(1e3 * plant.mechanism_n_mm / plant.payload_kg))
+        self._yielded_mm = math.nan
         self._unrest_share = dt / UNREST_S
         self._mode = Mode.DISARMED
         self._unheard, self._modelled_mm = 0, 0.0  # ticks since the drive's newest sample; modelled distance in them
@@ -110,10 +115,18 @@ class Plausibility:
 
     def _look_at_stretch(self, inbox: Inbox, drive_enabled: bool, moved_mm: float, slack: bool) -> None:
         if not drive_enabled or not math.isfinite(self._tension_n):
-            self.unexplained_mm = 0.0
+            self.unexplained_mm, self._yielded_mm = 0.0, math.nan
         else:  # a slack rope takes up stroke without a change of tension, but does not lose tension either
             gained_mm = (inbox.tension_n - self._tension_n) / self._stiffness if inbox.cell_fresh else 0.0
-            explained_mm = 0.0 if slack else moved_mm
+            explained_mm = (0.0 if slack else moved_mm) - self._yields_mm()
             self.unexplained_mm = self._stretch_keep * self.unexplained_mm + gained_mm - explained_mm
         if inbox.cell_fresh:
             self._tension_n = inbox.tension_n
+
+    def _yields_mm(self) -> float:
+        """What the mechanism gives way by in this tick under the tension, of first order at its own frequency."""
+        if not math.isfinite(self._yielded_mm):
+            self._yielded_mm = self._compliance * self._tension_n
+        step_mm = (self._compliance * self._tension_n - self._yielded_mm) * self._yield_share
+        self._yielded_mm += step_mm
+        return step_mm

@@ -1,6 +1,7 @@
 """Sign checks in the first tensioning after a start: the signs of drive and cell must be right before compensating.
 
-A positive command must move the stroke up, and a shorter rope must pull harder, by about the stiffness of the plant.
+A positive command must move the stroke up, and a shorter rope must pull harder, by about the stiffness of the plant:
+from that of rope and spring, before a flexible mechanism gives way, down to that of all three in series, once it has.
 A rig that is wired, mounted or configured the other way round would run away in the closed loop; here it is caught
 within a millimetre, or within the tension that counts as slack. A tensioning too short for a verdict leaves the check
 to the next one.
@@ -33,7 +34,7 @@ class SignCheck:
 
     def __init__(self, settings: RigSettings) -> None:
         plant, tension = settings.plant, settings.tension
-        self._stiffness = plant.stiffness_n_mm
+        self._stiffness, self._least_n_mm = plant.stiffness_n_mm, plant.slow_stiffness_n_mm / SLOPE_FACTOR
         self._dt = 1.0 / settings.loop.rate_hz
         self._share = 1.0 - math.exp(-self._dt / plant.cylinder_lag_s)
         self._stroke_min_mm = settings.cylinder.stroke_min_mm
@@ -97,7 +98,7 @@ class SignCheck:
         if abs(moved_mm) < self._span_mm:
             return False
         self.slope_n_mm = (tension_n - at_n) / moved_mm
-        plausible = self._stiffness / SLOPE_FACTOR <= self.slope_n_mm <= self._stiffness * SLOPE_FACTOR
+        plausible = self._least_n_mm <= self.slope_n_mm <= self._stiffness * SLOPE_FACTOR
         self.passed = plausible and self._drive_follows
         if self.passed:
             self.probe_mm_s = 0.0

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
+from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
@@ -148,6 +149,23 @@ def test_a_rope_that_is_tight_and_on_target_is_felt_before_the_loop_closes_for_g
     turn_n = 0.5 * settings.tension.ramp_n_s * RAMP_EASE_S  # the ramp back takes over at this speed, and eases
     count_n = plant.stiffness_n_mm * MM_PER_POSITION_UNIT  # of the drive's position: 1 N without a spring
     assert SLOPE_N - 1.0 < found.off_n < SLOPE_N + turn_n + 1.0 + count_n
+
+
+@pytest.mark.parametrize(("said_n_mm", "fault"), [(6.1, Fault.NONE), (None, Fault.SIGN_CELL)])
+def test_a_mechanism_softer_than_the_spring_is_no_wrong_sign_where_the_file_says_so(
+    settings: RigSettings, said_n_mm: float | None, fault: Fault
+) -> None:
+    """At 34 N/mm on 6.1 N/mm a slow stroke meets 5.2 N/mm: a sixth of what a rigid mechanism gives."""
+    values = {"plant.spring_n_mm": 34.0, "plant.mechanism_n_mm": said_n_mm, "simulation.mechanism.vertical_n_mm": 6.1}
+    its = changed(settings, values)
+    with lockstep(its, design_and_check(changed(its, {"plant.mechanism_n_mm": 6.1})).gains) as rig:
+        rig.run(0.5)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        rig.run_until(Mode.HOLD, 2.0)
+        assert rig.command(Verb.TENSION) is Refusal.NONE
+        rig.run(10.0)
+        assert rig.loop.machine.fault is fault
+        assert (rig.loop.machine.mode is Mode.COMPENSATING) == (fault is Fault.NONE)
 
 
 def test_where_the_stroke_ends_it_is_felt_the_other_way(settings: RigSettings, gains: Gains) -> None:

@@ -11,6 +11,8 @@ import can
 import pytest
 
 from rigctl.config import rig_file as config
+from rigctl.config.changed_settings import changed
+from rigctl.config.settings import RigSettings
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Mode
 from rigctl.control.plausibility import STRETCH_MEMORY_S, Plausibility
@@ -28,12 +30,12 @@ DITHER = itertools.cycle((0.0, 0.002))
 class Stand:
     """Feeds the signals; the drive is on and the rope tight unless the test changes it."""
 
-    def __init__(self) -> None:
+    def __init__(self, settings: RigSettings = SETTINGS) -> None:
         bus = can.Bus(interface="virtual", channel="plausibility")
         self.inbox = Inbox(bus, SETTINGS)
         bus.shutdown()
         self.drive_enabled = True
-        self.subject = Plausibility(SETTINGS)
+        self.subject = Plausibility(settings)
         self.mode = Mode.COMPENSATING
 
     def run(
@@ -143,6 +145,19 @@ def test_stroke_that_the_tension_does_not_show_is_counted_too_but_not_on_a_slack
     assert tight[-1].unexplained_mm == pytest.approx(-5.0, rel=0.15)
     slack = Stand().run(0.5, lambda _t: 0.0, *moving, slack=True)
     assert slack[-1].unexplained_mm == pytest.approx(0.0, abs=1e-3)
+
+
+def test_what_a_soft_mechanism_gives_way_by_explains_stroke_but_no_sudden_change() -> None:
+    """A slow pull moves the payload too; what changes within a period of the mechanism is stretch as before."""
+    soft = changed(SETTINGS, {"plant.mechanism_n_mm": 6.0})
+    pull: tuple[Signal, Signal, Signal] = (
+        lambda t: 50.0 * t, lambda t: 50.0 + 50.0 * t * (1.0 / K + 1.0 / 6.0), lambda _t: 50.0 * (1.0 / K + 1.0 / 6.0)
+    )  # fmt: skip
+    assert abs(Stand(soft).run(4.0, *pull)[-1].unexplained_mm) < 1.0  # it lags by its own time constant
+    assert Stand().run(4.0, *pull)[-1].unexplained_mm < -10.0
+    jolted = Stand(soft)
+    jolted.run(0.1, lambda _t: 300.0)
+    assert jolted.run(0.005, lambda _t: 330.0)[-1].unexplained_mm == pytest.approx(30.0 / K, rel=0.1)
 
 
 def test_a_tension_that_goes_in_one_step_is_unexplained_even_though_the_rope_then_is_slack() -> None:
