@@ -56,16 +56,15 @@ def play(
             advance(piece.cost, piece.title)
         return found
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, spawn, initializer=start, initargs=start_arguments) as pool:
+    pool = ProcessPoolExecutor(workers, spawn, initializer=start, initargs=start_arguments)
+    try:
         futures = {pool.submit(piece.function, *piece.arguments): key for key, piece in pieces.items()}
-        try:
-            for future in as_completed(futures):
-                key = futures[future]
-                found[key] = future.result()
-                if keep is not None:
-                    keep(key, found[key])
-                advance(pieces[key].cost, pieces[key].title)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        for future in as_completed(futures):
+            key = futures[future]
+            found[key] = future.result()
+            if keep is not None:
+                keep(key, found[key])
+            advance(pieces[key].cost, pieces[key].title)
+    finally:  # once: a second call, as that of `with`, takes back that the pieces not begun are cancelled
+        pool.shutdown(cancel_futures=True)
     return {key: found[key] for key in pieces}
