@@ -84,11 +84,18 @@ def _causes(state: dict[str, Any], alarms: Sequence[Alarm]) -> tuple[StandingCau
         )
     if not any(cause.fault == latched for cause in result):
         fault = Fault.__members__.get(str(latched), Fault.NONE)
-        row = next((row for row in alarms if row.cause.partition(" ")[0] == latched), None)
+        row = _row_of(str(latched), str(state.get("fault_text", "")), alarms)
         value, limit, since = (row.value, row.limit, row.last_ns) if row is not None else ("", "", None)
         result.append(StandingCause(str(latched), str(state.get("fault_text", "")), value, limit, since, False,
                                     fault.remedy, stands=False))  # fmt: skip
     return tuple(result)
+
+
+def _row_of(fault: str, text: str, alarms: Sequence[Alarm]) -> Alarm | None:
+    """The newest row of a fault; of a rig file's limit the row of that limit, by whose words the fault's text begins."""
+    rows = [row for row in alarms if row.cause == fault or row.cause.startswith(f"{fault} ")]
+    own = [row for row in rows if text.startswith(row.cause.partition(" ")[2])]
+    return max(own, key=lambda row: row.last_ns, default=None)
 
 
 def _does(state: dict[str, Any], flags: list[str]) -> str:

@@ -7,13 +7,14 @@ from typing import Any
 import pytest
 
 from rigctl.control.checks import Check
-from rigctl.control.events import fault_text
+from rigctl.control.events import Kind, fault_text
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
+from rigctl.control.safety import Action
 from rigctl.wire.alarm_words import banner_rows
 from rigctl.wire.alarms import Alarms
 from rigctl.wire.operator_view import view
-from tests.unit.wire.test_alarms import over, trip
+from tests.unit.wire.test_alarms import event, over, trip
 
 STALE = {
     "fault": "CELL_STALE", "text": fault_text(Fault.CELL_STALE, 12e6, 5e6), "action": "HOLD", "value": 12e6,
@@ -64,6 +65,20 @@ def test_a_latched_fault_whose_cause_is_gone_may_be_reset() -> None:
     assert (cause.value, cause.since_ns) == ("12 ms", 3_000_000_000)
     assert found.blocks == "nothing: a reset is accepted"
     assert found.next_step.startswith("Reset")
+
+
+def test_a_latched_limit_has_value_and_limit_of_its_own_row() -> None:
+    """Every limit of the rig file is the fault LIMIT; the page showed the words of one with the numbers of another."""
+    names = ("tension_rate_n_s above", "stroke_mm above")
+    rows = Alarms([
+        event(Kind.TRIP, 1.0, Fault.LIMIT, Action.HOLD, 38400.0, 10000.0, names[0]),
+        event(Kind.LIMIT, 2.0, Fault.LIMIT, Action.LOG, 51.0, 50.0, names[1]),
+    ]).rows(None, 5)  # fmt: skip
+    told = state(Mode.FAULT, fault="LIMIT", fault_text="tension_rate_n_s above 10000 N/s (38400 N/s)")
+    (cause,) = view(told, rows).causes
+    assert (cause.value.split()[0], cause.limit.split()[0], cause.since_ns) == ("38400", "10000", 1_000_000_000)
+    (cause,) = view(told | {"fault_text": "stroke_mm above 50 mm (51 mm)"}, rows).causes
+    assert (cause.value, cause.limit) == ("51 mm", "50 mm")
 
 
 def test_a_stop_that_still_runs_blocks_a_reset() -> None:
