@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from playwright.sync_api import Browser
 
@@ -30,6 +30,7 @@ ELSEWHERE = ((1180, 820, "light"), (1024, 768, "light"), (390, 844, "light"), (1
 FAULTS = ("e_stop", "cell_silent", "cell_high", "rope_lost", "drive_trips", "runs_away")
 # Slow motion and few status frames: the pictures may be taken on a busy computer.
 SLOW = {"cylinder": {**PATIENT["cylinder"], "status_rate_hz": 5}, "tension": {"ramp_n_s": 40.0}}
+TRIES = 5
 SHOWN_S = 4.0  # a fault stands for some seconds, so that "since when" says something
 
 
@@ -62,16 +63,26 @@ class Album:
     def __init__(self, chromium: Browser, server: Server, folder: pathlib.Path, everywhere: bool) -> None:
         self.chromium, self.server, self.folder, self.everywhere = chromium, server, folder, everywhere
 
-    def take(self, name: str) -> None:
-        """A picture of the state now. No browser draws in between: it would disturb the loop."""
+    def take(self, name: str, mode: str, prepare: Callable[[], object]) -> None:
+        """A picture of the rig in ``mode``, again where a busy computer has tripped it meanwhile."""
+        for _ in range(TRIES):
+            prepare()
+            if mode in self.shoot(name):
+                return
+        sys.exit(f"{name}: the rig was not {mode} in any of {TRIES} pictures")
+
+    def shoot(self, name: str) -> str:
+        """A picture of the state now; returns the mode shown. No browser draws in between: that disturbs the loop."""
         for width, height, theme in (SIZE, *(ELSEWHERE if self.everywhere else ())):
             seen = look(self.chromium, self.server.address, width, height, theme)
             seen.until("window.rigctl && rigctl.draws > 1")
             time.sleep(1.0)
             more = "" if (width, height, theme) == SIZE else f"-{width}-{theme}"
             seen.page.screenshot(path=self.folder / f"page-{name}{more}.png")
-            print(f"{name}: {seen.text('#mode')}; {seen.errors}", flush=True)
+            shown = seen.text("#mode")
+            print(f"{name}: {shown}; {seen.errors}", flush=True)
             seen.page.close()
+        return shown
 
 
 def rigctl(file: pathlib.Path, *verb: str) -> None:
@@ -86,11 +97,18 @@ def held(file: pathlib.Path) -> None:
     rigctl(file, "release", "--wait")
 
 
-def up(file: pathlib.Path) -> None:
-    """The tension on its target."""
+def ramping(file: pathlib.Path) -> None:
+    """The tension on its way up."""
+    held(file)
+    rigctl(file, "tension")
+
+
+def up(file: pathlib.Path, settle_s: float = 0.0) -> None:
+    """The tension on its target, for some time."""
     for _ in range(60):
         state = daemons.state(file)
         if state.get("mode") == "COMPENSATING":
+            time.sleep(settle_s)
             return
         if state.get("mode") == "FAULT":
             if any(
@@ -109,7 +127,7 @@ def up(file: pathlib.Path) -> None:
 def play(folder: pathlib.Path, work: pathlib.Path, everywhere: bool) -> None:
     """The rig through its states, pictures on the way."""
     file = daemons.rig_file(work, {**PATIENT, **SLOW})
-    control = "rigctl.control.control_process"
+    control = "rigctl.control"
     with (
         faulty_rig(file, work / "rig.log") as rig,
         daemons.daemon(file, work / "daemon.log"),
@@ -120,35 +138,31 @@ def play(folder: pathlib.Path, work: pathlib.Path, everywhere: bool) -> None:
         chromium = stack.enter_context(browser())
         album = Album(chromium, server, folder, everywhere)
         rigctl(file, "lease", "take")
-        album.take("disarmed")
-        rigctl(file, "arm")
-        album.take("hold")
-        up(file)
-        time.sleep(10.0)
-        album.take("compensating")
+        album.take("disarmed", "DISARMED", lambda: None)
+        album.take("hold", "HOLD", lambda: held(file))
+        album.take("compensating", "COMPENSATING", lambda: up(file, settle_s=10.0))
         for fault in FAULTS:
             up(file)
             time.sleep(3.0)
             say(rig, fault)
             daemons.wait_for(lambda: daemons.state(file).get("mode") == "FAULT")
             time.sleep(SHOWN_S)
-            album.take(fault.replace("_", "-"))
+            album.shoot(fault.replace("_", "-"))
             say(rig, "")
             time.sleep(1.0)
         up(file)
         os.kill(rig.pid, signal.SIGSTOP)
         daemons.wait_for(lambda: daemons.state(file).get("mode") == "FAULT")
         time.sleep(SHOWN_S)
-        album.take("bus-silent")
+        album.shoot("bus-silent")
         os.kill(rig.pid, signal.SIGCONT)
         up(file)
         os.kill(stopped := daemons.process_with(control, daemons.name_of(file)), signal.SIGSTOP)
         time.sleep(SHOWN_S)
-        album.take("loop-stopped")
+        album.shoot("loop-stopped")
         os.kill(stopped, signal.SIGCONT)
-        held(file)
-        rigctl(file, "tension")
-        album.take("tensioning")  # last: a pause of a busy computer trips a rig in motion
+        # Last: a pause of a busy computer trips a rig in motion.
+        album.take("tensioning", "TENSIONING", lambda: ramping(file))
 
 
 def main() -> None:

@@ -92,7 +92,7 @@ def _causes(state: dict[str, Any], alarms: Sequence[Alarm]) -> tuple[StandingCau
 
 
 def _row_of(fault: str, text: str, alarms: Sequence[Alarm]) -> Alarm | None:
-    """The newest row of a fault; of a rig file's limit the row of that limit, by whose words the fault's text begins."""
+    """The newest row of a fault; of a rig file's limit the row of that limit, which begins the fault's text."""
     rows = [row for row in alarms if row.cause == fault or row.cause.startswith(f"{fault} ")]
     own = [row for row in rows if text.startswith(row.cause.partition(" ")[2])]
     return max(own, key=lambda row: row.last_ns, default=None)
