@@ -39,7 +39,8 @@ export class Panel {
     byId("light").classList.toggle("late", !state.timing.good);
   }
 
-  // Every cause that stands, its value and limit, since when; what the rig does now, what blocks a reset, what comes next.
+  // The strongest cause, its value and limit, since when; what the rig does now, what blocks a reset, what comes next;
+  // then every other cause: with many of them the answers stay in sight.
   banner(state) {
     const { causes, does, blocks, next, entry } = state.answers, why = state.why;
     set(byId("does"), does ? `now: ${does}` : "");
@@ -54,9 +55,10 @@ export class Panel {
       return parts.join(" · ");
     });
     if (!lines.length && why) lines.push(`■ ${why}`);
-    if (lines.length) lines.push(`Now: ${does}. Reset: ${blocks ? (/^nothing/.test(blocks) ? "is accepted" : `blocked by ${blocks}`) : "not needed"}.`, `Next: ${next || "-"}`);
+    if (lines.length) lines.splice(1, 0, `Now: ${does}. Reset: ${blocks ? (/^nothing/.test(blocks) ? "is accepted" : `blocked by ${few(blocks)}`) : "not needed"}.`, `Next: ${next || "-"}`);
     byId("alarm").hidden = !lines.length;
-    set(byId("alarm"), lines.join("\n"));
+    set(byId("alarm-first"), lines.slice(0, 3).join("\n"));
+    set(byId("alarm-others"), lines.slice(3).join("\n"));
     byId("next").hidden = lines.length > 0;
   }
 
@@ -125,4 +127,10 @@ function element(name, text, style = "") {
   node.textContent = text;
   if (style) node.className = style;
   return node;
+}
+
+// The first of several names, and how many more there are.
+function few(names) {
+  const all = names.split(", ");
+  return all.length > 4 ? `${all.slice(0, 3).join(", ")} and ${all.length - 3} more` : names;
 }

@@ -82,6 +82,34 @@ def test_hold_is_in_sight_and_covers_nothing(chromium: Browser, commanding: Serv
     seen.page.close()
 
 
+@pytest.mark.parametrize(("width", "height"), [(1600, 900), (1180, 820), (1024, 768), (390, 844)])
+def test_of_many_causes_the_first_and_what_to_do_stay_in_sight(
+    chromium: Browser, readonly: Server, width: int, height: int
+) -> None:
+    """A silent bus has nine causes; below them "Next" was cut off."""
+    seen = look(chromium, readonly.address, width, height)
+    seen.live()
+    shown = seen.run("""(async () => {
+      const { Panel } = await import("/static/panel.js");
+      const words = "no current, temperature and inputs of the drive for 1001 ms (limit 1000 ms), nor its temperature";
+      const cause = (n) => (
+        { fault: `CAUSE_${n}`, text: words, value: "1 s", limit: "1 s", since_ms: 0, stands: true, blocks: true });
+      const names = [...Array(9).keys()].map((n) => `CAUSE_${n}`);
+      const told = { does: "holds the stroke under power", next: "Look at the cable.", entry: "NO" };
+      const answers = { ...told, causes: names.map((_, n) => cause(n)), blocks: names.join(", ") };
+      Panel.prototype.banner({ answers, why: "", server_wall_ms: 1000 });
+      const bottom = (id) => document.getElementById(id).getBoundingClientRect().bottom;
+      return { first: bottom("alarm-first"), all: bottom("alarm"), words: document.getElementById("alarm").innerText };
+    })()""")
+    assert shown["first"] <= shown["all"]
+    lines = shown["words"].splitlines()
+    assert lines[0].startswith("■ CAUSE_0: ")
+    assert lines[1] == "Now: holds the stroke under power. Reset: blocked by CAUSE_0, CAUSE_1, CAUSE_2 and 6 more."
+    assert lines[2] == "Next: Look at the cable."
+    assert sum(line.startswith("■ CAUSE_") for line in lines) == 9
+    seen.page.close()
+
+
 def tab_to(seen: PageView, selector: str) -> None:
     """Reach an element by the Tab key alone."""
     for _ in range(80):
