@@ -15,7 +15,7 @@ from rigctl.control.escalation import Symptom
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
-from rigctl.control.safety import Action
+from rigctl.control.safety import POSITION, SPEED, Action
 from rigctl.control.snapshot import EStop
 from rigctl.devices import can_errors, emergency
 from rigctl.ipc.record import NEVER_AGE_NS
@@ -91,6 +91,7 @@ _EVENT_TEXT: dict[Event, str] = {
     Event.RAMP_DOWN: "ramp down",
 }
 
+_MISSED_UNITS = {SPEED: "mm/s", POSITION: "mm"}
 _NMT: dict[float, str] = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
 
 
@@ -107,6 +108,7 @@ def fault_text(fault: Fault, value: float, limit: float, text: str = "") -> str:
         seen=_SEEN.get(value, "input not known"),
         speed=f" ({Number(value):.2f} mm/s)" if limit else "",
         state=_node_words(value, limit),
+        missed=_missed_words(value, limit, text),
         emergency=_emergency_words(value),
     )
 
@@ -117,6 +119,16 @@ def _emergency_words(value: float) -> str:
     if not node:
         return "see the events"
     return f"node {node}: 0x{code:04X}, {emergency.code_words(code) if code >> 8 else 'see the events'}"
+
+
+def _missed_words(value: float, limit: float, text: str) -> str:
+    """By how much the drive misses its command; without a limit it is not enabled."""
+    if not limit:
+        return "it is not enabled"
+    unit = _MISSED_UNITS.get(text)
+    if unit is None:  # of a recording from before the rows said which
+        return "its speed or position is off"
+    return f"its {text} is off by {Number(value):.2f} {unit} (limit {Number(limit):g} {unit})"
 
 
 def _node_words(value: float, limit: float) -> str:

@@ -114,7 +114,7 @@ class Fault(IntEnum):
     )
     DRIVE_NOT_FOLLOWING = (
         13,
-        "drive does not do what it is told (enabled state or speed)",
+        "drive does not do what it is told: {missed}",
         "Look at the drive's display, its enabling inputs and its tuning.",
     )
     DEVICE_RESTARTED = (

@@ -127,6 +127,7 @@ _LIMITS = "a limit of its own is active (statusword bit 11)"
 _IGNORES = "it does not follow the commanded speed (statusword bit 12 is off)"
 _ELSEWHERE = "the drive has been enabled by somebody else"
 _LINGERS = "the drive stays enabled though it is told to go off"
+SPEED, POSITION = "speed", "position"  # by which the drive misses its command
 _POWERED = "the stroke moves under power"
 _DEVICE_WORDS = {"cylinder": "cylinder drive", "io": "I/O node"}
 
@@ -185,8 +186,8 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.SENSOR_EMERGENCY, FieldValue("sensor_emergency"), 0, 0, _ARMED, ""),
         Row(Fault.DRIVE_EMERGENCY, FieldValue("drive_emergency"), 0, 0, _ARMED, ""),
         Row(Fault.DRIVE_NOT_FOLLOWING, FieldValue("speed_error_mm_s"), SPEED_ERROR_MM_S, SPEED_ERROR_NS, _ARMED,
-            "mm/s", lost),
-        Row(Fault.DRIVE_NOT_FOLLOWING, _size("stroke_error_mm"), STROKE_ERROR_MM, 0, _ARMED, "mm", lost),
+            "mm/s", lost, SPEED),
+        Row(Fault.DRIVE_NOT_FOLLOWING, _size("stroke_error_mm"), STROKE_ERROR_MM, 0, _ARMED, "mm", lost, POSITION),
         Row(Fault.DRIVE_CONTRADICTS, _size("contradiction_mm"), CONTRADICTION_MM, 0, _ARMED, "mm"),
         Row(Fault.STROKE_NOT_HELD, _size("excursion_mm"), NOT_HELD_MM, NOT_HELD_NS, _HELD, "mm", lost),
         Row(Fault.POSITION_DRIFTS, _size("doubt_mm"), DOUBT_MM, 0, _AT_REST, "mm", lost),

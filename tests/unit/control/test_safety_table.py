@@ -11,6 +11,7 @@ from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.checks import HOST_CHECKS, Check
+from rigctl.control.events import fault_text
 from rigctl.control.faults import Fault
 from rigctl.control.modes import (
     Mode,
@@ -84,8 +85,8 @@ ROWS: dict[tuple[str, str], tuple[str, float, str, int, str]] = {
     ("CELL_NOISY", "N"): ("cell_unrest_n", 0.9, "HOLD", 5, ARMED),
     ("SENSOR_EMERGENCY", ""): ("sensor_emergency", 0, "HOLD", 0, ARMED),
     ("DRIVE_EMERGENCY", ""): ("drive_emergency", 0, "HOLD", 0, ARMED),
-    ("DRIVE_NOT_FOLLOWING", "mm/s"): ("speed_error_mm_s", 2.5, "POWER_OFF", 15, ARMED),
-    ("DRIVE_NOT_FOLLOWING", "mm"): ("stroke_error_mm", 0.5, "POWER_OFF", 0, ARMED),
+    ("DRIVE_NOT_FOLLOWING", "mm/s speed"): ("speed_error_mm_s", 2.5, "POWER_OFF", 15, ARMED),
+    ("DRIVE_NOT_FOLLOWING", "mm position"): ("stroke_error_mm", 0.5, "POWER_OFF", 0, ARMED),
     ("STROKE_NOT_HELD", "mm"): ("excursion_mm", 0.9, "POWER_OFF", 2, f"{REST} DISARMED"),
     ("POSITION_DRIFTS", "mm"): ("doubt_mm", 0.5, "POWER_OFF", 0, REST),
     ("DRIVE_CONTRADICTS", "mm"): ("contradiction_mm", 0.3, "HOLD", 0, ARMED),
@@ -277,3 +278,18 @@ def test_a_trip_and_a_row_are_not_changed_afterwards(value: object) -> None:
 def test_a_row_that_names_no_action_holds_the_stroke() -> None:
     assert Trip(Fault.LIMIT, 1.0, 0.0).action is Action.HOLD
     assert Row(Fault.LIMIT, lambda _: 0.0, 0, 0, frozenset(), "").action is Action.HOLD
+
+
+@pytest.mark.parametrize(
+    ("unit", "value", "words"),
+    [
+        ("", 1.0, "drive does not do what it is told: it is not enabled"),
+        ("mm/s speed", 2.6, "drive does not do what it is told: its speed is off by 2.60 mm/s (limit 2.5 mm/s)"),
+        ("mm position", -0.6, "drive does not do what it is told: its position is off by -0.60 mm (limit 0.5 mm)"),
+    ],
+)
+def test_a_drive_that_does_not_follow_says_what_it_misses_and_by_how_much(unit: str, value: float, words: str) -> None:
+    row = row_of("DRIVE_NOT_FOLLOWING", unit)
+    trip = row.trip(value)
+    assert fault_text(trip.fault, trip.value, trip.limit, trip.text) == words
+    assert fault_text(trip.fault, 2.6, 2.5) == "drive does not do what it is told: its speed or position is off"
