@@ -6,6 +6,7 @@ import os
 import pathlib
 import signal
 import sys
+from enum import Enum
 from typing import Annotated
 
 from rigctl.config import extras
@@ -147,6 +148,43 @@ def _fmu(
     raise typer.Exit(run(file, out))
 
 
+class NewKind(Enum):
+    """What can be made."""
+
+    RIG = "rig"
+
+
+@app.command("new")
+def _new(
+    _kind: Annotated[NewKind, typer.Argument(metavar="rig", help="what to make")],
+    name: Annotated[str, typer.Argument(help="of the rig: a to z, 0 to 9 and _, a letter first")],
+    payload: Annotated[float | None, typer.Option(metavar="KG", help="suspended mass")] = None,
+    spring: Annotated[float | None, typer.Option(metavar="N_MM", help="stiffness of the series spring, N/mm")] = None,
+    target: Annotated[
+        float | None, typer.Option(metavar="N", help="vertical tension to hold; 10 N for each kg if not given")
+    ] = None,
+    speed: Annotated[float | None, typer.Option(metavar="MM_S", help="largest speed of the stroke, mm/s")] = None,
+    stroke: Annotated[
+        float | None,
+        typer.Option(metavar="MM", help="highest stroke commanded; what spring and target need if not given"),
+    ] = None,
+    out: Annotated[pathlib.Path | None, typer.Option(metavar="FOLDER", help="write here; else to ./NAME")] = None,
+    defaults: Annotated[bool, typer.Option("--defaults", help="ask nothing on a terminal")] = False,
+) -> None:
+    """Make a rig file, FOLDER/NAME.yaml, with EDS files and JSON Schemas beside it; nothing is overwritten.
+
+    On a terminal it asks for each number that no option gives. Otherwise, and for what is not asked, the paper's rig.
+    """
+    from hil.cli.new import run
+    from hil.new import rig_decisions as decisions
+
+    given = {
+        decisions.PAYLOAD: payload, decisions.SPRING: spring, decisions.TARGET: target, decisions.SPEED: speed,
+        decisions.STROKE: stroke,
+    }  # fmt: skip
+    raise typer.Exit(run(name, given, out, defaults=defaults))
+
+
 @app.command("faults")
 def _faults(
     file: Annotated[pathlib.Path, typer.Argument(help="rig file")] = pathlib.Path("config/paper_rig.yaml"),
@@ -220,7 +258,8 @@ def _run() -> int:
         sys.stderr.write(f"{error}\n")
         return 2
     except TyperException as error:
-        sys.stderr.write(f"hil: {error} (see python -m hil --help)\n")
+        text = " ".join(error.format_message().split()).rstrip(".")  # names the option, unlike str()
+        sys.stderr.write(f"hil: {text} (see python -m hil --help)\n")
         return 2
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("hil: interrupted\n")
