@@ -21,8 +21,9 @@ _HEAD = """# Keys of rig file and scenario file
 Generated from the settings by `python -m hil.cli.reference .`; do not edit. Every key that is not listed is refused.
 A key without a default has to be there.
 
-An editor with a YAML language server completes and checks the keys when the first line of a file names its schema, from
-a checkout or from `share/rigctl/config/schema` of an installation:
+An editor with a YAML language server completes and checks the keys when the first line of a file names its schema, as
+the rig files and scenarios shipped do, and those that `python -m hil new rig` makes. The schemas are in `config/schema`
+of a checkout and in `share/rigctl/config/schema` of an installation:
 
 ```text
 # yaml-language-server: $schema=schema/rig.schema.json

@@ -120,8 +120,8 @@ MANY_DIGITS = "1" + "0" * 400
             "file: plain_sensors.dbc",
             "file: rig.yaml",
             f"{CELL}.file",
-            """rig.yaml, which cannot be read (DBC: "Invalid syntax at line 1, column 1: ">>!<<# The paper's rig (see"""
-            """ paper_rig.yaml), simulated, with sensors that do not speak CANopen: tension cell and inclinometer"")""",
+            """rig.yaml, which cannot be read (DBC: "Invalid syntax at line 1, column 1: """
+            """">>!<<# yaml-language-server: $schema=schema/rig.schema.json"")""",
             "a DBC file",
         ),
         (

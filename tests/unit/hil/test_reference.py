@@ -5,6 +5,9 @@ from __future__ import annotations
 import copy
 import json
 import pathlib
+import posixpath
+import re
+import tomllib
 from typing import Any
 
 import jsonschema
@@ -25,6 +28,9 @@ WRONG: dict[str, tuple[tuple[str, ...], Any]] = {
 }
 
 
+MODELINE = re.compile(r"# yaml-language-server: \$schema=(\S+)\n")
+
+
 def data(file: pathlib.Path) -> Any:
     return copy.deepcopy(strict_yaml.read(file).data)
 
@@ -42,6 +48,37 @@ def test_every_rig_file_fits_its_schema(file: pathlib.Path) -> None:
 @pytest.mark.parametrize("file", SCENARIOS, ids=lambda file: file.stem)
 def test_every_scenario_fits_its_schema(file: pathlib.Path) -> None:
     jsonschema.validate(data(file), scenario_schema())
+
+
+def schema_named_by(file: pathlib.Path) -> str:
+    """The path in the first line of a file, relative to it."""
+    found = MODELINE.match(file.read_text())
+    assert found is not None, f"{file}: its first line names no schema"
+    return found[1]
+
+
+@pytest.mark.parametrize("file", RIGS + SCENARIOS, ids=lambda file: file.stem)
+def test_every_file_shipped_names_a_schema_that_it_fits(file: pathlib.Path) -> None:
+    schema = json.loads((file.parent / schema_named_by(file)).read_text())
+    assert schema["title"] == ("rigctl rig file" if file in RIGS else "rigctl scenario file")
+    jsonschema.validate(data(file), schema)
+
+
+def test_the_schema_is_at_that_path_of_an_installation_too() -> None:
+    """As the wheel lays the files out; with it each scenario finds its rig, and its parameter sets."""
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
+    there = {posixpath.join(folder, found.name): found for folder, patterns in groups.items()
+             for pattern in patterns for found in ROOT.glob(pattern)}  # fmt: skip
+    files = {place: file for place, file in there.items() if file in RIGS + SCENARIOS}
+    assert len(files) == len(RIGS + SCENARIOS)
+    for place, file in files.items():
+        folder = posixpath.dirname(place)
+        assert posixpath.normpath(posixpath.join(folder, schema_named_by(file))) in there
+        if file in SCENARIOS:
+            rig = posixpath.normpath(posixpath.join(folder, data(file)["rig"]))
+            assert rig in there
+            for name in data(file).get("sets", []):
+                assert posixpath.join(posixpath.dirname(rig), "sets", f"{name}.yaml") in there
 
 
 @pytest.mark.parametrize("what", WRONG)
