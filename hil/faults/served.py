@@ -1,7 +1,8 @@
-"""Faults for the rig that ``python -m hil serve`` runs: a local socket beside its bus, and who asks there.
+"""Faults and disturbances for the rig that ``python -m hil serve`` runs: a local socket beside its bus.
 
-A request and its answer are one packet of JSON each: ``{"fault": ID, "for_s": SECONDS or null}``, or
-``{"fault": null}``, which ends the fault that stands. Only the user of the served rig and root may ask.
+A request and its answer are one packet of JSON each: ``{"fault": ID, "for_s": SECONDS or null}``; ``{"fault": null}``,
+which ends the fault that stands; or ``{"fault": null, "disturb": {...}}`` with what stands below ``disturbances`` in a
+scenario file. Only the user of the served rig and root may ask.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import struct
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import msgspec
 
@@ -22,20 +23,22 @@ from hil.faults.standing import FaultRefusedError, StandingFault, found, hindran
 from hil.hub import Hub
 from hil.rig import SimulatedRig
 from hil.scenario.errors import ScenarioError
+from hil.scenario.running_disturbances import RunningDisturbances
 from rigctl.config.settings import RigSettings
 
 TICK_NS = 1_000_000
 """Injectors are stepped once a tick, as in lockstep."""
 ANSWER_S = 5.0
-LONGEST_BYTES = 1024
+LONGEST_BYTES = 1 << 16
 _CREDENTIALS = struct.Struct("3i")
 
 
 class FaultRequest(msgspec.Struct):
-    """What is asked for. ``fault``: None ends the fault that stands."""
+    """What is asked for. ``fault``: None ends the fault that stands, or begins disturbances."""
 
     fault: str | None
     for_s: float | None = None
+    disturb: dict[str, Any] | None = None
 
 
 class FaultAnswer(msgspec.Struct):
@@ -58,12 +61,25 @@ def ask(settings: RigSettings, fault: str | None, for_s: float | None) -> FaultA
     Raises:
         ScenarioError: no rig is served, or its server does not answer.
     """
+    return _answer(settings, FaultRequest(fault, for_s))
+
+
+def disturb(settings: RigSettings, wanted: dict[str, Any]) -> FaultAnswer:
+    """Begin disturbances of the served rig, see `hil.scenario.running_disturbances`.
+
+    Raises:
+        ScenarioError: no rig is served, or its server does not answer.
+    """
+    return _answer(settings, FaultRequest(None, disturb=wanted))
+
+
+def _answer(settings: RigSettings, request: FaultRequest) -> FaultAnswer:
     path = socket_of(settings)
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
             connection.settimeout(ANSWER_S)
             connection.connect(str(path))
-            connection.send(msgspec.json.encode(FaultRequest(fault, for_s)))
+            connection.send(msgspec.json.encode(request))
             return msgspec.json.decode(connection.recv(1 << 16), type=FaultAnswer)
     except (OSError, msgspec.MsgspecError) as error:
         why = error.strerror or str(error) if isinstance(error, OSError) else str(error)
@@ -104,6 +120,7 @@ class FaultServer:
     def __init__(self, path: pathlib.Path, rig: ServedRig, *, of_wire: bool) -> None:
         self._path, self._rig, self._of_wire = path, rig, of_wire
         self._standing: StandingFault | None = None
+        self._disturbances = RunningDisturbances(rig.rig.plant, rig.settings)
         self._due_ns = 0
         if path.is_socket():
             path.unlink()  # of a server that was killed: the bus beside it is this process's
@@ -158,9 +175,18 @@ class FaultServer:
     def _do(self, data: bytes, now_ns: int) -> FaultAnswer:
         try:
             request = msgspec.json.decode(data, type=FaultRequest)
+            if request.disturb is not None:
+                return FaultAnswer(True, self._disturb(request))
             return FaultAnswer(True, self._end() if request.fault is None else self._begin(request, now_ns))
-        except (msgspec.MsgspecError, UnicodeDecodeError, FaultRefusedError) as error:
+        except (msgspec.MsgspecError, ValueError) as error:
             return FaultAnswer(False, str(error))
+
+    def _disturb(self, request: FaultRequest) -> str:
+        assert request.disturb is not None
+        if request.fault is not None or request.for_s is not None:
+            raise FaultRefusedError("disturb: found it beside a fault, expected it alone")
+        self._disturbances.begin(request.disturb)
+        return f"begun: {', '.join(request.disturb)}"
 
     def _begin(self, request: FaultRequest, now_ns: int) -> str:
         assert request.fault is not None

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from hil.scenario import kinds
 from hil.scenario.errors import ScenarioError
 from hil.scenario.format import ScenarioFile
+from hil.scenario.kinds import Disturbances
 from rigctl.config.settings import RigSettings
 from rigctl.config.wording import Path
 
@@ -14,7 +15,7 @@ STEPS_PER_PERIOD = 10
 """Fewest integration steps in the shortest prescribed period."""
 STEPS_PER_IMPULSE = 5
 
-_Finding = tuple[Path, object, str]
+Finding = tuple[Path, object, str]
 
 
 def check(source: ScenarioFile, settings: RigSettings) -> None:
@@ -23,12 +24,18 @@ def check(source: ScenarioFile, settings: RigSettings) -> None:
     Raises:
         ScenarioError: one line per contradiction.
     """
-    findings = [*_timing(source), *_rigid_axes(source, settings), *_resolution(source, settings)]
+    findings = [*_timing(source), *of_rig(source.scenario.disturbances, settings)]
     if findings:
         raise ScenarioError([source.wording.say(*finding) for finding in findings])
 
 
-def _timing(source: ScenarioFile) -> Iterator[_Finding]:
+def of_rig(disturbances: Disturbances, settings: RigSettings) -> Iterator[Finding]:
+    """Place below the scenario, what was found and what is expected, of each that has no meaning on this rig."""
+    yield from _rigid_axes(disturbances, settings)
+    yield from _resolution(disturbances, settings)
+
+
+def _timing(source: ScenarioFile) -> Iterator[Finding]:
     """A disturbance that begins after the end means that one of the two numbers is wrong."""
     end_s = source.scenario.duration_s
     disturbances = source.scenario.disturbances
@@ -40,11 +47,10 @@ def _timing(source: ScenarioFile) -> Iterator[_Finding]:
                     yield ("disturbances", name, i, key), begin_s, f"below duration_s ({end_s:g})"
 
 
-def _rigid_axes(source: ScenarioFile, settings: RigSettings) -> Iterator[_Finding]:
+def _rigid_axes(disturbances: Disturbances, settings: RigSettings) -> Iterator[Finding]:
     """A force or a change of mass moves the payload only where the mechanism is not rigid."""
     assert settings.simulation is not None  # settings_of raises without it
     mechanism = settings.simulation.mechanism
-    disturbances = source.scenario.disturbances
     for i, impact in enumerate(disturbances.impacts):
         if isinstance(impact, kinds.Impulse) and getattr(mechanism, f"{impact.axis}_n_mm") is None:
             yield ("disturbances", "impacts", i, "axis"), f"{impact.axis}, which is rigid", _gives_way(impact.axis)
@@ -62,13 +68,12 @@ def _gives_way(axis: str) -> str:
     return f"an axis that gives way: set simulation.mechanism.{axis}_n_mm under change:"
 
 
-def _resolution(source: ScenarioFile, settings: RigSettings) -> Iterator[_Finding]:
+def _resolution(disturbances: Disturbances, settings: RigSettings) -> Iterator[Finding]:
     """The integration must resolve every prescribed motion."""
     assert settings.simulation is not None  # settings_of raises without it
     step_s = settings.simulation.step_us * 1e-6
     highest_hz = 1.0 / (STEPS_PER_PERIOD * step_s)
     shortest_s = STEPS_PER_IMPULSE * step_s
-    disturbances = source.scenario.disturbances
     for name in ("vertical", "floor"):
         for i, item in enumerate(getattr(disturbances, name)):
             for key in ("frequency_hz", "to_hz"):

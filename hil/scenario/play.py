@@ -22,6 +22,7 @@ from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.design.gains import DesignError
 from rigctl.design.in_use import adopted, design_in_use
+from rigctl.design.verdict import Design
 from rigctl.ipc.correction import Correction
 
 LOCKED_PERIOD_NS = 1_000_000
@@ -133,12 +134,21 @@ def design(settings: RigSettings) -> Gains:
     Raises:
         ScenarioError: the design fails, or ``rigctl run`` would refuse it.
     """
+    return accepted_design(settings).gains
+
+
+def accepted_design(settings: RigSettings) -> Design:
+    """The design ``rigctl run`` would use.
+
+    Raises:
+        ScenarioError: the design fails, or ``rigctl run`` would refuse it.
+    """
     try:
         found = design_in_use(settings)
     except DesignError as error:
         raise ScenarioError([f"{settings.rig}: design: {error}"]) from None
     if found.accepted:
-        return found.gains
+        return found
     if found.waiver is not None:
         raise ScenarioError([f"{settings.rig}: design: unstable with the plant in the file, no waiver helps"])
     raise ScenarioError(

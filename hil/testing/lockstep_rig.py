@@ -11,21 +11,19 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ValidationError
 
 from hil.faults.standing import StandingFault, found, hindrance
 from hil.lockstep import Lockstep, lockstep
-from hil.scenario import disturbances
 from hil.scenario.case import load
-from hil.scenario.kinds import LONGEST_S, Disturbances
 from hil.scenario.play import Played, play
+from hil.scenario.running_disturbances import RunningDisturbances
 from hil.testing.stretch import RunStretch
 from hil.truth import TRUTH_DTYPE, Truth
 from rigctl import __version__
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.tension import Gains
+from rigctl.design.verdict import Design
 from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.recorder.continuous import Continuous
 
@@ -48,11 +46,12 @@ class LockstepRig:
 
     Args:
         rig: the rig under it, for what is not here: devices, frames, events.
+        design: its gains, which a replay of the recording needs.
         limit_s: simulated time that the test may take.
         folder: for the recording.
     """
 
-    def __init__(self, rig: Lockstep, limit_s: float, folder: pathlib.Path) -> None:
+    def __init__(self, rig: Lockstep, design: Design, limit_s: float, folder: pathlib.Path) -> None:
         self.lockstep, self.settings = rig, rig.settings
         self._limit_s = limit_s
         self._start_ns = rig.clock.now()
@@ -60,7 +59,8 @@ class LockstepRig:
         self._records: list[npt.NDArray[Any]] = []
         self._truth: list[Truth] = []
         self._faults: list[StandingFault] = []
-        self._recording = _recording(rig, folder, self._start_ns + self._wall_offset_ns)
+        self._disturbances = RunningDisturbances(rig.rig.plant, rig.settings)
+        self._recording = _recording(rig, design, folder, self._start_ns + self._wall_offset_ns)
         rig.on_advance = self._each_period
         self.run(WAKE_S)
 
@@ -132,17 +132,12 @@ class LockstepRig:
     def disturb(self, **kinds: list[dict[str, Any]]) -> None:
         """Begin disturbances now: the lists below ``disturbances`` of a scenario file, see docs/scenario.md.
 
+        Those that have begun before go on.
+
         Raises:
             ValueError: one of them is not valid.
         """
-        try:
-            wanted = Disturbances.model_validate(kinds)
-        except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"]))
-            raise ValueError(f"{where}: {first['msg']}, found {first['input']!r}") from None
-        plant = self.lockstep.rig.plant
-        plant.start_motion(disturbances.tracks(wanted, LONGEST_S), plant.t_ns)
+        self._disturbances.begin(kinds)
 
     def inject(self, fault: str, for_s: float | None = None) -> StandingFault:
         """Begin a fault of the catalogue (``python -m hil faults --list``), for a while or until its `end`.
@@ -244,19 +239,22 @@ def play_scenario(file: str | pathlib.Path) -> RunStretch:
 
 
 @contextlib.contextmanager
-def lockstep_rig(settings: RigSettings, gains: Gains, limit_s: float, folder: pathlib.Path) -> Iterator[LockstepRig]:
+def lockstep_rig(settings: RigSettings, design: Design, limit_s: float, folder: pathlib.Path) -> Iterator[LockstepRig]:
     """A rig for one test."""
-    with lockstep(settings, gains) as rig:
-        yield LockstepRig(rig, limit_s, folder)
+    with lockstep(settings, design.gains) as rig:
+        yield LockstepRig(rig, design, limit_s, folder)
 
 
-def _recording(rig: Lockstep, folder: pathlib.Path, wall_ns: int) -> Continuous:
+def _recording(rig: Lockstep, design: Design, folder: pathlib.Path, wall_ns: int) -> Continuous:
     """A recording as the daemon's recorder makes it, of which a test without a failure keeps nothing."""
     settings = rig.settings
     recording = settings.recording.model_copy(update={"folder": str(folder), "enabled": True})
     audit = settings.audit.model_copy(update={"file": str(folder / "audit.jsonl"), "trips": str(folder / "trips")})
     own = settings.model_copy(update={"recording": recording, "audit": audit})
-    active = {"settings": own.model_dump(mode="json"), "version": __version__, "started_wall_ns": wall_ns, "design": {}}
+    active = {
+        "settings": own.model_dump(mode="json"), "version": __version__, "started_wall_ns": wall_ns,
+        "design": design.as_dict(),
+    }  # fmt: skip
     rig.runtime.write_json(ACTIVE, active)
     rig.runtime.write_json("control.json", {**rig.report.as_json(), "host_checks": 0})
     return Continuous(rig.runtime, own, wall_ns, wall_ns)

@@ -15,14 +15,18 @@ if TYPE_CHECKING:
     from hil.testing.stretch import RunStretch
 
 FIXTURES = ("hil_rig", "hil_live_rig")
-MARKER = "hil(rig=FILE, change={KEY: VALUE}, timeout_s=SECONDS): rig file, other settings and time limit of hil_rig"
+MARKER = "hil(rig=FILE, change={KEY: VALUE}, timeout_s=SECONDS): rig file, other settings and time limit of the rig"
 _DESIGNS = pytest.StashKey[dict[str, Any]]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """The ini keys."""
     parser.addini("hil_rig", "rig file of the fixtures hil_rig and hil_live_rig", default="")
-    parser.addini("hil_timeout_s", "simulated time that a test with hil_rig may take, in seconds", default="600")
+    parser.addini(
+        "hil_timeout_s",
+        "time that a test may take, in seconds: simulated with hil_rig, the computer's with hil_live_rig",
+        default="600",
+    )
     parser.addini("hil_results", "folder for pictures and recordings of failed tests", default="results/hil")
 
 
@@ -35,15 +39,26 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
     """Keep picture and recording of a test that has failed."""
     report: Any = yield
-    rig = getattr(item, "funcargs", {}).get("hil_rig") if call.when == "call" and report.failed else None
-    if rig is not None and hasattr(rig, "keep"):
+    if call.when == "call" and report.failed:
         folder = item.config.rootpath / str(item.config.getini("hil_results")) / _name(item.nodeid)
-        try:
-            words = "\n".join(f"kept: {file}" for file in rig.keep(folder, item.name))
-        except (OSError, ValueError) as error:
-            words = f"nothing kept: {error}"
-        report.sections.append(("hil_rig", f"{rig.mode}, fault {rig.fault}, at {rig.time_s:g} s\n{words}"))
+        for fixture in FIXTURES:
+            rig: Any = getattr(item, "funcargs", {}).get(fixture)
+            if hasattr(rig, "keep"):
+                report.sections.append((fixture, _kept(rig, folder, item.name)))
     return report  # type: ignore[no-any-return]
+
+
+def _kept(rig: LockstepRig | RealTimeRig, folder: pathlib.Path, title: str) -> str:
+    """What the rig was in, and the files of it that stay."""
+    try:
+        words = [f"{rig.mode}, fault {rig.fault}, at {rig.time_s:g} s"]
+    except RuntimeError as error:  # a daemon that has ended
+        words = [str(error)]
+    try:
+        words += [f"kept: {file}" for file in rig.keep(folder, title)]
+    except (OSError, ValueError) as error:
+        words.append(f"nothing kept: {error}")
+    return "\n".join(words)
 
 
 @pytest.fixture
@@ -52,7 +67,7 @@ def hil_rig(request: pytest.FixtureRequest, tmp_path: pathlib.Path) -> Iterator[
     from hil.testing.lockstep_rig import lockstep_rig
 
     settings, limit_s = _wanted(request)
-    with lockstep_rig(settings, _gains(request.config, settings), limit_s, tmp_path / "recording") as rig:
+    with lockstep_rig(settings, _design(request.config, settings), limit_s, tmp_path / "recording") as rig:
         yield rig
 
 
@@ -61,8 +76,8 @@ def hil_live_rig(request: pytest.FixtureRequest) -> Iterator[RealTimeRig]:
     """Daemon and served rig as processes of their own, in real time, DISARMED."""
     from hil.testing.real_time_rig import real_time_rig
 
-    settings, _ = _wanted(request)
-    with real_time_rig(settings) as rig:
+    settings, limit_s = _wanted(request)
+    with real_time_rig(settings, limit_s) as rig:
         yield rig
 
 
@@ -94,14 +109,14 @@ def _wanted(request: pytest.FixtureRequest) -> tuple[Any, float]:
         raise pytest.UsageError(f"marker hil: {error}") from None
 
 
-def _gains(config: pytest.Config, settings: Any) -> Any:
-    """The gains that ``rigctl run`` would use; each rig is designed once in a session."""
-    from hil.scenario.play import design
+def _design(config: pytest.Config, settings: Any) -> Any:
+    """The design that ``rigctl run`` would use; each rig is designed once in a session."""
+    from hil.scenario.play import accepted_design
 
     known = config.stash.setdefault(_DESIGNS, {})
     key = settings.model_dump_json()
     if key not in known:
-        known[key] = design(settings)
+        known[key] = accepted_design(settings)
     return known[key]
 
 

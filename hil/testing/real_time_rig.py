@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import pathlib
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -12,25 +13,41 @@ from typing import Any
 import numpy as np
 
 from hil.faults import served
-from hil.testing.lockstep_rig import CommandRefusedError, SimulatedTimeoutError
+from hil.testing.lockstep_rig import COMPENSATING_LIMIT_S, CommandRefusedError, SimulatedTimeoutError
 from hil.testing.stretch import RunStretch
 from hil.truth import TRUTH_DTYPE
+from hil.truth import read as read_truth
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Verb
 from rigctl.demo.live_rig import LiveRig, LiveRigError, own, start_live_rig
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.recorder import recording
 
 OPERATOR = "test"
 PAUSE_S = 0.02
+TRUTH = "truth.bin"
 
 
 class RealTimeRig:
-    """A daemon of its own, with a rig name, an endpoint and files of its own, on a served rig."""
+    """A daemon of its own, with a rig name, an endpoint and files of its own, on a served rig.
 
-    def __init__(self, live: LiveRig) -> None:
+    Args:
+        live: the processes.
+        limit_s: time that the test may take.
+        folder: of their files, below it the recording.
+    """
+
+    def __init__(self, live: LiveRig, limit_s: float, folder: pathlib.Path) -> None:
         self.live, self.settings = live, live.settings
+        self._limit_s, self._folder = limit_s, folder
+        self._start_ns = time.monotonic_ns()
         self._reader = Runtime.of(live.settings.rig).records.reader()
         self._target_n = live.settings.tension.target_n
+
+    @property
+    def time_s(self) -> float:
+        """Time of the test."""
+        return (time.monotonic_ns() - self._start_ns) * 1e-9
 
     @property
     def mode(self) -> str:
@@ -51,13 +68,39 @@ class RealTimeRig:
 
         Raises:
             CommandRefusedError: it was refused, or the daemon does not answer.
+            SimulatedTimeoutError: the test has no time left.
         """
+        self._check(0.0)
         try:
             self.live.command(Verb[verb.upper()], OPERATOR, value)
         except LiveRigError as error:
             raise CommandRefusedError(str(error)) from None
         if verb == "target" and value is not None:
             self._target_n = value
+
+    def compensate(self, settle_s: float = 2.0) -> None:
+        """Arm, tension and settle: the state in which the rig works.
+
+        Raises:
+            CommandRefusedError: a command was refused.
+            SimulatedTimeoutError: the rig does not get there.
+        """
+        self.do("arm")
+        self.do("tension")
+        self.run_until("COMPENSATING", COMPENSATING_LIMIT_S)
+        self.run(settle_s)
+
+    def disturb(self, **kinds: list[dict[str, Any]]) -> None:
+        """Begin disturbances now: the lists below ``disturbances`` of a scenario file, see docs/scenario.md.
+
+        Those that have begun before go on.
+
+        Raises:
+            ValueError: one of them is not valid.
+        """
+        answer = served.disturb(self.settings, kinds)
+        if not answer.done:
+            raise ValueError(answer.text)
 
     def inject(self, fault: str, for_s: float | None = None) -> None:
         """Put a fault of the catalogue into the served rig, for a while or until `end_fault`.
@@ -74,7 +117,12 @@ class RealTimeRig:
         served.ask(self.settings, None, None)
 
     def run(self, seconds: float) -> RunStretch:
-        """Let time pass; returns the records of that stretch. There is no truth: it is in another process."""
+        """Let time pass; returns the records of that stretch. There is no truth: it is in another process.
+
+        Raises:
+            SimulatedTimeoutError: the test has no time left.
+        """
+        self._check(seconds)
         self._reader.read()
         start_ns, parts = time.monotonic_ns(), []
         while (left_s := seconds - (time.monotonic_ns() - start_ns) * 1e-9) > 0.0:
@@ -88,18 +136,46 @@ class RealTimeRig:
         Raises:
             SimulatedTimeoutError: it does not get there.
         """
-        until = time.monotonic() + limit_s
+        left_s = min(limit_s, self._limit_s - self.time_s)
+        until = time.monotonic() + left_s
         while (now := self.mode) != mode:
             if time.monotonic() > until:
-                raise SimulatedTimeoutError(f"not in {mode} within {limit_s:g} s, but in {now}")
+                raise SimulatedTimeoutError(f"not in {mode} within {max(left_s, 0.0):.4g} s, but in {now}")
             time.sleep(PAUSE_S)
+
+    # -- what stays of it -------------------------------------------------------------------------------------
+
+    def keep(self, folder: pathlib.Path, title: str) -> list[pathlib.Path]:
+        """End the processes, so that the recording is whole; write it and a picture of it, return the files.
+
+        Raises:
+            OSError: one cannot be written.
+            ValueError: there is no recording, or it cannot be read.
+        """
+        folder.mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(LiveRigError):  # one that does not end is killed when the fixture ends
+            self.live.end()
+        parts = sorted((self._folder / self.settings.recording.folder).glob("*.mcap"))
+        kept = [pathlib.Path(shutil.copy(part, folder / part.name)) for part in parts]
+        if not kept:
+            raise ValueError("the daemon has recorded nothing")
+        records = recording.read(*kept, frames=False).records
+        truth = read_truth(self._folder / TRUTH)
+        first_ns = int(records["t_ns"][0])
+        stretch = RunStretch(self.settings, first_ns, self._target_n, records, truth[truth["t_ns"] >= first_ns])
+        return [stretch.plot(folder / "run.png", title), *kept]
+
+    def _check(self, seconds: float) -> None:
+        if self.time_s + seconds > self._limit_s:
+            used = f"{self.time_s:.4g} s are used and {seconds:g} s are asked for"
+            raise SimulatedTimeoutError(f"the test may take {self._limit_s:g} s: {used}")
 
 
 @contextlib.contextmanager
-def real_time_rig(settings: RigSettings) -> Iterator[RealTimeRig]:
+def real_time_rig(settings: RigSettings, limit_s: float) -> Iterator[RealTimeRig]:
     """A daemon and its rig for one test, in a folder with a short name: sockets allow 107 characters."""
-    with (
-        tempfile.TemporaryDirectory(prefix="hil-", dir="/tmp") as folder,
-        start_live_rig(own(settings, "test"), pathlib.Path(folder), quiet=True) as live,
-    ):
-        yield RealTimeRig(live)
+    with tempfile.TemporaryDirectory(prefix="hil-", dir="/tmp") as name:
+        folder = pathlib.Path(name)
+        truth = ("--truth", str(folder / TRUTH))
+        with start_live_rig(own(settings, "test"), folder, *truth, quiet=True) as live:
+            yield RealTimeRig(live, limit_s, folder)

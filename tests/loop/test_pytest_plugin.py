@@ -8,6 +8,7 @@ import re
 
 import pytest
 
+from tests.builders import daemons
 from tests.builders.paths import ROOT
 
 pytest_plugins = "pytester"
@@ -39,15 +40,28 @@ def test_what_the_page_shows_in_real_time_passes(pytester: pytest.Pytester) -> N
     assert pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider").ret == 0
 
 
+TRIPS = """
+def test_trips({rig}):
+    {rig}.do("arm")
+    {rig}.inject("cell_silent", for_s=0.05)
+    assert {rig}.run(0.5).mode == "HOLD"
+"""
+
+
+def report_and_replay(recording: pathlib.Path, folder: pathlib.Path) -> None:
+    """What the page promises of a recording kept: both commands read it, and the replay is the same to the bit."""
+    reported = daemons.rigctl("report", str(recording), "--output", str(folder / "report.html"))
+    assert reported.returncode in (0, 1), reported.stderr  # 1: the rig has tripped, which the report judges
+    assert "CELL_STALE" in (folder / "report.html").read_text()
+    replayed = daemons.rigctl("replay", str(recording), "--json")
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
+    found = json.loads(replayed.stdout)
+    assert found["identical"]
+    assert sum(row["same"] for row in found["loops"]) > 500  # ticks of the last half second at least
+
+
 def test_a_failed_test_keeps_its_picture_and_its_recording(pytester: pytest.Pytester) -> None:
-    pytester.makepyfile(
-        """
-        def test_trips(hil_rig):
-            hil_rig.do("arm")
-            hil_rig.inject("cell_silent", for_s=0.05)
-            assert hil_rig.run(0.5).mode == "HOLD"
-        """
-    )
+    pytester.makepyfile(TRIPS.format(rig="hil_rig"))
     done = pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider", "-o", "hil_results=kept")
     done.assert_outcomes(failed=1)
     done.stdout.re_match_lines([r"FAULT, fault CELL_STALE, at [\d.]+ s", r"kept: .*run\.png", r"kept: .*\.mcap"])
@@ -59,6 +73,81 @@ def test_a_failed_test_keeps_its_picture_and_its_recording(pytester: pytest.Pyte
     records = read(recording).records
     assert records["mode"][-1] == 5 or records["fault"][-1] != 0
     assert len(records) > 700  # 0.2 s of waking, the arming, 0.5 s
+    report_and_replay(recording, pytester.path)
+
+
+@pytest.mark.real_time
+def test_a_failed_test_in_real_time_keeps_them_too(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(TRIPS.format(rig="hil_live_rig"))
+    done = pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider")
+    done.assert_outcomes(failed=1)
+    done.stdout.re_match_lines([r"FAULT, fault CELL_STALE, at [\d.]+ s", r"kept: .*run\.png", r"kept: .*\.mcap"])
+    (folder,) = (pytester.path / "results/hil").iterdir()
+    (picture,), (recording,) = folder.glob("*.png"), folder.glob("*.mcap")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    report_and_replay(recording, pytester.path)
+
+
+def test_a_second_disturbance_leaves_the_first_one_going(pytester: pytest.Pytester) -> None:
+    """The mechanism has turned by 1 deg when the heave begins, and stays there; the jolt comes on top of the heave."""
+    pytester.makepyfile(
+        """
+        import math
+        import pytest
+
+        def test_it(hil_rig):
+            hil_rig.disturb(mechanism=[
+                {"kind": "rotate", "angle_deg": 1.0, "speed_deg_s": 1.0, "acceleration_deg_s2": 4.0}])
+            hil_rig.run(2.0)
+            hil_rig.disturb(vertical=[{"kind": "move", "up_mm": 2.0, "speed_mm_s": 4.0, "acceleration_mm_s2": 40.0}])
+            turned = hil_rig.run(1.0).truth
+            hil_rig.disturb(impacts=[{"kind": "step", "height_mm": 0.5, "rise_s": 0.1, "at_s": 0.2}])
+            lifted = hil_rig.run(1.0).truth
+            angle = math.radians(1.0)
+            assert turned["mechanism_rad"] == pytest.approx(angle, abs=1e-9)
+            assert turned["height_mm"][-1] == pytest.approx(2.0, abs=1e-6)
+            assert lifted["height_mm"][0] == pytest.approx(2.0, abs=1e-6)
+            assert lifted["height_mm"][-1] == pytest.approx(2.5, abs=1e-6)
+            assert abs(lifted["height_mm"][150] - 2.0) < 1e-6  # at_s counts from the call
+        """
+    )
+    pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider").assert_outcomes(passed=1)
+
+
+@pytest.mark.real_time
+def test_in_real_time_disturbances_and_the_limit_are_as_in_simulated_time(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        """
+        import pytest
+
+        def test_moved(hil_live_rig):
+            hil_live_rig.compensate()
+            still = hil_live_rig.run(0.5).records["stroke_mm"]
+            hil_live_rig.disturb(vertical=[
+                {"kind": "move", "up_mm": 4.0, "speed_mm_s": 4.0, "acceleration_mm_s2": 20.0}])
+            run = hil_live_rig.run(3.0)
+            assert run.mode == "COMPENSATING"
+            taken = run.records["stroke_mm"][-1] - still[-1]
+            assert abs(taken - 4.0) < 0.2  # the stroke takes up what the payload has risen, but for backlash and ripple
+            with pytest.raises(ValueError, match="vertical.0") as refused:
+                hil_live_rig.disturb(vertical=[{"kind": "move", "up_mm": "high"}])
+            assert "\\n" not in str(refused.value)
+            with pytest.raises(ValueError, match="mass: found a change of mass on a rigid mechanism"):
+                hil_live_rig.disturb(mass=[{"change_kg": 1.0, "at_s": 0.0}])
+
+        @pytest.mark.hil(timeout_s=20)
+        def test_limited(hil_live_rig):
+            with pytest.raises(AssertionError, match="the test may take 20 s: .* and 21 s are asked for"):
+                hil_live_rig.run(21.0)
+            with pytest.raises(AssertionError, match="not in HOLD within 0.5 s, but in DISARMED"):
+                hil_live_rig.run_until("HOLD", 0.5)
+            with pytest.raises(AssertionError, match="not in HOLD within 1?[0-9][.0-9]* s, but in DISARMED"):
+                hil_live_rig.run_until("HOLD", 1000.0)
+            with pytest.raises(AssertionError, match="the test may take 20 s"):
+                hil_live_rig.do("arm")
+        """
+    )
+    pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider").assert_outcomes(passed=2)
 
 
 @pytest.mark.parametrize(
@@ -70,6 +159,10 @@ def test_a_failed_test_keeps_its_picture_and_its_recording(pytester: pytest.Pyte
         ("hil_rig.inject('none_such')", "found 'none_such', expected a fault of the catalogue"),
         ("hil_rig.command('fly')", "found command 'fly', expected"),
         ("hil_rig.disturb(mass=[{'change_kg': 'x'}])", "mass.0"),
+        (
+            "hil_rig.disturb(mass=[{'change_kg': 1.0, 'at_s': 0.0}])",
+            "mass: found a change of mass on a rigid mechanism",
+        ),
         ("hil_rig.run(0.1).figure('eta')", "found figure 'eta', expected eta_max_pct"),
     ],
 )

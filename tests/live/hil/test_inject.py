@@ -90,7 +90,11 @@ def test_the_socket_is_its_users_takes_no_rubbish_and_goes_with_the_rig(
 ) -> None:  # fmt: skip
     path = pathlib.Path(f"{channel}.faults")
     assert (path.stat().st_uid, stat.S_IMODE(path.stat().st_mode)) == (os.geteuid(), 0o600)
-    for rubbish in (b"\xff", b"[]", b'{"fault": 3}', b'{"fault": "cell_silent", "for_s": "x"}', b"x" * 5000):
+    for rubbish in (
+        b"\xff", b"[]", b'{"fault": 3}', b'{"fault": "cell_silent", "for_s": "x"}', b"x" * 5000,
+        b'{"fault": null, "disturb": {"vertical": 3}}', b'{"fault": "cell_silent", "disturb": {}}',
+        b'{"fault": null, "disturb": {"mass": [{"change_kg": null, "at_s": 0}]}}', b"x" * 70_000,
+    ):  # fmt: skip
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
             connection.settimeout(PATIENCE_S)
             connection.connect(str(path))
