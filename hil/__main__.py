@@ -22,9 +22,12 @@ with extras.refused(PROGRAM):
     from hil.scenario.errors import ScenarioError
     from hil.serve import ServeError, serve
     from rigctl.cli import descriptors, standard_output
+    from rigctl.config import rig_file
 
 _INTERRUPTED = 130
 """Exit code that typer gives Ctrl-C."""
+
+PaperOr = Annotated[pathlib.Path | None, typer.Argument(help="rig file; if not given, the paper's, as it is shipped")]
 
 app = typer.Typer(
     add_completion=False,  # a shell completes the name of a program, and this one is a module
@@ -64,19 +67,19 @@ def _scenario(
 
 @app.command("paper")
 def _paper(
-    file: Annotated[pathlib.Path, typer.Argument(help="rig file")] = pathlib.Path("config/paper_rig.yaml"),
+    file: PaperOr = None,
     json: Annotated[pathlib.Path | None, typer.Option(help="write the rows here")] = None,
     plots: Annotated[pathlib.Path | None, typer.Option(help="folder for a picture per figure")] = None,
 ) -> None:
     """Play the paper's study, locked and with the loop closed, and compare it with what the paper prints."""
     from hil.cli.paper import run
 
-    raise typer.Exit(run(file, json, plots))
+    raise typer.Exit(run(file or paper_rig(), json, plots))
 
 
 @app.command("compare")
 def _compare(
-    file: Annotated[pathlib.Path, typer.Argument(help="rig file")] = pathlib.Path("config/paper_rig.yaml"),
+    file: PaperOr = None,
     only: Annotated[list[str] | None, typer.Option(help="a scenario to run; may be repeated; default all")] = None,
     controllers: Annotated[
         list[str] | None, typer.Option(help="laws to run, separated by commas; may be repeated; default all")
@@ -102,6 +105,7 @@ def _compare(
     from hil.cli import compare_tuned
     from hil.cli.compare import run
 
+    file = file or paper_rig()
     if equal_limits or random or front is not None:
         asked = compare_tuned.Asked(only or [], controllers or [], json, rows, quick=quick)
         if front is not None:
@@ -114,19 +118,19 @@ def _compare(
 
 @app.command("cell")
 def _cell(
-    file: Annotated[pathlib.Path, typer.Argument(help="rig file")] = pathlib.Path("config/paper_rig.yaml"),
+    file: PaperOr = None,
     cells: Annotated[int, typer.Option(min=1, max=10_000, help="number of cells drawn")] = 200,
     json: Annotated[pathlib.Path | None, typer.Option(help="write the figures here")] = None,
 ) -> None:
     """Hold the cell's stated uncertainty, before and after compensation, against the truth of many drawn cells."""
     from hil.cli.cell import run
 
-    raise typer.Exit(run(file, cells, json))
+    raise typer.Exit(run(file or paper_rig(), cells, json))
 
 
 @app.command("moves")
 def _moves(
-    file: Annotated[pathlib.Path, typer.Argument(help="rig file")] = pathlib.Path("config/paper_rig.yaml"),
+    file: PaperOr = None,
     only: Annotated[list[str] | None, typer.Option(help="a variant to play; may be repeated; default all")] = None,
     json: Annotated[pathlib.Path | None, typer.Option(help="write the figures here")] = None,
     plots: Annotated[pathlib.Path | None, typer.Option(help="folder for the picture")] = None,
@@ -134,7 +138,7 @@ def _moves(
     """Repeat one move with learning, and with what was tried against friction at the reversal (docs/reversal.md)."""
     from hil.cli.moves import run
 
-    raise typer.Exit(run(file, only or [], json, plots))
+    raise typer.Exit(run(file or paper_rig(), only or [], json, plots))
 
 
 @app.command("fmu")
@@ -187,7 +191,7 @@ def _new(
 
 @app.command("faults")
 def _faults(
-    file: Annotated[pathlib.Path, typer.Argument(help="rig file")] = pathlib.Path("config/paper_rig.yaml"),
+    file: PaperOr = None,
     only: Annotated[list[str] | None, typer.Option(help="a fault to play; may be repeated; default all")] = None,
     mode: Annotated[list[str] | None, typer.Option(help="a mode to play in; may be repeated; default all")] = None,
     json: Annotated[pathlib.Path | None, typer.Option(help="write the rows here")] = None,
@@ -198,6 +202,7 @@ def _faults(
     """Play the fault catalogue: every fault in every mode, what happens against what has to happen."""
     from hil.cli import faults as command
 
+    file = file or paper_rig()
     if list_:
         command.show_list()
     elif kills:
@@ -223,6 +228,18 @@ def _inject(
     from hil.cli import inject as command
 
     raise typer.Exit(command.show_list() if list_ else command.run(file, fault, for_, end=end))
+
+
+def paper_rig() -> pathlib.Path:
+    """The paper's rig file: of this checkout, or of the installation.
+
+    Raises:
+        ScenarioError: it is not installed.
+    """
+    try:
+        return rig_file.shipped("paper_rig.yaml")
+    except rig_file.ConfigError as error:
+        raise ScenarioError(error.findings) from None
 
 
 def _announce(text: str) -> None:

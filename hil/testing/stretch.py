@@ -41,6 +41,11 @@ class RunStretch:
     records: npt.NDArray[Any]
     truth: npt.NDArray[Any]
 
+    def __repr__(self) -> str:
+        """Short, since pytest prints it below a failed assertion."""
+        end = f"{self.mode}, fault {self.fault} at its end" if len(self.records) else "no records"
+        return f"<RunStretch: {len(self.records)} records, {end}>"
+
     @property
     def t_s(self) -> npt.NDArray[np.float64]:
         """Time of each record."""

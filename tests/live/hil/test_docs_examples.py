@@ -39,8 +39,15 @@ def test_the_tests_shown_pass(tmp_path: pathlib.Path) -> None:
     files = [tmp_path / f"test_shown_{number}.py" for number in range(len(shown))]
     for file, text in zip(files, shown, strict=True):
         file.write_text(text)
-    done = python("-m", "pytest", "-q", "-p", "no:cacheprovider", *files, folder=ROOT)
+    done = python("-m", "pytest", "-q", "-p", "no:cacheprovider", *files, folder=tmp_path)  # in any folder
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_catalogue_is_played_on_the_papers_rig_from_any_folder(tmp_path: pathlib.Path) -> None:
+    rows = tmp_path / "rows.json"
+    done = python("-m", "hil", "faults", "--only", "cell_silent", "--mode", "HOLD", "--json", rows, folder=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert rows.is_file()
 
 
 def test_a_recording_is_read_as_shown(tmp_path: pathlib.Path) -> None:
