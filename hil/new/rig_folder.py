@@ -50,14 +50,16 @@ def write(folder: pathlib.Path, name: str, text: str, files: Mapping[str, bytes]
     """Write everything, the rig file last; returns it. What is there already stays.
 
     Raises:
-        OSError: a file cannot be written; those written before it are taken away again.
+        OSError: a file cannot be written; files and folders made before it are taken away again.
     """
     place = folder / f"{name}.yaml"
     with contextlib.ExitStack() as undo:
         for path, data in [*((folder / other, data) for other, data in files.items()), (place, text.encode())]:
             if path != place and path.exists():
                 continue
-            path.parent.mkdir(parents=True, exist_ok=True)
+            for missing in [above for above in reversed(path.parents) if not above.exists()]:
+                missing.mkdir()
+                undo.callback(missing.rmdir)
             descriptor = os.open(path, whole_file.NEW, 0o666)
             undo.callback(path.unlink, missing_ok=True)
             with os.fdopen(descriptor, "wb") as file:
