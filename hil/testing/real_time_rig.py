@@ -161,8 +161,9 @@ class RealTimeRig:
             raise ValueError("the daemon has recorded nothing")
         records = recording.read(*kept, frames=False).records
         truth = read_truth(self._folder / TRUTH)
-        first_ns = int(records["t_ns"][0])
-        stretch = RunStretch(self.settings, first_ns, self._target_n, records, truth[truth["t_ns"] >= first_ns])
+        first_ns, last_ns = int(records["t_ns"][0]), int(records["t_ns"][-1])
+        truth = truth[(truth["t_ns"] >= first_ns) & (truth["t_ns"] <= last_ns)]  # the rig ends after the daemon
+        stretch = RunStretch(self.settings, first_ns, self._target_n, records, truth)
         return [stretch.plot(folder / "run.png", title), *kept]
 
     def _check(self, seconds: float) -> None:
