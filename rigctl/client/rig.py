@@ -167,7 +167,7 @@ def connect(
     """Connect to a rig's daemon.
 
     ``endpoint``: e.g. ``tcp/192.168.1.10:7447``, else ``RIGCTL_CONNECT``, else this computer's. ``rig``: its name, else
-    ``RIGCTL_RIG``, else the only one. ``timeout_s``: how long to wait for a daemon that does not run yet.
+    ``RIGCTL_RIG``, else the only one. ``timeout_s``: how long to wait for a daemon that does not run or answer yet.
     ``credentials``: key file from ``rigctl keys``, else ``RIGCTL_KEY``, for an endpoint ``tls/HOST:PORT``.
 
     Raises:
@@ -178,12 +178,15 @@ def connect(
     until = time.monotonic() + timeout_s
     while True:
         try:
-            connection = Client(endpoint, rig, key=credentials)
-            break
+            return _connected(endpoint, rig, credentials)
         except NoDaemonError:
             if time.monotonic() >= until:
                 raise
         time.sleep(AGAIN_S)
+
+
+def _connected(endpoint: str | None, rig: str | None, credentials: pathlib.Path | str | None) -> Rig:
+    connection = Client(endpoint, rig, key=credentials)
     try:
         return Rig(connection)
     except Exception:
