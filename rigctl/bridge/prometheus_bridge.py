@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 
@@ -9,10 +10,12 @@ from prometheus_client import CollectorRegistry, start_http_server
 
 from rigctl.bridge.processor import keep_off
 from rigctl.bridge.prometheus_metrics import RigMetrics
-from rigctl.client import Rig
+from rigctl.client import NoDaemonError, Rig
+from rigctl.client.shapes import Message
 from rigctl.config.address import Address, CannotListenError, is_local
 
 TURN_S = 0.1
+AGAIN_S = 0.5
 SILENT_S = 1.0
 
 
@@ -27,12 +30,15 @@ def serve(rig: Rig, address: Address, told: Callable[[Address], None], stop: Cal
 
     Raises:
         CannotListenError: the port is in use, may not be used, or the host is not this computer's.
-        NoDaemonError: no answer.
+        SchemaError: the daemon was replaced by one whose schema this client does not know.
     """
-    metrics, registry = RigMetrics(rig.name, rig.schema()["enums"]), CollectorRegistry()
+    schema, active = _answer(rig.schema, stop), _answer(rig.config, stop)
+    if schema is None or active is None:
+        return
+    metrics, registry = RigMetrics(rig.name, schema["enums"]), CollectorRegistry()
     registry.register(metrics)
     if is_local(rig.connection.endpoint):
-        keep_off(((rig.config().get("settings") or {}).get("loop") or {}).get("cpu"))
+        keep_off(((active.get("settings") or {}).get("loop") or {}).get("cpu"))
     try:
         server, _ = start_http_server(address.port, address.host, registry)
     except OSError as error:
@@ -49,3 +55,12 @@ def serve(rig: Rig, address: Address, told: Callable[[Address], None], stop: Cal
             metrics.take(state, list(samples.arrived()), list(events.arrived()), (count.received, count.lost))
             time.sleep(TURN_S)
     server.shutdown()
+
+
+def _answer(query: Callable[[], Message], stop: Callable[[], bool]) -> Message | None:
+    """What the daemon answers, as soon as it does: a busy computer may take longer than a query waits."""
+    while not stop():
+        with contextlib.suppress(NoDaemonError):
+            return query()
+        time.sleep(AGAIN_S)
+    return None

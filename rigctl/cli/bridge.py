@@ -94,6 +94,8 @@ def bridge(
         _SERVERS[to](_Asked(address, rate, origin or []), connect, rig)
     except CannotListenError as error:
         end(BAD, str(error))
+    except KeyboardInterrupt:  # also while it waits for a daemon
+        end(DONE)
     end(DONE)
 
 
@@ -122,7 +124,7 @@ def _foxglove(asked: _Asked, connect: str | None, rig: str | None) -> None:
 
 def _prometheus(asked: _Asked, connect: str | None, rig: str | None) -> None:
     from rigctl.bridge.prometheus_bridge import serve
-    from rigctl.client import NoDaemonError
+    from rigctl.client import SchemaError
 
     with _daemon(connect, rig) as found:
 
@@ -131,10 +133,8 @@ def _prometheus(asked: _Asked, connect: str | None, rig: str | None) -> None:
 
         try:
             serve(found, asked.address, told, standard_output.nobody_reads)
-        except NoDaemonError as error:
+        except SchemaError as error:
             end(BAD, str(error))
-        except KeyboardInterrupt:
-            end(DONE)
 
 
 _SERVERS: dict[BridgeTo, Callable[[_Asked, str | None, str | None], None]] = {

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import threading
+import urllib.request
 from collections.abc import Iterator
 
 import pytest
@@ -18,7 +19,7 @@ from rigctl.page.picture import Picture
 from rigctl.page.rig_reader import RigReader
 from tests.builders.foxglove_client import FoxgloveClient
 from tests.builders.late_link import LateLink, late_link
-from tests.builders.miniature import PATIENCE_S, Daemon, until
+from tests.builders.miniature import PATIENCE_S, Daemon, free_port, until
 from tests.builders.paths import ROOT
 
 LATE_S = ASK_S + 1.0
@@ -62,6 +63,21 @@ def ended(process: subprocess.Popen[str]) -> None:
     assert "Traceback" not in said
 
 
+def test_prometheus_gets_its_metrics(own: Daemon, late: LateLink) -> None:
+    with command(own, late, "bridge", "prometheus", "--listen", "127.0.0.1:0") as bridge:
+        line = first_line(bridge)
+        found = re.search(r"http://\S+", line)
+        assert found, line
+
+        def up() -> bool:
+            with urllib.request.urlopen(found[0], timeout=PATIENCE_S) as page:
+                return b"\nrigctl_up 1.0\n" in page.read()
+
+        until(up, "a state")
+        assert not {"meta/schema", "cfg/active"} & late.unasked
+        ended(bridge)
+
+
 def test_foxglove_gets_every_channel(own: Daemon, late: LateLink) -> None:
     with command(own, late, "bridge", "foxglove", "--listen", "127.0.0.1:0") as bridge:
         found = re.match(r"foxglove: ws://127\.0\.0\.1:(\d+), ", first_line(bridge))
@@ -74,6 +90,35 @@ def test_foxglove_gets_every_channel(own: Daemon, late: LateLink) -> None:
             assert {client.message()[0] for _ in range(200)} == {1, 2}
         assert not {"meta/schema", "cfg/active"} & late.unasked
         ended(bridge)
+
+
+@pytest.mark.parametrize("to", ["prometheus", "foxglove"])
+def test_a_bridge_without_a_daemon_waits_and_ends_with_a_signal(to: str) -> None:
+    nowhere = f"tcp/127.0.0.1:{free_port()}"
+    command_line = [sys.executable, "-m", "rigctl", "bridge", to, "--listen", "127.0.0.1:0", "--connect", nowhere]
+    bridge = subprocess.Popen(command_line, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    try:
+        assert bridge.stderr is not None
+        assert bridge.stderr.readline().endswith("waiting for one, Ctrl-C ends\n")
+        ended(bridge)
+    finally:
+        bridge.kill()
+
+
+def test_prometheus_ends_in_one_line_where_the_next_daemon_is_of_an_unknown_version(own: Daemon) -> None:
+    own.client().close()
+    with (
+        late_link(own.endpoint, (), 0.0) as link,
+        command(own, link, "bridge", "prometheus", "--listen", "127.0.0.1:0") as bridge,
+    ):
+        first_line(bridge)
+        for process in own.processes:
+            process.kill()
+            process.wait()
+        own.spawn("-m", "tests.builders.another_version", str(own.runtime.directory), "2")
+        _, said = bridge.communicate(timeout=PATIENCE_S * 2)
+    assert bridge.returncode == 1
+    assert said == "rigctl: found schema version 2, this client knows 1: use that daemon's own client\n"
 
 
 def test_watch_prints_states(own: Daemon, late: LateLink) -> None:
