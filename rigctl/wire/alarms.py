@@ -187,7 +187,7 @@ class Alarms:
                 self._change(cause, stands=False)
             elif kind == "RESET":
                 for row in [row for row in self._rows if row.partition(" ")[0] == cause.partition(" ")[0]]:
-                    self._change(row, acknowledged="reset")
+                    self._change(row, acknowledged="reset", stands=False)  # what stands still trips anew
             else:
                 self._came(_alarm_of(event, cause))
 

@@ -213,6 +213,16 @@ def test_no_shelf_lasts_longer_than_a_shift() -> None:
     assert not alarms.rows(None, LONGEST_SHELF_S * S)[0].shelved(LONGEST_SHELF_S * S)
 
 
+@pytest.mark.parametrize(("fault", "about"), [(Fault.DRIVE_FAULT, ""), (Fault.LIMIT, "tension_n above")])
+def test_a_fault_that_trips_again_after_its_reset_is_a_new_occurrence(fault: Fault, about: str) -> None:
+    """A trip whose cause was reset without a word of its end left the next one acknowledged, and so out of sight."""
+    tripped = [event(Kind.TRIP, at, fault, Action.HOLD, 9, 5, about) for at in (1.0, 60.0)]
+    reset = event(Kind.RESET, 30.0, fault, 0, 0, 0)
+    assert Alarms([tripped[0], reset]).rows(CALM, 31 * S) == []
+    (row,) = Alarms([tripped[0], reset, tripped[1]]).rows(CALM, 61 * S)
+    assert (row.count, row.first_ns, row.last_ns, row.acknowledged) == (2, 1 * S, 60 * S, "")
+
+
 KINDS = st.sampled_from([Kind.TRIP, Kind.CAUSE, Kind.CAUSE_OVER, Kind.RESET, Kind.STARTED, Kind.LIMIT, Kind.LIMIT_OVER])
 EVENTS = st.lists(st.tuples(KINDS, st.sampled_from([Fault.CELL_STALE, Fault.E_STOP, Fault.LIMIT]),
                             st.sampled_from(["tension_n above", "stroke_mm below"])), max_size=60)  # fmt: skip
