@@ -79,6 +79,9 @@ def _forces(decided: DecidedRig, paper: RigSettings) -> Iterator[Sized]:
     for part in ("rail", "pulley"):  # sized with the load: the rope swings as the paper's
         for key in ("mass_kg", "viscous_n_s_m"):
             yield Sized(("simulation", part, key), _round(share * getattr(getattr(simulation, part), key)))
+    spring = decided.spring_n_mm / (paper.plant.spring_n_mm or decided.spring_n_mm)
+    damping = _round(spring * simulation.rope.damping_n_s_mm)
+    yield Sized(("simulation", "rope", "damping_n_s_mm"), damping, "the same loss in proportion to the stiffness")
     drift = _round(share * simulation.cell.drift_n_h)
     yield Sized(("simulation", "cell", "drift_n_h"), drift)
 

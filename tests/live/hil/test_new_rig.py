@@ -94,11 +94,11 @@ def test_a_rig_from_options_is_checked_and_plays_demo_and_scenario(tmp_path: pat
 @pytest.mark.parametrize(
     "words",
     [
-        ("--payload", "3"),
+        ("--payload", "2.7", "--spring", "0.85", "--speed", "8"),
+        ("--payload", "8.2", "--spring", "0.81", "--speed", "16.4"),
         ("--spring", "3", "--speed", "40"),
         ("--target", "50"),
         ("--spring", "34"),
-        ("--spring", "1"),
     ],
     ids=" ".join,
 )
