@@ -161,7 +161,7 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: pathlib.Path, write: Write, 
         ([good, "--plot", tmp_path / "x.gif"], "expected a name ending in .png, .svg, .pdf"),
         ([good, "--plot", "/proc/x.png"], "--plot: /proc/x.png cannot be written"),
         ([good, "--nothing"], "--nothing"),
-        ([], "Missing parameter: file"),
+        ([], "Missing argument 'file'"),
     ]
     for arguments, words in cases:
         done = scenario(*arguments)
