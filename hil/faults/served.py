@@ -24,6 +24,7 @@ from hil.hub import Hub
 from hil.rig import SimulatedRig
 from hil.scenario.errors import ScenarioError
 from hil.scenario.running_disturbances import RunningDisturbances
+from rigctl.config.built_type import built
 from rigctl.config.settings import RigSettings
 
 TICK_NS = 1_000_000
@@ -33,6 +34,7 @@ LONGEST_BYTES = 1 << 16
 _CREDENTIALS = struct.Struct("3i")
 
 
+@built
 class FaultRequest(msgspec.Struct):
     """What is asked for. ``fault``: None ends the fault that stands, or begins disturbances."""
 
@@ -41,6 +43,7 @@ class FaultRequest(msgspec.Struct):
     disturb: dict[str, Any] | None = None
 
 
+@built
 class FaultAnswer(msgspec.Struct):
     """Whether it was done, and one line about it."""
 

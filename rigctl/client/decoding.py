@@ -15,6 +15,7 @@ import numpy.typing as npt
 from msgspec import Meta
 
 from rigctl.client.shapes import Line, MessageRefusedError, document
+from rigctl.config.built_type import built
 from rigctl.wire.block import Block
 
 KNOWN_VERSIONS = (1,)
@@ -79,6 +80,7 @@ class _Fast(msgspec.Struct):
     record: _Record
 
 
+@built
 class _Schema(msgspec.Struct):
     version: int
     fast: _Fast

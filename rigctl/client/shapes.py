@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import msgspec
 from msgspec import Meta
 
+from rigctl.config.built_type import built
 from rigctl.config.one_line import on_one_line, printable
 from rigctl.config.quantity import count
 from rigctl.ipc.record import RECORD
@@ -121,6 +122,7 @@ class _ReadBack(msgspec.Struct):
     took_s: Real
 
 
+@built
 class _AnyState(msgspec.Struct):
     mode: Word | None
     loop_alive: bool
@@ -143,6 +145,7 @@ class _AnyState(msgspec.Struct):
     read_back: _ReadBack | None = None
 
 
+@built
 class _Derived(_AnyState, kw_only=True):
     fault: Word | None
     fault_text: Line
@@ -168,15 +171,18 @@ _FIELDS: list[tuple[str, Any]] = [
     for field in RECORD.fields
     if field.name not in _REPLACED
 ]
-_Recorded: Any = msgspec.defstruct(
-    "_Recorded",
-    [field for field in _FIELDS if field[0] in _SHOWN]
-    + [(name, kind | None, None) for name, kind in _FIELDS if name not in _SHOWN],
-    bases=(_Derived,),
-    kw_only=True,
+_Recorded: Any = built(
+    msgspec.defstruct(
+        "_Recorded",
+        [field for field in _FIELDS if field[0] in _SHOWN]
+        + [(name, kind | None, None) for name, kind in _FIELDS if name not in _SHOWN],
+        bases=(_Derived,),
+        kw_only=True,
+    )
 )
 
 
+@built
 class _Event(msgspec.Struct):
     source: Literal["loop", "gateway"]
     seq: Count
@@ -231,11 +237,13 @@ class _Settings(msgspec.Struct):
     limits: Annotated[list[_Limit], Meta(max_length=256)] | None = None
 
 
+@built
 class _ActiveMessage(msgspec.Struct):
     settings: _Settings
     version: Line = ""
 
 
+@built
 class _Answer(msgspec.Struct, kw_only=True):
     accepted: bool
     text: Line
@@ -251,6 +259,7 @@ class _Answer(msgspec.Struct, kw_only=True):
     lease: _LeaseShown | None = None
 
 
+@built
 class _Refusal(_Answer):
     accepted: bool = False
 

@@ -19,6 +19,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from rigctl.config.built_type import built
 from rigctl.config.settings import RigSettings
 from rigctl.ipc.correction import Correction, CreepTerm, tare_limit_n
 from rigctl.ipc.ring import RingReader
@@ -28,6 +29,7 @@ TEMPERATURE_S = 10.0  # low-pass of the temperature: sensors have steps of up to
 NO_CREEP = CreepTerm(0.0, 1.0)
 
 
+@built
 class CellHistory(NamedTuple):
     """The load's history as the creep has it: y_1 and y_2 in N, at a time."""
 

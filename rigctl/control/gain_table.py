@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from rigctl.config.built_type import built
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import TensionFilter, filter_model
@@ -34,6 +35,7 @@ class TableEntry:
     stroke_mm: float | None = None  # None: wherever the stroke is
 
 
+@built
 @dataclass(frozen=True)
 class ScheduledGains(Gains):
     """Gains with a table, whose first entry has these gains and believes what the settings say."""

@@ -8,12 +8,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from rigctl.config.built_type import built
 from rigctl.config.cylinder_section import CylinderSettings
 
 TOLERANCE_MM = 0.5
 GAP_NS = 100_000_000  # over a longer gap the speed does not predict the stroke
 
 
+@built
 @dataclass(frozen=True)
 class LastStroke:
     """The last known stroke at the start of a loop; ``mm`` is None where it is unknown, ``why`` then has the reason.

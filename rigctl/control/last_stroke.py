@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from rigctl.config import input_file
+from rigctl.config.built_type import built
 from rigctl.config.one_line import printable
 from rigctl.config.settings import RigSettings
 from rigctl.control.homed import LastStroke
@@ -26,6 +27,7 @@ _LARGEST_MM = 1e4
 _LARGEST_BYTES = 4096
 
 
+@built
 class _StrokeFile(msgspec.Struct, forbid_unknown_fields=True):
     rig: str
     stroke_mm: float

@@ -16,6 +16,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from rigctl.config.built_type import built
 from rigctl.config.settings import RigSettings
 from rigctl.ipc.record import Flag
 
@@ -28,6 +29,7 @@ _SPEED, _STROKE = Flag.LIMITED_SPEED.value, Flag.LIMITED_STROKE.value  # as numb
 _ACCELERATION = Flag.LIMITED_ACCELERATION.value
 
 
+@built
 @dataclass(frozen=True)
 class Gains:
     """Feedback gains, computed by the design; only numbers cross to the loop."""

@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from rigctl.config.built_type import built
 from rigctl.config.settings import RigSettings
 from rigctl.devices import objects as od
 from rigctl.devices.objects import PdoLayout
@@ -32,6 +33,7 @@ class DriveUnits:
     ramp_mm_s2: float = od.MM_S_PER_VELOCITY_UNIT
 
 
+@built
 @dataclass(frozen=True)
 class ProcessData:
     """PDOs by name: the rig file's section, `DRIVE_SPEED` and `DRIVE_STATUS` of the drive's others, `COMMAND`.

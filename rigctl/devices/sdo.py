@@ -6,6 +6,7 @@ import math
 import struct
 from dataclasses import dataclass
 
+from rigctl.config.built_type import built
 from rigctl.config.settings import RigSettings
 
 SIZE = 8
@@ -20,6 +21,7 @@ _EXPEDITED, _SIZED = 0x02, 0x01
 _BLOCK_INITIATE = 0x01  # bit 0 of the sub-command: 0 begins a block transfer
 
 
+@built
 @dataclass(frozen=True)
 class Watched:
     """One object of a device that must keep the value that start-up has read back.

@@ -10,6 +10,7 @@ import re
 
 import msgspec
 
+from rigctl.config.built_type import built
 from rigctl.identity.roles import Role, common_name, is_name
 
 VERSION = 1
@@ -44,6 +45,7 @@ class Certified(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return "revoked" if self.revoked is not None else "valid" if self.is_valid(now) else "expired"
 
 
+@built
 class _Document(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     version: int
     certificates: list[Certified]

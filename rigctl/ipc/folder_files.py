@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import msgspec
 
 from rigctl.config import input_file, layout
+from rigctl.config.built_type import built
 from rigctl.ipc import writers
 
 ACTIVE = "active.json"
@@ -28,6 +29,7 @@ _Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 _Object = dict[str, Any]
 
 
+@built
 class _ActiveFile(msgspec.Struct):
     settings: _Object = {}
     version: str = ""
@@ -37,6 +39,7 @@ class _ActiveFile(msgspec.Struct):
     design: _Object = {}
 
 
+@built
 class _AppliedEntry(msgspec.Struct):
     name: str
     in_force: str
@@ -53,6 +56,7 @@ class _StopSetting(msgspec.Struct):
     why: str = ""
 
 
+@built
 class _ControlFile(msgspec.Struct):
     pid: _Count = 0
     host_checks: _Count = 0
@@ -66,6 +70,7 @@ class _RecordingFile(msgspec.Struct):
     file: str | None
 
 
+@built
 class _RecorderFile(msgspec.Struct):
     run: _Count = 0
     pid: _Count = 0
@@ -79,6 +84,7 @@ class _RecorderFile(msgspec.Struct):
     t_ns: _Count = 0
 
 
+@built
 class _DesignFile(msgspec.Struct):
     run_id: str
     design: _Object

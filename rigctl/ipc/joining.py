@@ -17,6 +17,7 @@ from collections.abc import Sequence
 
 import msgspec
 
+from rigctl.config.built_type import built
 from rigctl.ipc.runtime_folder import ACTIVE, FolderError, Runtime, daemon_pid
 from rigctl.ipc.termination import Termination
 
@@ -54,6 +55,7 @@ class Joined:
         self.runtime.write_json(presence_file(self._name), shown, self.runtime.public_mode)
 
 
+@built
 class Presence(msgspec.Struct):
     """What a process shows the supervisor once it works."""
 

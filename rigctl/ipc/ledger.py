@@ -19,6 +19,7 @@ import msgspec
 
 from rigctl import __version__
 from rigctl.config import input_file
+from rigctl.config.built_type import built
 from rigctl.config.one_line import printable
 from rigctl.config.settings import RigSettings
 from rigctl.ipc import seal, whole_file
@@ -46,6 +47,7 @@ class LedgerError(RuntimeError):
     """The file cannot be read, written or believed; ``str()`` is one line."""
 
 
+@built
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One entry: action, time, operator, correction before and after, and the figures behind it.
 
@@ -66,6 +68,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     passed: bool | None = None
 
 
+@built
 class _LedgerFile(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     rig: str
     entries: list[Entry]
@@ -77,6 +80,7 @@ class _LedgerFile(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True
         return msgspec.json.encode([self.rig, self.entries], order="sorted")
 
 
+@built
 @dataclass(frozen=True)
 class Standing:
     """The ledger's values now. ``due`` and ``tared``: ISO 8601 UTC, None without a passed check or without a tare.

@@ -22,6 +22,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
+from rigctl.config.built_type import built
 from rigctl.page.browser_stream import BrowserStream
 from rigctl.page.guard import DOCS_HEADERS, HEADERS, Guard
 from rigctl.page.history import WINDOWS_S
@@ -41,20 +42,24 @@ _NO_DOCS = "the documentation is not built in this checkout: run `make docs`"
 _OTHER_PAGE = "requests are taken from this server's own page alone"
 
 
+@built
 class _CommandBody(msgspec.Struct, forbid_unknown_fields=True):
     verb: str
     value: float | None = None
 
 
+@built
 class _ConfirmationBody(msgspec.Struct, forbid_unknown_fields=True):
     confirm: str
 
 
+@built
 class _LeaseBody(msgspec.Struct, forbid_unknown_fields=True):
     act: str
     reason: str = ""
 
 
+@built
 class _AlarmBody(msgspec.Struct, forbid_unknown_fields=True):
     act: str
     cause: str
@@ -62,6 +67,7 @@ class _AlarmBody(msgspec.Struct, forbid_unknown_fields=True):
     for_s: int = 0
 
 
+@built
 class _LinkBody(msgspec.Struct, forbid_unknown_fields=True):
     link: str
 

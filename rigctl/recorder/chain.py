@@ -15,6 +15,8 @@ from typing import Any
 
 import msgspec
 
+from rigctl.config.built_type import built
+
 ORIGIN = "0" * 64
 """The hash that the first entry gives as its previous one."""
 _END = re.compile(rb',"hash":"([0-9a-f]{64})"\}\Z')
@@ -25,6 +27,7 @@ class ChainError(ValueError):
     """A line that breaks the chain; ``str()`` says why."""
 
 
+@built
 class AuditEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One line without its hash.
 

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
+from rigctl.config.built_type import built
 from rigctl.ipc.record import COMMAND, FRAME, HOLD, RECORD, Slot
 from rigctl.recorder import frame_block
 from rigctl.recorder.mcap_file import SEAL
@@ -54,6 +55,7 @@ class ReadFile:
     seal: FoundSeal | None = None
 
 
+@built
 class Said(msgspec.Struct):
     """An event, reply, note or entry of the audit log. ``seq``: its number in its ring, or in the audit log."""
 

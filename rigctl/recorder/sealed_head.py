@@ -10,6 +10,7 @@ import pathlib
 import msgspec
 
 from rigctl.config import input_file
+from rigctl.config.built_type import built
 from rigctl.config.settings import RigSettings
 from rigctl.ipc import whole_file
 from rigctl.ipc.seal import SealError, SealVerdict, key_file, seal, verdict
@@ -18,6 +19,7 @@ from rigctl.recorder.chain import ORIGIN
 _SEALED = "audit"
 
 
+@built
 class SealedHead(msgspec.Struct):
     """Number of entries, hash of the last, and the seal of both."""
 

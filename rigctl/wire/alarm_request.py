@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from rigctl.config.built_type import built
 from rigctl.wire.alarms import LONGEST_SHELF_S, AlarmAct
 from rigctl.wire.command_request import RequestError, decoded, operator_of, refuse_lease
 from rigctl.wire.lease import NewLease
@@ -22,6 +23,7 @@ _ALLOWED = {
 }
 
 
+@built
 class _AlarmPayload(msgspec.Struct, forbid_unknown_fields=True):
     operator: str
     cause: str = ""

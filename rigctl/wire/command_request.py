@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from rigctl.config.built_type import built
 from rigctl.config.one_line import on_one_line
 from rigctl.config.quantity import significant
 from rigctl.control.checks import Check
@@ -45,6 +46,7 @@ class RequestError(ValueError):
     """A query that is not a valid command; ``str()`` says what was found and what is expected."""
 
 
+@built
 class _CommandPayload(msgspec.Struct, forbid_unknown_fields=True):
     operator: str
     lease: Any = None

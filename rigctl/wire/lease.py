@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 
+from rigctl.config.built_type import built
 from rigctl.ipc.notes import Note
 
 ID_BYTES = 16
@@ -25,6 +26,7 @@ def is_id(text: str) -> bool:
     return _ID.fullmatch(text) is not None
 
 
+@built
 @dataclass(frozen=True)
 class Lease:
     """A lease; times are CLOCK_MONOTONIC of the daemon's host."""

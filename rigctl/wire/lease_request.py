@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from rigctl.config.built_type import built
 from rigctl.wire.command_request import RequestError, decoded, operator_of, refuse_lease
 from rigctl.wire.lease import LeaseAct, NewLease
 
@@ -17,6 +18,7 @@ _ALLOWED = {
 }
 
 
+@built
 class _LeasePayload(msgspec.Struct, forbid_unknown_fields=True):
     operator: str
     lease: Any = None

@@ -18,6 +18,7 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
+from rigctl.config.built_type import built
 from rigctl.wire.lease import ID_BYTES
 
 KEY_BYTES = 32
@@ -34,6 +35,7 @@ _Hex16 = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{32}$")]
 _Hex32 = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
+@built
 class Attachment(msgspec.Struct, omit_defaults=True):
     """What a query carries beside its payload, as JSON.
 

@@ -16,10 +16,13 @@ from typing import Annotated
 
 import msgspec
 
+from rigctl.config.built_type import built
+
 GATEWAY_KEY, OPERATOR_KEY, PUBLIC_KEY = "gateway_key.json", "operator_key.json", "public_key.json"
 _Key = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
+@built
 class KeyFile(msgspec.Struct):
     """One of the three files; ``key``: 32 bytes as hexadecimal text."""
 

@@ -44,8 +44,8 @@ OWN_OF_HOLD = {
     "rigctl", "rigctl.cli", "rigctl.cli.app", "rigctl.cli.descriptors", "rigctl.cli.entry", "rigctl.cli.operator_name",
     "rigctl.cli.quick_hold", "rigctl.cli.standard_output",
     "rigctl.client", "rigctl.client.endpoint", "rigctl.client.local_hold", "rigctl.config", "rigctl.config.address",
-    "rigctl.config.extras", "rigctl.config.input_file", "rigctl.config.layout", "rigctl.ipc",
-    "rigctl.ipc.folder_files", "rigctl.ipc.termination", "rigctl.ipc.trusted_folders",
+    "rigctl.config.built_type", "rigctl.config.extras", "rigctl.config.input_file", "rigctl.config.layout",
+    "rigctl.ipc", "rigctl.ipc.folder_files", "rigctl.ipc.termination", "rigctl.ipc.trusted_folders",
     "rigctl.ipc.writers", "rigctl.wire", "rigctl.wire.keys", "rigctl.wire.run_keys",
 }  # fmt: skip
 
