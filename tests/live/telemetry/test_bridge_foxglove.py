@@ -53,6 +53,10 @@ def bridge(daemon: Daemon, *options: str) -> Iterator[Bridge]:
     found = Bridge(daemon, *options)
     try:
         yield found
+    except BaseException as error:
+        if (code := found.process.poll()) is not None:
+            error.add_note(f"the bridge had ended with {code}: {found.process.communicate()[1]}")
+        raise
     finally:
         if found.process.poll() is None:
             found.process.kill()
