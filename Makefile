@@ -2,7 +2,7 @@
 # make test   what a change is judged by, in minutes                   make bench  timing against cyclictest
 # make test-live   all real processes in real time, studies
 # make test-machine   services in a systemd of their own, the guest kernel's bus faults, a minute of everything
-# make deb    Debian package, installable offline      make docs   the documentation site, which `rigctl page` serves
+# make deb    Debian packages, installable offline     make docs   the documentation site, which `rigctl page` serves
 # make coverage   branches of modes and safety table    make mutation   mutants, all or a sample    make fuzz
 # make soak   SOAK=1h of random commands, kills and a full disk   make wheel, lock   release: wheel, SBOM, hashes
 SHELL := /bin/bash

@@ -48,14 +48,18 @@ pytestmark = [
 
 
 @pytest.fixture(scope="module")
-def package(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
-    """The package as `make deb` builds it, in less time and more bytes; RIGCTL_DEB names one that exists."""
+def packages(tmp_path_factory: pytest.TempPathFactory) -> list[pathlib.Path]:
+    """rigctl and rigctl-sim as `make deb` builds them, in less time and more bytes; RIGCTL_DEB: a folder with both."""
     if given := os.environ.get("RIGCTL_DEB"):
-        return pathlib.Path(given)
+        return in_order(pathlib.Path(given))
     out = tmp_path_factory.mktemp("deb")
     build = [str(ROOT / "deploy/deb"), sys.executable, str(out)]
     subprocess.run(build, check=True, env={**os.environ, "RIGCTL_DEB_LEVEL": "1"}, timeout=1700)
-    return next(out.glob("*.deb"))
+    return in_order(out)
+
+
+def in_order(folder: pathlib.Path) -> list[pathlib.Path]:
+    return [next(folder.glob(f"{name}_*.deb")) for name in ("rigctl", "rigctl-sim")]
 
 
 def commands_of_a_new_user() -> list[str]:
@@ -66,12 +70,12 @@ def commands_of_a_new_user() -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def computer(package: pathlib.Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceComputer]:
+def computer(packages: list[pathlib.Path], tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceComputer]:
     """A computer on which a new user has given the commands of docs/install.md, and two more users."""
     with service_computer(tmp_path_factory.mktemp("computer")) as made:
         unpack, *others = commands_of_a_new_user()
         assert unpack.startswith("apt install ./")  # which looks for the libraries of Debian's own, here already
-        made.done("dpkg", "--install", made.put(package))
+        made.done("dpkg", "--install", *map(made.put, packages))
         made.lend_real_time("rigctl@.service", "rigctl-sim@.service", "rigctl-hold@.service")
         for command in others:
             made.insist(*shlex.split(command))
@@ -153,8 +157,29 @@ def compensate(computer: ServiceComputer) -> None:
 
 def test_three_commands_lead_from_a_bare_system_to_an_armed_rig() -> None:
     unpack, install, arm = commands_of_a_new_user()
-    assert unpack == "apt install ./rigctl_0.1.0_amd64.deb"
+    assert unpack == "apt install ./rigctl_0.1.0_amd64.deb ./rigctl-sim_0.1.0_amd64.deb"
     assert (install, arm) == (f"rigctl install {RIG}", "rigctl arm")
+
+
+def test_the_rigs_package_runs_without_the_other_one(packages: list[pathlib.Path], tmp_path: pathlib.Path) -> None:
+    files = [set(subprocess.check_output(["dpkg-deb", "-c", str(one)], text=True).splitlines()) for one in packages]
+    carried, added = ({line.split()[5] for line in lines if not line.startswith("d")} for lines in files)
+    site = "./usr/lib/rigctl/lib/python3.11/site-packages/"
+    for library in ("numba", "llvmlite", "matplotlib", "pyarrow", "jinja2", "control"):
+        assert f"{site}{library}/__init__.py" in added - carried
+    assert not carried & added
+    needs = subprocess.check_output(["dpkg-deb", "-f", str(packages[1]), "Depends"], text=True)
+    assert needs == "rigctl (= 0.1.0)\n"
+    subprocess.run(["dpkg-deb", "-x", str(packages[0]), str(tmp_path)], check=True)
+    python = [str(tmp_path / "usr/lib/rigctl/bin/python3"), "-I", "-m"]
+    rig = str(tmp_path / "usr/share/rigctl/config/paper_rig.yaml")
+    subprocess.run([*python, "rigctl", "check", rig], check=True, capture_output=True)
+    refused = subprocess.run([*python, "hil", "serve", rig], capture_output=True, text=True, check=False)
+    assert (refused.returncode, refused.stderr.partition(" (")[0]) == (
+        2, "python -m hil: needs the extra sim: found no numba",
+    )  # fmt: skip
+    subprocess.run(["dpkg-deb", "-x", str(packages[1]), str(tmp_path)], check=True)
+    subprocess.run([python[0], "-I", "-c", "import hil.plant.kernel, rigctl.report.page, control"], check=True)
 
 
 def test_no_process_is_roots_and_each_service_has_a_user(computer: ServiceComputer) -> None:
