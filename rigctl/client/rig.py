@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import pathlib
 import time
 from collections.abc import Callable, Mapping
@@ -186,9 +187,7 @@ def connect(
 
 
 def _connected(endpoint: str | None, rig: str | None, credentials: pathlib.Path | str | None) -> Rig:
-    connection = Client(endpoint, rig, key=credentials)
-    try:
-        return Rig(connection)
-    except Exception:
-        connection.close()
-        raise
+    with contextlib.ExitStack() as opened:
+        found = Rig(opened.enter_context(Client(endpoint, rig, key=credentials)))
+        opened.pop_all()  # the rig closes it
+    return found
