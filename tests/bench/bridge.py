@@ -10,7 +10,6 @@ import argparse
 import contextlib
 import json
 import os
-import pathlib
 import re
 import signal
 import subprocess
@@ -22,11 +21,9 @@ import numpy as np
 from rich.console import Console
 
 from rigctl.bench.loop import figures
-from rigctl.config import rig_file as config
 from rigctl.metrics import tension_error as metrics
 from tests.bench.loop import BenchRig
-from tests.bench.telemetry import RATE_HZ, SETTLE_S, cpu_of
-from tests.builders import daemons
+from tests.bench.telemetry import RATE_HZ, SETTLE_S, add_rounds, clients_cpus, cpu_of
 from tests.builders.paths import ROOT
 
 RATIO_MAX = 1.1
@@ -79,14 +76,10 @@ def main(words: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.bench bridge", description=__doc__)
     parser.add_argument("--clients", type=int, default=3, help="of the bridge, the last of them stalled")
     parser.add_argument("--minutes", type=float, default=4.0, help="with the bridge, and as much without")
-    parser.add_argument("--rounds", type=int, default=4, help="in which this is done")
-    parser.add_argument("--apart", action="store_true", help="keep the clients off the loop's processor")
-    parser.add_argument("--json", type=pathlib.Path, help="write the figures here")
+    add_rounds(parser, 4)
     arguments = parser.parse_args(words)
     seconds = 60.0 * arguments.minutes / arguments.rounds
-    cpus = os.sched_getaffinity(0)
-    if arguments.apart:
-        cpus -= {config.load(daemons.PAPER).loop.cpu}
+    cpus = clients_cpus(arguments.apart)
     alone, served, said = [], [], []
     with contextlib.ExitStack() as stack:
         rig = BenchRig(RATE_HZ, stack)

@@ -177,22 +177,31 @@ def show(result: dict[str, Any], console: Console) -> None:
         )
 
 
+def add_rounds(parser: argparse.ArgumentParser, rounds: int) -> None:
+    """The options of a bench that measures in rounds, with clients and without."""
+    parser.add_argument("--rounds", type=int, default=rounds, help="in which this is done")
+    parser.add_argument("--apart", action="store_true", help="keep the clients off the loop's processor")
+    parser.add_argument("--json", type=pathlib.Path, help="write the figures here")
+
+
+def clients_cpus(apart: bool) -> set[int]:
+    """The processors of the clients: all, or all but the loop's."""
+    cpus = os.sched_getaffinity(0)
+    return cpus - {config.load(daemons.PAPER).loop.cpu} if apart else cpus
+
+
 def main(words: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.bench telemetry", description=__doc__)
     parser.add_argument("--clients", type=int, default=10, help="healthy ones")
     parser.add_argument("--stalled", type=int, default=1, help="and so many stopped in the middle")
     parser.add_argument("--minutes", type=float, default=10.0, help="with all of them, and as much with nobody")
-    parser.add_argument("--rounds", type=int, default=2, help="in which this is done")
-    parser.add_argument("--apart", action="store_true", help="keep the clients off the loop's processor")
-    parser.add_argument("--json", type=pathlib.Path, help="write the figures here")
+    add_rounds(parser, 2)
     arguments = parser.parse_args(words)
     seconds = 60.0 * arguments.minutes / arguments.rounds
     plan = (("nobody", seconds / 2, 0, 0), ("three", seconds / 4, 3, 0),
             ("all", seconds, arguments.clients, arguments.stalled), ("nobody", seconds / 2, 0, 0))  # fmt: skip
     console = Console(width=100)
-    cpus = os.sched_getaffinity(0)
-    if arguments.apart:
-        cpus -= {config.load(daemons.PAPER).loop.cpu}
+    cpus = clients_cpus(arguments.apart)
     slices = []
     with contextlib.ExitStack() as stack:
         rig = BenchRig(RATE_HZ, stack)
