@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Iterator
 from typing import Any, Literal
 
 import pytest
@@ -69,6 +71,15 @@ def calibrate(rig: Lockstep, now: Standing) -> Standing:
     return standing
 
 
+@contextlib.contextmanager
+def tared(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
+    """The rig in DISARMED, both paths tared."""
+    with lockstep(settings, gains) as rig:
+        rig.run(0.5)
+        tare(rig)
+        yield rig
+
+
 def compensate(rig: Lockstep) -> None:
     assert rig.command(Verb.ARM) is Refusal.NONE
     assert rig.command(Verb.TENSION) is Refusal.NONE
@@ -99,9 +110,7 @@ def test_an_error_of_the_cell_is_shared_by_the_weight_of_the_paths(
     settings: RigSettings, gains: Gains, kind: Kind_
 ) -> None:
     """The cell's zero moves after the tare: the article's load follows it by what the second path does not take off."""
-    with lockstep(fitted(settings, kind), gains) as rig:
-        rig.run(0.5)
-        tare(rig)
+    with tared(fitted(settings, kind), gains) as rig:
         rig.rig.cell._measurement.bias_n = 0.2
         compensate(rig)
         rig.run(12.0)
@@ -116,9 +125,7 @@ def test_an_error_of_the_cell_is_shared_by_the_weight_of_the_paths(
 def test_two_paths_that_disagree_hold_the_rig_until_they_agree(
     settings: RigSettings, gains: Gains, kind: Kind_
 ) -> None:
-    with lockstep(fitted(settings, kind), gains) as rig:
-        rig.run(0.5)
-        tare(rig)
+    with tared(fitted(settings, kind), gains) as rig:
         compensate(rig)
         rig.run(1.0)
         second = rig.rig.second_force
@@ -137,9 +144,7 @@ def test_two_paths_that_disagree_hold_the_rig_until_they_agree(
 
 
 def test_a_second_path_that_is_lost_is_logged_and_the_cell_leads_alone(settings: RigSettings, gains: Gains) -> None:
-    with lockstep(fitted(settings, "cell", {"bias_n": 0.0}), gains) as rig:
-        rig.run(0.5)
-        tare(rig)
+    with tared(fitted(settings, "cell", {"bias_n": 0.0}), gains) as rig:
         second = rig.rig.second_force
         assert second is not None
         second.fault_n = 0.1
