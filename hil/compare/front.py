@@ -23,6 +23,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.design import optimise
 
 MS_LIMITS = (1.3, 1.4, 1.6, 1.8, 2.2)
+WIDEST_MS = 2.4  # drawn; what lies beyond is named at the edge
 Say = Callable[[str], None]
 
 
@@ -82,13 +83,19 @@ def draw(rig: RigSettings, found: Sequence[FrontPoint], file: pathlib.Path) -> N
                   linewidth=2.2 if law == OURS else 1.2)  # fmt: skip
         for p in found:
             if p.law == law and p.limit is None and p.error_n and math.isfinite(p.ms):
-                axis.plot([p.ms], [p.error_n], "x", color=colour, markersize=8, markeredgewidth=1.8)
-                noise = f"{title}, noise {p.command_noise_mm_s:.2f}"
-                axis.annotate(noise, (p.ms, p.error_n), textcoords="offset points", xytext=(6, 4), fontsize=7.5,
-                              color=colour)  # fmt: skip
+                beyond, at = p.ms > WIDEST_MS, min(p.ms, WIDEST_MS)
+                axis.plot([at], [p.error_n], ">" if beyond else "x", color=colour, markersize=8, markeredgewidth=1.8)
+                words = f"{title}, noise {p.command_noise_mm_s:.2f}" + (f", Ms {p.ms:.1f}" if beyond else "")
+                below = p.ms > rig.design.ms_max  # beside the limit two of them are close
+                axis.annotate(words, (at, p.error_n), textcoords="offset points", fontsize=7.5, color=colour,
+                              xytext=(-6 if beyond else 6, -10 if below else 5),
+                              ha="right" if beyond else "left")  # fmt: skip
     axis.axvline(rig.design.ms_max, color="#d00000", linewidth=1.0, label=f"limit, Ms {rig.design.ms_max:g}")
     axis.plot([], [], "kx", label="by its rule, ours by the rig file")
+    axis.set_xlim(right=WIDEST_MS + 0.03)
     axis.set_yscale("log")
+    axis.yaxis.set_minor_formatter("{x:.2g}")
+    axis.yaxis.set_major_formatter("{x:.2g}")
     noise_max = rig.design.command_noise_max_mm_s
     axis.set_title(
         f"Lines: least error within Ms and {noise_max:g} mm/s of command noise, plant as identified", fontsize=10
