@@ -15,7 +15,8 @@ import cantools
 from rigctl.config import canopen
 from rigctl.config.one_line import on_one_line
 from rigctl.config.plain import FLOAT_CODES, PlainMessage, PlainSignal
-from rigctl.config.settings import DbcSettings, PlainMessages, RigSettings
+from rigctl.config.sensor_sections import DbcSettings, PlainMessages
+from rigctl.config.settings import RigSettings
 
 _TENSION = {"N": 1.0}
 _ANGLE = {"deg": math.radians(1.0), "rad": 1.0}

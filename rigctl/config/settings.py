@@ -26,6 +26,7 @@ from rigctl.config.page_section import PageSettings
 from rigctl.config.plain import PlainMessage
 from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.second_force_section import SecondForceSettings
+from rigctl.config.sensor_sections import InclinometerSettings, PlainMessages, TensionCellSettings
 from rigctl.config.settings_base import CanopenDevice, NodeId, Settings, require
 from rigctl.config.signals import STATUS, WATCHED
 from rigctl.config.simulation_section import SimulationSettings
@@ -77,50 +78,6 @@ class CanSettings(Settings):
         known = self.bitrate_bit_s is not None or self.interface == "rigsim"
         require(known, "bitrate_bit_s", None, "a bit rate (null is for interface rigsim only)")
         return self
-
-
-class DbcSettings(Settings):
-    """Plain frames described by a DBC file; with such a section, ``node`` and ``eds`` of the device do not apply."""
-
-    file: str = Field(min_length=1, description="DBC file, relative to the rig file")
-    message: str = Field(min_length=1, description="the message's name")
-    valid: str | None = Field(default=None, min_length=1, description="signal, 0 while it cannot measure; null = none")
-
-
-class TensionDbcSettings(DbcSettings):
-    """The tension cell's message."""
-
-    tension: str = Field(min_length=1, description="signal, unit N")
-
-
-class InclinationDbcSettings(DbcSettings):
-    """The inclinometer's message."""
-
-    tangential: str = Field(min_length=1, description="signal, unit deg or rad")
-    normal: str = Field(min_length=1, description="signal, unit deg or rad")
-
-
-class TensionCellSettings(CanopenDevice):
-    """Tension amplifier, CiA 404 or any with plain frames."""
-
-    node: NodeId = 2
-    eds: str = Field(default="eds/tension_amplifier.eds", description="EDS file, relative to the rig file")
-    range_n: float = Field(gt=0, le=100_000, description="rated range of the cell")
-    noise_n: float = Field(gt=0, le=100, description="noise, rms, per sample")
-    dbc: TensionDbcSettings | None = Field(default=None, description="plain frames, null = CANopen")
-
-
-class InclinometerSettings(CanopenDevice):
-    """Two-axis inclinometer, CiA 410 or any with plain frames.
-
-    Slope long is the tangential angle, slope lateral the normal one.
-    """
-
-    node: NodeId = 3
-    eds: str = Field(default="eds/inclinometer.eds", description="EDS file, relative to the rig file")
-    rate_hz: int = Field(ge=1, le=1000, description="sample rate; a divisor of the loop's")
-    range_deg: float = Field(default=30.0, gt=0, le=90, description="measuring range")
-    dbc: InclinationDbcSettings | None = Field(default=None, description="plain frames, null = CANopen")
 
 
 class RailEncoderSettings(CanopenDevice):
@@ -288,13 +245,6 @@ class DemoSettings(Settings):
     settle_s: float = Field(default=2.0, ge=0, le=60, description="left out after COMPENSATING is entered")
     frames_lost_max: int = Field(default=0, ge=0, le=1_000_000, description="CAN frames lost")
     samples_lost_max: int = Field(default=0, ge=0, le=1_000_000, description="fast samples lost to the subscriber")
-
-
-class PlainMessages(Settings):
-    """Messages of the DBC files, as read when the rig file was loaded."""
-
-    tension_cell: PlainMessage | None = None
-    inclinometer: PlainMessage | None = None
 
 
 PROBE_SHARE = 0.01

@@ -11,7 +11,8 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.plain import PlainSignal
-from rigctl.config.settings import PlainMessages, RigSettings
+from rigctl.config.sensor_sections import PlainMessages
+from rigctl.config.settings import RigSettings
 from rigctl.control.control_process import receive_filters
 from rigctl.control.inbox import Inbox
 from rigctl.devices import objects as od
