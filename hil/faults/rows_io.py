@@ -5,7 +5,7 @@ from __future__ import annotations
 from hil.faults import in_device, on_bus
 from hil.faults.bus_devices import IO_NODE
 from hil.faults.expected import DRIVE_MS, PRESSED, RIDE, Around, InjectedFault
-from rigctl.config.settings import RailEncoderSettings
+from rigctl.config.rail_sections import RailEncoderSettings
 
 FITTED = IO_NODE.around
 RAIL = Around(change=(("rail_encoder", RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=500)),))

@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import math
 
-from rigctl.config.settings import RailEncoderSettings, RigSettings, RunOutSettings
+from rigctl.config.rail_sections import RailEncoderSettings, RunOutSettings
+from rigctl.config.settings import RigSettings
 
 RATE_S = 0.005
 """Low-pass of the rail's rate: the rail moves in jerks, and one count of 2^20 per turn at 1 kHz is 6 mrad/s."""

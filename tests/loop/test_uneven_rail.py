@@ -12,7 +12,8 @@ from hil.plant.layout import MECHANISM, RUN_OUT
 from hil.scenario import disturbances, kinds
 from hil.scenario.play import play
 from hil.wire import FRAME
-from rigctl.config.settings import RailEncoderSettings, RigSettings, RunOutSettings
+from rigctl.config.rail_sections import RailEncoderSettings, RunOutSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains

@@ -11,7 +11,8 @@ from rich.console import Console
 from rigctl.cli import check
 from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
-from rigctl.config.settings import RailEncoderSettings, RigSettings
+from rigctl.config.rail_sections import RailEncoderSettings
+from rigctl.config.settings import RigSettings
 from rigctl.demo.live_rig import rig_file
 from rigctl.devices import busload
 from tests.builders.paths import ROOT

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.config.settings import RailEncoderSettings
+from rigctl.config.rail_sections import RailEncoderSettings
 from rigctl.devices import objects as od
 from rigctl.ipc.record import Quality
 from tests.unit.control.test_plain_inbox import CONFIG, Bench

@@ -10,7 +10,7 @@ from typing import cast
 import can
 import pytest
 
-from rigctl.config.settings import RailEncoderSettings, RunOutSettings
+from rigctl.config.rail_sections import RailEncoderSettings, RunOutSettings
 from rigctl.control.homed import Homed, LastStroke
 from rigctl.control.inbox import Inbox
 from rigctl.control.machine import Machine

@@ -16,7 +16,8 @@ from hil.bus import InProcessBus
 from hil.hub import Hub
 from hil.rig import SimulatedRig
 from hil.wire import FRAME
-from rigctl.config.settings import RailEncoderSettings, RigSettings
+from rigctl.config.rail_sections import RailEncoderSettings
+from rigctl.config.settings import RigSettings
 from rigctl.devices import busload, startup
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import COMMAND, DRIVE_SPEED, DRIVE_STATUS, DriveUnits, ProcessData, wanted

@@ -9,7 +9,7 @@ import pytest
 
 from hil.plant.layout import MECHANISM
 from hil.plant.moves import out_and_back
-from rigctl.config.settings import RailEncoderSettings
+from rigctl.config.rail_sections import RailEncoderSettings
 from rigctl.devices import objects
 from tests.builders.rig_bench import SETTINGS, RigBench
 
