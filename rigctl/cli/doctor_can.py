@@ -8,7 +8,7 @@ import subprocess
 from typing import Any
 
 from rigctl.cli.doctor_host import DoctorFinding, fails, good, warning
-from rigctl.config.settings import CanSettings
+from rigctl.config.can_section import CanSettings
 
 LIMIT_S = 5.0
 QUEUE = 10

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from rigctl.config import layout
 from rigctl.config.address import is_address
 from rigctl.config.bounds import findings
+from rigctl.config.can_section import CanSettings
 from rigctl.config.canopen import SIMULATOR_NODE
 from rigctl.config.compensation_section import CompensationSettings
 from rigctl.config.cylinder_section import CylinderSettings
@@ -28,7 +29,7 @@ from rigctl.config.rail_sections import RailEncoderSettings, RunOutSettings
 from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.sensor_sections import InclinometerSettings, PlainMessages, TensionCellSettings
-from rigctl.config.settings_base import CanopenDevice, NodeId, Settings, require
+from rigctl.config.settings_base import CanopenDevice, Settings, require
 from rigctl.config.signals import STATUS, WATCHED
 from rigctl.config.simulation_section import SimulationSettings
 from rigctl.config.telemetry_section import TelemetrySettings
@@ -60,25 +61,6 @@ class LoopSettings(Settings):
     def period_ns(self) -> int:
         """Tick period in nanoseconds."""
         return 1_000_000_000 // self.rate_hz
-
-
-class CanSettings(Settings):
-    """The one CAN bus the loop owns."""
-
-    interface: str = Field(min_length=1, description="python-can interface: socketcan, rigsim, ...")
-    channel: str = Field(min_length=1, max_length=100, description="device or socket, e.g. can0")
-    bitrate_bit_s: int | None = Field(
-        ge=10_000, le=1_000_000, description="bit rate; null only on rigsim, which has no bit timing"
-    )
-    controller_node: NodeId = 1
-    heartbeat_ms: int = Field(default=20, ge=5, le=1000, description="our heartbeat period (0x1017)")
-    boot_wait_s: float = Field(default=10.0, ge=0, le=120, description="start-up waits so long for devices to boot")
-
-    @model_validator(mode="after")
-    def _bit_rate_is_known(self) -> CanSettings:
-        known = self.bitrate_bit_s is not None or self.interface == "rigsim"
-        require(known, "bitrate_bit_s", None, "a bit rate (null is for interface rigsim only)")
-        return self
 
 
 class LearningSettings(Settings):
