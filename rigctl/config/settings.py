@@ -12,7 +12,7 @@ import pathlib
 from pydantic import Field, model_validator
 
 from rigctl.config import layout
-from rigctl.config.address import is_address
+from rigctl.config.audit_section import AuditSettings
 from rigctl.config.bounds import findings
 from rigctl.config.can_section import CanSettings
 from rigctl.config.canopen import SIMULATOR_NODE
@@ -169,25 +169,6 @@ class PreflightSettings(Settings):
 
     stroke_margin_mm: float = Field(default=2.0, ge=0, le=500, description="stroke at least this far from its ends")
     disk_free_mib: int = Field(default=512, ge=1, le=2**30, description="free where the rig writes things down")
-
-
-class AuditSettings(Settings):
-    """Files of the recorder: the audit log, and a dump of each trip. Relative to the rig file."""
-
-    file: str | None = Field(default=None, min_length=1, description="audit log; null = audit/RIG.jsonl")
-    trips: str = Field(default="trips", min_length=1, description="folder of the trip dumps")
-    trips_kept: int = Field(default=100, ge=1, le=10_000, description="trip dumps of this rig kept, the newest")
-    syslog: str | None = Field(
-        default=None, description="tcp/HOST:PORT or udp/HOST:PORT of a syslog collector that gets each head of the log"
-    )
-
-    @model_validator(mode="after")
-    def _syslog_is_an_endpoint(self) -> AuditSettings:
-        if self.syslog is not None:
-            protocol, _, where = self.syslog.partition("/")
-            good = protocol in ("tcp", "udp") and is_address(where)
-            require(good, "syslog", self.syslog, "tcp/HOST:PORT or udp/HOST:PORT")
-        return self
 
 
 class DemoSettings(Settings):

@@ -17,8 +17,9 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from hil.lockstep import Lockstep, lockstep
 from hil.wire import FRAME
+from rigctl.config.audit_section import AuditSettings
 from rigctl.config.recording_section import RecordingSettings
-from rigctl.config.settings import AuditSettings, RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
 from rigctl.control.modes import VALUES, Mode, Refusal, Setting, Verb
 from rigctl.control.tension import Gains

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from rigctl.config.audit_section import AuditSettings
 from rigctl.config.recording_section import RecordingSettings
-from rigctl.config.settings import AuditSettings
 from rigctl.control.events import Kind
 from rigctl.ipc.runtime_folder import ACTIVE, RECORDED
 from rigctl.ipc.supervision import Doing, Supervision

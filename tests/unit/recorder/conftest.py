@@ -7,8 +7,9 @@ import pathlib
 import pytest
 
 from rigctl.config import rig_file as config
+from rigctl.config.audit_section import AuditSettings
 from rigctl.config.recording_section import RecordingSettings
-from rigctl.config.settings import AuditSettings, RigSettings
+from rigctl.config.settings import RigSettings
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from tests.builders.paths import ROOT
 

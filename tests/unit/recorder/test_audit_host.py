@@ -11,7 +11,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from rigctl.config.settings import AuditSettings, RigSettings
+from rigctl.config.audit_section import AuditSettings
+from rigctl.config.settings import RigSettings
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder.recorder_process import Recorder
 from tests.unit.recorder.test_sources import entries
