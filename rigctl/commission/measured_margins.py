@@ -25,7 +25,7 @@ from rigctl.commission.frequency_response import ComplexArray, PlantResponse, Sp
 from rigctl.commission.identification import Estimated, student_t
 from rigctl.commission.motion import Array
 from rigctl.commission.plant_fit import PlantFit, PlantModel
-from rigctl.config.settings import PlantSettings
+from rigctl.config.plant_section import PlantSettings
 
 Controller = Callable[[Array], tuple[ComplexArray, ComplexArray]]
 """Frequencies in Hz to the command per tension (mm/s per N) and per speed (1), positive feedback."""

@@ -19,7 +19,7 @@ import numpy as np
 from rigctl.commission.frequency_response import ComplexArray, PlantResponse, Ratio
 from rigctl.commission.identification import PITCH_SHARE, Estimated, student_t
 from rigctl.commission.motion import Array
-from rigctl.config.settings import PlantSettings
+from rigctl.config.plant_section import PlantSettings
 
 KG_PER_N_S2_MM = 1000.0  # 1 N s^2/mm is 1000 kg
 FLOOR = 0.003  # of a response: least standard deviation; what else is in it the equations do not have

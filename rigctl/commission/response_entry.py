@@ -12,7 +12,7 @@ from rigctl.commission.measured_margins import MeasuredMargins
 from rigctl.commission.motion import Array
 from rigctl.commission.plant_fit import PlantFit
 from rigctl.commission.proposal import rounded
-from rigctl.config.settings import PlantSettings
+from rigctl.config.plant_section import PlantSettings
 
 COLUMNS = (
     "hz", "gain", "gain_error", "phase_deg", "phase_error_deg", "coherence", "sensitivity", "sensitivity_error",

@@ -25,6 +25,7 @@ from rigctl.config.limits_section import LimitSettings
 from rigctl.config.margins_section import MarginsSettings
 from rigctl.config.page_section import PageSettings
 from rigctl.config.plain import PlainMessage
+from rigctl.config.plant_section import PlantSettings
 from rigctl.config.rail_sections import RailEncoderSettings, RunOutSettings
 from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.second_force_section import SecondForceSettings
@@ -74,33 +75,6 @@ class LearningSettings(Settings):
     stroke_max_mm: float = Field(default=0.2, gt=0, le=10, description="largest stroke that a table adds up to")
     same_mm: float = Field(default=0.5, gt=0, le=100, description="stroke beyond the last move's: another move")
     same_deg: float = Field(default=0.3, gt=0, le=10, description="inclination beyond the last move's: another move")
-
-
-class PlantSettings(Settings):
-    """The plant as assumed by estimator and design."""
-
-    spring_n_mm: float | None = Field(gt=0, le=10_000, description="series spring, null = none")
-    rope_n_mm: float = Field(gt=0, le=100_000, description="rope, axial")
-    cylinder_lag_s: float = Field(gt=0, le=1, description="first-order lag of the cylinder's speed")
-    command_delay_s: float = Field(ge=0, le=0.1, description="transport delay of the drive")
-    rope_length_mm: float = Field(ge=100, le=20_000, description="between the two lifting points")
-    radius_mm: float = Field(ge=100, le=20_000, description="mechanism's radius")
-    payload_kg: float = Field(ge=0.1, le=1000, description="suspended mass")
-    mechanism_n_mm: float | None = Field(default=None, gt=0, le=1e6, description="vertical stiffness, null = rigid")
-
-    @property
-    def stiffness_n_mm(self) -> float:
-        """Spring and rope in series, equation (17); the rope alone without a spring."""
-        if self.spring_n_mm is None:
-            return self.rope_n_mm
-        return 1.0 / (1.0 / self.spring_n_mm + 1.0 / self.rope_n_mm)
-
-    @property
-    def slow_stiffness_n_mm(self) -> float:
-        """What a slow stroke meets: spring, rope and mechanism in series."""
-        if self.mechanism_n_mm is None:
-            return self.stiffness_n_mm
-        return 1.0 / (1.0 / self.stiffness_n_mm + 1.0 / self.mechanism_n_mm)
 
 
 class TensionSettings(Settings):
