@@ -31,7 +31,7 @@ from rigctl.recorder.recorder_process import Recorder
 from rigctl.replay.compare import first_difference
 from rigctl.replay.play import play, spans
 from tests.builders.durable import Disk
-from tests.loop.test_loop import nmt, stop_node
+from tests.builders.loop_frames import nmt, stop_node
 
 WALL_OFFSET_NS = 1_700_000_000_000_000_000
 TICK_NS = 1_000_000
