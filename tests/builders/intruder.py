@@ -26,7 +26,7 @@ if __name__ == "__main__":
 import zenoh
 
 from rigctl.wire.keys import Keys
-from rigctl.wire.session import open_client
+from rigctl.wire.session import SessionError, open_client
 
 NOBODY = 65534
 FORGED = "stroke held at 12.34 mm, tension 56.7 N"
@@ -175,9 +175,20 @@ def _replay(session: zenoh.Session, keys: Keys) -> list[Any]:
     return [session.declare_subscriber(keys.state, take)]
 
 
+def _opened(endpoint: str) -> zenoh.Session:
+    """A session; a busy computer may not answer the first time."""
+    end = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            return open_client(endpoint)
+        except SessionError:
+            if time.monotonic() > end:
+                raise
+
+
 def main(endpoint: str, rig: str, *tasks: str) -> None:
     become_nobody()
-    keys, session = Keys(rig), open_client(endpoint)
+    keys, session = Keys(rig), _opened(endpoint)
     kept: list[Any] = []
     if "answers" in tasks:
         kept += _answer_all(session, keys)
