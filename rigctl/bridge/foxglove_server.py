@@ -1,7 +1,7 @@
 """A server of the Foxglove WebSocket protocol: channels and parameters to every client, and no client slows another.
 
 A message is handed to the operating system at once or kept for its client. A client that leaves more than
-``BACKLOG_BYTES`` untaken, or does not answer a ping for ``PATIENCE_S``, is disconnected and counted.
+``BACKLOG_BYTES`` untaken for ``FULL_S``, or does not answer a ping for ``PATIENCE_S``, is disconnected and counted.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import contextlib
 import itertools
 import secrets
 import socket
+import time
 from collections.abc import AsyncIterator, Callable, Collection, Sequence
 from http import HTTPStatus
 from urllib.parse import urlsplit
@@ -37,6 +38,8 @@ from rigctl.bridge.foxglove_protocol import (
 from rigctl.config.address import Address
 
 BACKLOG_BYTES = 4 << 20
+FULL_S = 10.0
+"""A gateway that catches up sends seconds of records in one piece, which a client must have time to take."""
 SENDING_BYTES = 1 << 18
 """What the operating system may keep for a client beside the backlog, so that a stalled one is noticed."""
 PING_S, PATIENCE_S = 5.0, 20.0
@@ -53,6 +56,7 @@ class _Viewer:
         self.numbers: dict[int, int] = {}  # channel by the client's number
         self.parameters: set[str] | None = set()  # names it follows, None for all
         self.dropped = False
+        self.full_since: float | None = None  # monotonic time in s since which more than `BACKLOG_BYTES` are untaken
 
     def follows(self, name: str) -> bool:
         return self.parameters is None or name in self.parameters
@@ -214,7 +218,13 @@ class FoxgloveServer:
                 sender.send_binary(message)
         transport = viewer.connection.transport
         transport.write(b"".join(sender.data_to_send()))
-        if transport.get_write_buffer_size() > BACKLOG_BYTES:
+        if transport.get_write_buffer_size() <= BACKLOG_BYTES:
+            viewer.full_since = None
+            return
+        now = time.monotonic()
+        if viewer.full_since is None:
+            viewer.full_since = now
+        if now - viewer.full_since >= FULL_S:
             transport.abort()
             self._count_drop(viewer, f"more than {BACKLOG_BYTES >> 20} MiB untaken")
 

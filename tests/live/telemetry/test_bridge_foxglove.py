@@ -192,14 +192,18 @@ def test_a_stalled_client_is_dropped_and_counted_and_the_others_lose_nothing(sha
     assert re.search(r"^bridge: client 127\.0\.0\.1:\d+ was disconnected: more than 4 MiB untaken$", said, re.MULTILINE)
 
 
-def test_it_goes_on_with_the_next_gateway(own: Daemon) -> None:
+@pytest.mark.parametrize(("away_s", "pause_s", "count"), [(0.0, 0.0, 4000), (9.0, 2.0, 13000)])
+def test_it_goes_on_with_the_next_gateway(own: Daemon, away_s: float, pause_s: float, count: int) -> None:
+    """After 9 s it catches up with more than a client may leave untaken; a client that pauses meanwhile stays."""
     with bridge(own, "--rate", "1000") as served, FoxgloveClient(served.port) as client:
         client.subscribe("/records", 1)
         first = client.messages(100)[-1].seq
         own.kill_gateway()
+        time.sleep(away_s)
         own.start_gateway()
-        numbers = [record.seq for record in client.messages(4000)]
-    assert numbers == list(range(first + 1, first + 4001))
+        time.sleep(pause_s)
+        numbers = [record.seq for record in client.messages(count)]
+    assert numbers == list(range(first + 1, first + count + 1))
 
 
 def test_json_of_the_state_schema_is_read_by_lichtblick(full: Bridge) -> None:
