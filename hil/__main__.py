@@ -14,6 +14,7 @@ from rigctl.ipc import output_file
 from rigctl.ipc.termination import on_signals
 
 PROGRAM = "python -m hil"
+PAPER = "paper_rig.yaml"
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: more threads are slower with matrices this small
 with extras.refused(PROGRAM):
     import typer
@@ -74,7 +75,7 @@ def _paper(
     """Play the paper's study, locked and with the loop closed, and compare it with what the paper prints."""
     from hil.cli.paper import run
 
-    raise typer.Exit(run(file or paper_rig(), json, plots))
+    raise typer.Exit(run(file or rig_file.shipped(PAPER), json, plots))
 
 
 @app.command("compare")
@@ -105,7 +106,7 @@ def _compare(
     from hil.cli import compare_tuned
     from hil.cli.compare import run
 
-    file = file or paper_rig()
+    file = file or rig_file.shipped(PAPER)
     if equal_limits or random or front is not None:
         asked = compare_tuned.Asked(only or [], controllers or [], json, rows, quick=quick)
         if front is not None:
@@ -125,7 +126,7 @@ def _cell(
     """Hold the cell's stated uncertainty, before and after compensation, against the truth of many drawn cells."""
     from hil.cli.cell import run
 
-    raise typer.Exit(run(file or paper_rig(), cells, json))
+    raise typer.Exit(run(file or rig_file.shipped(PAPER), cells, json))
 
 
 @app.command("moves")
@@ -138,7 +139,7 @@ def _moves(
     """Repeat one move with learning, and with what was tried against friction at the reversal (docs/reversal.md)."""
     from hil.cli.moves import run
 
-    raise typer.Exit(run(file or paper_rig(), only or [], json, plots))
+    raise typer.Exit(run(file or rig_file.shipped(PAPER), only or [], json, plots))
 
 
 @app.command("fmu")
@@ -202,7 +203,7 @@ def _faults(
     """Play the fault catalogue: every fault in every mode, what happens against what has to happen."""
     from hil.cli import faults as command
 
-    file = file or paper_rig()
+    file = file or rig_file.shipped(PAPER)
     if list_:
         command.show_list()
     elif kills:
@@ -228,18 +229,6 @@ def _inject(
     from hil.cli import inject as command
 
     raise typer.Exit(command.show_list() if list_ else command.run(file, fault, for_, end=end))
-
-
-def paper_rig() -> pathlib.Path:
-    """The paper's rig file: of this checkout, or of the installation.
-
-    Raises:
-        ScenarioError: it is not installed.
-    """
-    try:
-        return rig_file.shipped("paper_rig.yaml")
-    except rig_file.ConfigError as error:
-        raise ScenarioError(error.findings) from None
 
 
 def _announce(text: str) -> None:
@@ -271,7 +260,7 @@ def _run() -> int:
     except (ServeError, ScenarioError) as error:
         sys.stderr.write(f"{error}\n")
         return error.exit_code
-    except output_file.OutputError as error:
+    except (output_file.OutputError, rig_file.ConfigError) as error:
         sys.stderr.write(f"{error}\n")
         return 2
     except TyperException as error:

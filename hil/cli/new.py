@@ -25,6 +25,7 @@ def run(name: str, given: Mapping[RigDecision, float | None], out: pathlib.Path 
 
     Raises:
         ScenarioError: there is no such rig, or something would have to be overwritten.
+        ConfigError: the paper's rig is not installed.
         OSError: a file cannot be written.
         KeyboardInterrupt: the questions were not answered to their end.
     """

@@ -36,13 +36,10 @@ def paper() -> tuple[pathlib.Path, RigSettings]:
     """File and settings of the paper's rig, from which every other is made.
 
     Raises:
-        ScenarioError: it is not installed.
+        ConfigError: it is not installed.
     """
-    try:
-        file = rig_file.shipped("paper_rig.yaml")
-        return file, rig_file.load(file)
-    except rig_file.ConfigError as error:
-        raise ScenarioError(error.findings) from None
+    file = rig_file.shipped("paper_rig.yaml")
+    return file, rig_file.load(file)
 
 
 def check_name(name: str) -> None:

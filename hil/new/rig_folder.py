@@ -20,13 +20,10 @@ def beside(settings: RigSettings) -> dict[str, bytes]:
     """Files that the rig file needs, by their name relative to it.
 
     Raises:
-        ScenarioError: one is not installed.
+        ConfigError: one is not installed.
     """
     names = [getattr(settings, device).eds for device in settings.canopen_nodes]
-    try:
-        return {name: rig_file.shipped(name).read_bytes() for name in (*names, _SIMULATOR, *_SCHEMAS)}
-    except rig_file.ConfigError as error:
-        raise ScenarioError(error.findings) from None
+    return {name: rig_file.shipped(name).read_bytes() for name in (*names, _SIMULATOR, *_SCHEMAS)}
 
 
 def check(folder: pathlib.Path, name: str, files: Mapping[str, bytes]) -> None:
