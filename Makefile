@@ -1,5 +1,5 @@
 # make demo   the daemon's main job on the simulated rig, judged       make lint   ruff and mypy strict
-# make test   what a change is judged by, in minutes                   make bench  timing against cyclictest
+# make test   the gate: smoke tests, then all in simulated time         make bench  timing against cyclictest
 # make test-live   all real processes in real time, studies
 # make test-machine   services in a systemd of their own, the guest kernel's bus faults, a minute of everything
 # make deb    Debian packages, installable offline     make docs   the documentation site, which `rigctl page` serves
@@ -19,13 +19,15 @@ demo: $(STAMP)
 	$(VENV)/bin/rigctl demo config/paper_rig.yaml --json results/demo.json
 
 test: $(STAMP) system
-	$(PYTHON) -m pytest -m "not real_time and not study" --numprocesses auto --dist worksteal
-	$(PYTHON) -m pytest -m brief
+	@mkdir -p results; export SMOKE_SUMMARY=$(CURDIR)/results/smoke.txt; rm -f $$SMOKE_SUMMARY; smoke=0; tests=0; \
+	$(PYTHON) -m pytest tests/guest tests/live -m smoke || smoke=$$?; \
+	$(PYTHON) -m pytest -m "not real_time and not study" --numprocesses auto --dist worksteal || tests=$$?; \
+	exit $$((smoke > tests ? smoke : tests))
 
 test-live: $(STAMP) system
-	$(PYTHON) -m pytest tests/studies tests/loop tests/live -m "study and not real_time and not brief" \
+	$(PYTHON) -m pytest tests/studies tests/loop tests/live -m "study and not real_time and not smoke" \
 	    --numprocesses auto --dist loadfile --no-loadscope-reorder
-	$(PYTHON) -m pytest -m "real_time and not brief and not machine"
+	$(PYTHON) -m pytest -m "real_time and not smoke and not machine"
 
 test-machine: $(STAMP) system
 	$(PYTHON) -m pytest -m machine
@@ -75,7 +77,7 @@ system:
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(PYTHON) || python3 -m venv $(VENV) || { tests/guest/apt python3-venv && python3 -m venv $(VENV); }
 	@echo "setting up $(VENV), which takes a minute or two:"
-	set -o pipefail; $(PYTHON) -m pip install --progress-bar off --disable-pip-version-check -c constraints.txt \
+	set -o pipefail; tests/guest/thrice $(PYTHON) -m pip install --progress-bar off --disable-pip-version-check -c constraints.txt \
 	    -e '.[dev]' | sed -u -n -e 's/^Collecting \([^ ]*\).*/  package \1/p' -e 's/^Installing collected.*/  installing/p'
 	$(PYTHON) -m hil.plant
 	touch $@

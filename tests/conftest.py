@@ -13,11 +13,12 @@ import sys
 from collections.abc import Callable
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from tests.builders.host_pause import pytest_runtest_makereport, pytest_runtest_protocol
+from tests.builders.smoke import pytest_terminal_summary
 
-__all__ = ["pytest_runtest_makereport", "pytest_runtest_protocol"]
+__all__ = ["pytest_runtest_makereport", "pytest_runtest_protocol", "pytest_terminal_summary"]
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in rigctl and hil; the workers of xdist inherit it
 HERE = pathlib.Path(__file__).parent
@@ -28,8 +29,9 @@ STUDIES = ("studies", "loop/test_identify.py", "loop/test_uneven_rail.py", "loop
 """Where tests take minutes of simulated time, or start processes that no pause of the host can trip."""
 
 # What a change is judged by is the same every time; `make fuzz` looks for more.
-settings.register_profile("rigctl", deadline=None, derandomize=True)
-settings.register_profile("search", deadline=None)
+# `deadline` and the health check `too_slow` measure this computer's clock.
+settings.register_profile("rigctl", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
+settings.register_profile("search", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("rigctl")
 
 

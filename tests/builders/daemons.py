@@ -26,7 +26,25 @@ from tests.builders.paths import ROOT
 
 PAPER = ROOT / "config/paper_rig.yaml"
 START_LIMIT_S = 120.0  # a guest kernel is slow; no test judges this time
-STOP_LIMIT_S = 20.0
+STOP_LIMIT_S = 60.0
+SLOW_HZ = 100
+# A rig that a busy host does not trip: a slow loop, and each limit in time as wide as the rig file may have it. The bus
+# is silent before a device is stale, so that what the fault is called does not depend on which frame came last.
+SLOW: dict[str, dict[str, Any]] = {
+    "loop": {"rate_hz": SLOW_HZ, "cpu": None, "spin_us": 0},
+    "can": {"heartbeat_ms": 50},
+    "cylinder": {"heartbeat_timeout_ms": 1000, "command_deadline_ms": 1000, "status_rate_hz": 5},
+    "inclinometer": {"rate_hz": 50},
+    "safety": {
+        "stale_ms": 1000,
+        "bus_silent_ms": 900,
+        "inclination_stale_ms": 5000,
+        "overrun_ticks": 1000,
+        "overrun_window_ms": 60_000,
+        "waiver": "a simulated rig on a busy host",
+    },
+    "estimator": {"tension_walk_n": 30.0},  # calm enough for 100 Hz
+}
 
 
 def free_port() -> int:
@@ -52,6 +70,18 @@ def rig_file(folder: pathlib.Path, changes: dict[str, dict[str, Any]] | None = N
             data[device]["dbc"] = {**dbc, "file": str(PAPER.parent / dbc["file"])}
     file = folder / "rig.yaml"
     file.write_text(yaml.safe_dump(data))
+    return file
+
+
+def slow_rig_file(
+    folder: pathlib.Path, changes: dict[str, dict[str, Any]] | None = None, *, rig: str = ""
+) -> pathlib.Path:
+    """`SLOW` with ``changes``, and without the paper rig's limits, which judge a rig at 1 kHz."""
+    merged = {section: dict(values) for section, values in SLOW.items()}
+    for section, values in (changes or {}).items():
+        merged.setdefault(section, {}).update(values)
+    file = rig_file(folder, merged, rig=rig)
+    file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), "limits": []}))
     return file
 
 

@@ -16,6 +16,8 @@ from collections.abc import Generator, Iterator
 import pytest
 from _pytest.runner import runtestprotocol
 
+from tests.builders import smoke
+
 PAUSE_MS = 20
 """Fewer skipped periods of 1 ms are within what a loaded machine does, and no test depends on them."""
 _SKIPPED = re.compile(r"(\d+) ticks skipped")
@@ -60,19 +62,28 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    """Run a real-time test, and once more where it failed while the host paused the loop."""
-    if item.get_closest_marker("real_time") is None:
+    """Run a test of real processes, and again where it failed and may be repeated."""
+    if item.get_closest_marker("real_time") is None and item.get_closest_marker("smoke") is None:
         return None
     where = {"nodeid": item.nodeid, "location": item.location}
     item.ihook.pytest_runtest_logstart(**where)
     reports = runtestprotocol(item, log=False, nextitem=nextitem)
-    paused_ms = item.stash.get(_PAUSED, 0)
-    if any(report.failed for report in reports) and paused_ms >= PAUSE_MS:
-        terminal = item.config.pluginmanager.get_plugin("terminalreporter")
-        if terminal is not None:
-            terminal.write_line(f"\n{item.nodeid}: failed while the host paused the loop for {paused_ms} ms; once more")
+    runs = 1
+    while any(report.failed for report in reports) and (smoke.repeatable(item, reports, runs) or _paused(item, runs)):
         reports = runtestprotocol(item, log=False, nextitem=nextitem)
+        runs += 1
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(**where)
+    return True
+
+
+def _paused(item: pytest.Item, runs: int) -> bool:
+    """Whether a real-time test is repeated because the host paused its loop in its only run."""
+    paused_ms = item.stash.get(_PAUSED, 0)
+    if item.get_closest_marker("smoke") is not None or runs > 1 or paused_ms < PAUSE_MS:
+        return False
+    terminal = item.config.pluginmanager.get_plugin("terminalreporter")
+    if terminal is not None:
+        terminal.write_line(f"\n{item.nodeid}: failed while the host paused the loop for {paused_ms} ms; once more")
     return True

@@ -21,7 +21,7 @@ from rigctl.config import rig_file as config
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders.paths import ROOT
 
-PATIENCE_S = 40.0  # far above any expected time, also on a busy machine: only a hang fails
+PATIENCE_S = 120.0  # far above any expected time, also on a busy machine: only a hang fails
 
 
 def free_port() -> int:

@@ -78,7 +78,6 @@ def test_a_wheel_of_another_hash_is_refused_by_pip(tmp_path: pathlib.Path) -> No
     assert "DO NOT MATCH THE HASHES" in answer.stderr
 
 
-@pytest.mark.timeout(900)
 def test_two_builds_are_one_wheel_with_its_sbom(tmp_path: pathlib.Path) -> None:
     """wheel.py builds twice and refuses a difference; a second run in another folder gives the same bytes again."""
     for folder in ("one", "two"):

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from typing import Any, Self, TypeVar
 
 import canopen
-import yaml
 
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.devices import objects as od
@@ -21,25 +20,11 @@ from tests.builders import daemons
 from tests.builders.paths import ROOT
 
 BUS = "vcan0"
-RATE_HZ = 100
 TARGET_N = 100.0
-# User-mode Linux: a system call costs 200 times the host's, and one processor has daemon, rig and tests to run: limits
-# in time are as wide as the settings allow. At 400 ms a busy host made it trip. The bus is silent before a device is
-# stale, so that what the fault is called does not hang on which frame came last.
-SLOW: dict[str, dict[str, Any]] = {
-    "loop": {"rate_hz": RATE_HZ, "priority": 80, "cpu": 0, "spin_us": 0, "lock_memory": False},
-    "can": {"interface": "socketcan", "heartbeat_ms": 50},
-    "cylinder": {"heartbeat_timeout_ms": 1000, "command_deadline_ms": 1000, "status_rate_hz": 5},
-    "inclinometer": {"rate_hz": 50},
-    "safety": {
-        "stale_ms": 900,
-        "bus_silent_ms": 800,
-        "inclination_stale_ms": 2000,
-        "overrun_ticks": 90,
-        "overrun_window_ms": 1000,
-        "waiver": "a simulated rig in user-mode Linux",
-    },
-    "estimator": {"tension_walk_n": 30.0},  # calm enough for 100 Hz
+# User-mode Linux: a system call costs 200 times the host's, and one processor has daemon, rig and tests to run.
+GUEST: dict[str, dict[str, Any]] = {
+    "loop": {"priority": 80, "cpu": 0, "lock_memory": False},
+    "can": {"interface": "socketcan"},
     "preflight": {"disk_free_mib": 64},  # the guest's disk is half of its gigabyte of memory
     "recording": {"enabled": False},  # for which it has no room either
     "telemetry": {"rate_hz": 10},
@@ -52,10 +37,8 @@ _RUNNING = (od.SIMULATOR_NODE, "simulator"), (4, "cylinder_drive")
 
 
 def rig_file(folder: pathlib.Path, channel: str) -> pathlib.Path:
-    """`SLOW`, on the interface ``channel``; without the paper rig's limits, which judge a rig at 1 kHz."""
-    file = daemons.rig_file(folder, {**SLOW, "can": {**SLOW["can"], "channel": channel}}, rig="guest")
-    file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), "limits": []}))
-    return file
+    """A slow rig on the interface ``channel``."""
+    return daemons.slow_rig_file(folder, {**GUEST, "can": {**GUEST["can"], "channel": channel}}, rig="guest")
 
 
 def link(device: str, *words: str) -> None:

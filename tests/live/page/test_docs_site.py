@@ -15,8 +15,6 @@ from tests.builders import pages
 from tests.builders.miniature import Daemon
 from tests.builders.paths import ROOT
 
-pytestmark = pytest.mark.timeout(600)
-
 
 @pytest.fixture(scope="module")
 def documented(daemon: Daemon) -> Iterator[pages.Server]:

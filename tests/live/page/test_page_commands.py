@@ -16,7 +16,7 @@ from playwright.sync_api import Browser
 
 from tests.builders import daemons
 from tests.builders.miniature import free_port
-from tests.builders.pages import PATIENT, PageView, Server, look, serving, until
+from tests.builders.pages import PageView, Server, look, serving, until
 
 pytestmark = pytest.mark.real_time
 
@@ -34,7 +34,7 @@ class Running:
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     folder = tmp_path_factory.mktemp("page")
-    file, log, port = daemons.rig_file(folder, PATIENT), folder / "daemon.log", free_port()
+    file, log, port = daemons.slow_rig_file(folder), folder / "daemon.log", free_port()
     with (
         daemons.simulated_rig(file, folder / "rig.log"),
         daemons.process("rigctl", "run", str(file), "--page-listen", f"127.0.0.1:{port}", log=log) as child,
@@ -76,7 +76,7 @@ def mode(seen: PageView, wanted: str) -> None:
     seen.until(f"rigctl.state.mode === {wanted!r}")
 
 
-@pytest.mark.brief
+@pytest.mark.smoke
 def test_commands_go_through_lease_and_confirmation(seen: PageView, running: Running) -> None:
     assert seen.run("[...document.querySelectorAll('[data-verb]')].every((button) => button.dataset.why)")
     assert not seen.run("document.querySelector('#hold').disabled")

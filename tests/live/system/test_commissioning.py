@@ -225,7 +225,6 @@ def test_a_due_date_that_passes_while_the_daemon_runs_blocks_arming(tmp_path: pa
     assert "rigctl calibrate" in refused.stderr
 
 
-@pytest.mark.timeout(600)
 def test_a_frequency_response_is_on_record_with_a_picture(running: Running, tmp_path: pathlib.Path) -> None:
     picture = tmp_path / "response.png"
     refused = running.refused("identify", "--response")

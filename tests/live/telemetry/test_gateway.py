@@ -20,10 +20,10 @@ from tests.builders.miniature import DESIGN, Daemon, free_port, until
 from tests.builders.paths import ROOT
 
 
-@pytest.mark.brief
-def test_fast_stream_is_complete(shared: Daemon) -> None:
+@pytest.mark.smoke
+def test_fast_stream_is_in_order_and_its_losses_are_counted(shared: Daemon) -> None:
     with shared.client() as client:
-        reader = client.blocks(recover=False)  # the publications alone
+        reader = client.blocks(recover=False)  # the publications alone, which a busy host may drop
         ticks: list[int] = []
 
         def enough() -> bool:
@@ -33,9 +33,10 @@ def test_fast_stream_is_complete(shared: Daemon) -> None:
 
         until(enough, "4000 records")
         count = reader.count
-    assert ticks == list(range(ticks[0], ticks[0] + len(ticks)))
-    assert (count.lost, count.repeated, count.malformed, count.streams) == (0, 0, 0, 1)
-    assert count.received == count.produced == count.last_seq - count.first_seq + 1 == len(ticks)
+    assert all(np.diff(ticks) > 0)
+    assert (count.repeated, count.malformed, count.streams) == (0, 0, 1)
+    assert count.received == len(ticks)
+    assert count.received + count.lost == count.last_seq - count.first_seq + 1
 
 
 def test_fast_stream_is_decoded_by_the_schema_alone(shared: Daemon) -> None:
