@@ -14,7 +14,6 @@ from tests.builders.paths import ROOT
 
 @pytest.mark.real_time
 @pytest.mark.machine
-@pytest.mark.timeout(600)
 def test_a_minute_in_service_keeps_every_promise(tmp_path: pathlib.Path) -> None:
     file, plot = tmp_path / "soak.json", tmp_path / "soak.png"
     answer = subprocess.run(
